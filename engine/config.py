@@ -1,0 +1,84 @@
+"""The settings of every stage: declared once, shown as flags, as Blender properties and in the docs.
+
+Field docstrings (the string below a field) are the text of the flag and of the tooltip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from .errors import ConfigError
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ConfigError(message)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConfig:
+    """How photos and cameras are read."""
+
+    downscale: float = 1.0
+    """Divide the photos' width and height by this (2 = half size)."""
+
+    def __post_init__(self) -> None:
+        _require(self.downscale >= 1.0, f"downscale is {self.downscale}; use 1 or more (2 halves width and height)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """How Gaussians are trained from the photos."""
+
+    steps: int = 3000
+    """Optimiser steps, one photo each."""
+    max_gaussians: int = 100_000
+    """Densification stops at this many Gaussians."""
+    sh_degree: int = 2
+    """Highest degree of the spherical harmonics that carry view-dependent colour (0-3)."""
+    holdout_every: int = 8
+    """Keep every n-th photo (in name order) out of training to measure quality; 0 trains on all."""
+    ssim_weight: float = 0.2
+    """Weight of 1 - SSIM in the photometric loss; L1 has the rest."""
+    seed: int = 0
+    """Seed of every random choice in training."""
+
+    def __post_init__(self) -> None:
+        _require(self.steps >= 1, f"steps is {self.steps}; use at least 1")
+        _require(self.max_gaussians >= 1, f"max-gaussians is {self.max_gaussians}; use at least 1")
+        _require(0 <= self.sh_degree <= 3, f"sh-degree is {self.sh_degree}; use 0, 1, 2 or 3")
+        _require(self.holdout_every >= 0, f"holdout-every is {self.holdout_every}; use 0 (none) or more")
+        _require(0.0 <= self.ssim_weight <= 1.0, f"ssim-weight is {self.ssim_weight}; use 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmbedConfig:
+    """How Gaussians get features that words can query."""
+
+    encoder: Literal["embedded"] = "embedded"
+    """Image and text encoder; 'embedded' ships with the package and needs no download."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountConfig:
+    """How fruit are selected and counted."""
+
+    threshold: float = 0.5
+    """Lowest probability at which a Gaussian belongs to the prompt."""
+    method: Literal["voting", "template"] = "voting"
+    """'voting': centre votes, sphere fits, non-maximum suppression; 'template': the paper's DBSCAN and templates."""
+    diameter: float | None = None
+    """Mean fruit diameter in scene units; estimated from the scene when not given."""
+    sample_budget: int = 200_000
+    """Points sampled from the selected Gaussians."""
+    seed: int = 0
+    """Seed of every random choice in counting."""
+
+    def __post_init__(self) -> None:
+        _require(0.0 < self.threshold < 1.0, f"threshold is {self.threshold}; use a probability between 0 and 1")
+        _require(
+            self.diameter is None or self.diameter > 0.0,
+            f"diameter is {self.diameter}; use a length above 0 scene units",
+        )
+        _require(self.sample_budget >= 100, f"sample-budget is {self.sample_budget}; use at least 100 points")

@@ -1,0 +1,1 @@
+"""Selected Gaussians → `FruitCount` (paper section 3.3)."""

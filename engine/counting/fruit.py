@@ -1,0 +1,72 @@
+"""Counted fruit and the account of how they were counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FruitKind = Literal["single", "small", "compound-part"]
+Verdict = Literal["kept", "split", "dropped"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fruit:
+    """One counted fruit.
+
+    center: (3,) in the scene's frame; diameter, diameter_sd: scene units; volume: cubed scene units; probability that it
+    is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
+    kind: single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of.
+    """
+
+    id: int
+    label: str
+    center: NDArray[np.float64]
+    diameter: float
+    diameter_sd: float
+    volume: float
+    probability: float
+    visible_fraction: float | None
+    kind: FruitKind
+    members: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class AuditEntry:
+    """Why one cluster of selected points became fruit, several fruit, or nothing."""
+
+    cluster: int
+    verdict: Verdict
+    reason: str
+    center: tuple[float, float, float]
+    points: int
+    fruit_ids: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FruitCount:
+    """The fruit of one prompt in one scene.
+
+    count: visible fruit = len(fruits); interval, total and total_interval are None until counting estimates them;
+    mean_diameter: scene units, None when there is no fruit; max_probability: the highest any Gaussian reached;
+    points, point_fruit_ids: (P, 3) and (P,) the sampled surface points with the id of their fruit (-1 none);
+    point_colors: (P, 3) uint8 sRGB.
+    """
+
+    fruits: Sequence[Fruit]
+    audit: Sequence[AuditEntry]
+    max_probability: float
+    mean_diameter: float | None
+    points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    point_colors: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+    point_fruit_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    interval: tuple[float, float] | None = None
+    total: float | None = None
+    total_interval: tuple[float, float] | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.fruits)

@@ -1,0 +1,1 @@
+"""`Gaussians` → features → probability of a prompt (paper sections 3.2 and 3.3)."""

@@ -1,0 +1,1 @@
+"""`FruitCount` → tables, meshes, pictures."""

@@ -1,0 +1,1 @@
+"""Photos, cameras and sparse models → `Scene`."""

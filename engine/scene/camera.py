@@ -1,0 +1,93 @@
+"""Cameras, photos and the scene they make: the input of every later stage.
+
+Frames are COLMAP's: world_to_camera maps to x right, y down, z forward; pixel (0, 0) is the corner of the top left
+pixel, whose centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera with its pose.
+
+    K: (3, 3) intrinsics in pixels; world_to_camera: (4, 4) rigid transform in scene units; distortion: OpenCV
+    coefficients, None once a photo has been undistorted (as every camera of a loaded `Scene` is).
+    """
+
+    K: FloatArray
+    world_to_camera: FloatArray
+    width: int
+    height: int
+    distortion: FloatArray | None = None
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) the camera's position in the world."""
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    @property
+    def forward(self) -> FloatArray:
+        """(3,) unit viewing direction in the world."""
+        return self.world_to_camera[2, :3]
+
+
+class Photo(Protocol):
+    """A photo that loads when asked, already undistorted and at its camera's size."""
+
+    @property
+    def name(self) -> str: ...
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB."""
+        ...
+
+    def mask(self) -> NDArray[np.bool_] | None:
+        """(H, W) True where the photo may be used; None when every pixel may."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayPhoto:
+    """A photo that is in memory already."""
+
+    name: str
+    array: NDArray[np.uint8]
+    valid: NDArray[np.bool_] | None = None
+
+    def pixels(self) -> NDArray[np.uint8]:
+        return self.array
+
+    def mask(self) -> NDArray[np.bool_] | None:
+        return self.valid
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Posed photos with a sparse cloud, in the frame of the input model.
+
+    cameras and images: one each a view, in name order; points: (P, 3) scene units; colors: (P, 3) uint8 sRGB;
+    up: (3,) unit vector away from the ground; metres_per_unit: None when the scale is unknown.
+    """
+
+    cameras: Sequence[Camera]
+    images: Sequence[Photo]
+    points: FloatArray
+    colors: NDArray[np.uint8]
+    up: FloatArray
+    metres_per_unit: float | None = None
+
+    @property
+    def extent(self) -> float:
+        """Radius of the cameras about their mean, times 1.1 (3DGS's scene extent), in scene units."""
+        centers = np.stack([camera.center for camera in self.cameras])
+        return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max() * 1.1)

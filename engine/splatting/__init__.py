@@ -1,0 +1,1 @@
+"""`Scene` → `Gaussians` (paper section 3.1)."""

@@ -1,0 +1,70 @@
+"""3D Gaussians: the reconstruction that every later stage reads (paper eq. 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+SH_C0 = 0.28209479177387814
+"""Value of the constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N anisotropic Gaussians in the scene's frame, float32.
+
+    means: (N, 3) scene units; log_scales: (N, 3) natural logarithm of the standard deviations along the own axes;
+    quats: (N, 4) rotation w, x, y, z, not necessarily unit; opacity_logits: (N,); sh: (N, K, 3) spherical harmonics of
+    sRGB colour, K = (degree + 1)².
+    """
+
+    means: Tensor
+    log_scales: Tensor
+    quats: Tensor
+    opacity_logits: Tensor
+    sh: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def scales(self) -> Tensor:
+        """(N, 3) standard deviations in scene units."""
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        """(N,) in (0, 1)."""
+        return self.opacity_logits.sigmoid()
+
+    @property
+    def rotations(self) -> Tensor:
+        """(N, 3, 3) rotation matrices whose columns are the Gaussians' own axes."""
+        w, x, y, z = torch.nn.functional.normalize(self.quats, dim=-1).unbind(-1)
+        rows = [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ]
+        return torch.stack(rows, -2)
+
+    @property
+    def covariances(self) -> Tensor:
+        """(N, 3, 3) R diag(σ²) Rᵀ in squared scene units (paper eq. 1)."""
+        axes = self.rotations * self.scales[:, None, :]
+        return axes @ axes.transpose(-1, -2)
+
+    @property
+    def base_colors(self) -> Tensor:
+        """(N, 3) sRGB in [0, 1] without view dependence."""
+        return (0.5 + SH_C0 * self.sh[:, 0]).clamp(0.0, 1.0)
+
+    @property
+    def sh_degree(self) -> int:
+        return int(round(self.sh.shape[1] ** 0.5)) - 1
+
+    def select(self, index: Tensor) -> Gaussians:
+        """The Gaussians at `index` (bool mask (N,) or integer indices)."""
+        return Gaussians(**{field.name: getattr(self, field.name)[index] for field in fields(self)})

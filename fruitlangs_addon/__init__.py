@@ -1,0 +1,1 @@
+"""What Blender shows: properties, panels, preferences, and the one list of classes."""

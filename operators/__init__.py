@@ -1,0 +1,1 @@
+"""What Blender does: operators and writers from engine values to Blender data."""
