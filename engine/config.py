@@ -5,7 +5,7 @@ Field docstrings (the string below a field) are the text of the flag and of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from .errors import ConfigError
@@ -82,3 +82,17 @@ class CountConfig:
             f"diameter is {self.diameter}; use a length above 0 scene units",
         )
         _require(self.sample_budget >= 100, f"sample-budget is {self.sample_budget}; use at least 100 points")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Every stage's settings: what a run needs beside its scene and its prompt."""
+
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    """Photos and cameras."""
+    train: TrainConfig = field(default_factory=TrainConfig)
+    """Gaussians."""
+    embed: EmbedConfig = field(default_factory=EmbedConfig)
+    """Features and words."""
+    count: CountConfig = field(default_factory=CountConfig)
+    """Fruit."""

@@ -1,0 +1,118 @@
+"""`fruits.json`: the file other programs rely on, written last and checked when it is read.
+
+Its `files` hold the SHA-256 of every other file of the set, so a torn set is noticed. `scene.blend` is not a function of
+its input (Blender writes memory addresses), so it carries `set_id` as a scene property instead of being hashed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..counting.fruit import AuditEntry, Fruit, FruitCount
+from ..errors import FormatError, OutputError
+from ..files import file_hash, text_hash
+
+SCHEMA = "fruitlangs.fruits/1"
+FRUITS_JSON = "fruits.json"
+BLEND = "scene.blend"
+
+
+def set_id(files: Mapping[str, str]) -> str:
+    """One short name of a set of result files: a hash of the hashes, given as {file name: SHA-256}."""
+    return text_hash(*(f"{name} {files[name]}" for name in sorted(files)))[:16]
+
+
+def fruits_document(
+    fruit_count: FruitCount,
+    *,
+    config: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+    files: Mapping[str, str],
+    metres_per_unit: float | None,
+) -> dict[str, Any]:
+    """The content of fruits.json.
+
+    Lengths are metres when metres_per_unit is known, else scene units; centres are always in the input scene's frame.
+    """
+    unit = 1.0 if metres_per_unit is None else metres_per_unit
+    return {
+        "schema": SCHEMA,
+        "set_id": set_id(files),
+        "count": fruit_count.count,
+        "interval": fruit_count.interval,
+        "total": fruit_count.total,
+        "total_interval": fruit_count.total_interval,
+        "unit": "scene units" if metres_per_unit is None else "m",
+        "metres_per_unit": metres_per_unit,
+        "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
+        "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
+        "audit": {
+            "max_probability": round(fruit_count.max_probability, 6),
+            "clusters": [_audit_entry(entry) for entry in fruit_count.audit],
+        },
+        "config": dict(config),
+        "files": dict(sorted(files.items())),
+        "provenance": dict(provenance),
+    }
+
+
+def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
+    return {
+        "id": fruit.id,
+        "label": fruit.label,
+        "center": [round(float(value), 6) for value in fruit.center],
+        "diameter": round(fruit.diameter * unit, 6),
+        "diameter_sd": round(fruit.diameter_sd * unit, 6),
+        "volume": float(f"{fruit.volume * unit**3:.6g}"),
+        "probability": round(fruit.probability, 4),
+        "visible_fraction": None if fruit.visible_fraction is None else round(fruit.visible_fraction, 4),
+        "kind": fruit.kind,
+    }
+
+
+def _audit_entry(entry: AuditEntry) -> dict[str, Any]:
+    document = dataclasses.asdict(entry)
+    document["center"] = [round(float(value), 6) for value in entry.center]
+    document["fruit_ids"] = list(entry.fruit_ids)
+    return document
+
+
+def dump(document: Mapping[str, Any]) -> str:
+    """JSON text of a results document; refuses NaN, which JSON does not have."""
+    try:
+        return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    except ValueError as error:
+        raise OutputError(
+            f"{FRUITS_JSON} would hold a number that is not finite ({error}); please report this"
+        ) from error
+
+
+def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
+    """Read a result folder's fruits.json and, with `verify`, check that the files beside it are of the same set.
+
+    Raises:
+        OutputError: there is no fruits.json, or a file of the set is missing or belongs to another run.
+        FormatError: fruits.json is not of a schema this version reads.
+    """
+    path = folder / FRUITS_JSON
+    if not path.is_file():
+        raise OutputError(f"{folder} holds no {FRUITS_JSON}; it is not a result folder, or its run was never finished")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        schema = document["schema"]
+        files: dict[str, str] = document["files"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"{path} is not a results file ({error}); count again into this folder") from error
+    if schema != SCHEMA:
+        raise FormatError(f"{path} has schema {schema!r}; this version reads {SCHEMA!r}")
+    if verify:
+        for name, expected in files.items():
+            if not (folder / name).is_file() or file_hash(folder / name) != expected:
+                raise OutputError(
+                    f"{folder / name} is missing or not of the same run as {FRUITS_JSON}; count again into this folder"
+                )
+    return document
