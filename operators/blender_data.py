@@ -1,0 +1,119 @@
+"""The few things every writer does with Blender data: attributes from arrays, and finding what we own.
+
+What this extension makes carries the custom property `OWNER` with its role, so that it is found again whatever its name
+has become, in this Blender scene only, and nothing of the user's is ever replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+OWNER = "fruitlangs"
+"""Custom property that names the role of an object, collection, node group or material of ours."""
+
+Role = Literal["root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "light", "world"]
+AttributeType = Literal["FLOAT", "INT", "FLOAT_VECTOR", "FLOAT_COLOR", "QUATERNION"]
+
+_FIELDS: dict[AttributeType, tuple[str, int]] = {
+    "FLOAT": ("value", 1),
+    "INT": ("value", 1),
+    "FLOAT_VECTOR": ("vector", 3),
+    "FLOAT_COLOR": ("color", 4),
+    "QUATERNION": ("value", 4),
+}
+
+
+def array(values: Any, dtype: type = np.float32) -> NDArray[Any]:
+    """A contiguous NumPy array of `values`, be they a torch tensor on any device, an array or a sequence."""
+    if hasattr(values, "detach"):
+        values = values.detach().cpu().numpy()
+    return np.ascontiguousarray(values, dtype=dtype)
+
+
+def point_mesh(name: str, positions: NDArray[Any]) -> bpy.types.Mesh:
+    """A mesh of loose vertices at `positions`, (N, 3)."""
+    mesh = bpy.data.meshes.new(name)
+    if len(positions):
+        mesh.vertices.add(len(positions))
+        mesh.attributes["position"].data.foreach_set("vector", array(positions).ravel())
+    return mesh
+
+
+def set_attribute(mesh: bpy.types.Mesh, name: str, kind: AttributeType, values: NDArray[Any]) -> None:
+    """Write `values`, one row a vertex, as the named point attribute; an attribute of that name is replaced."""
+    old = mesh.attributes.get(name)
+    if old is not None:
+        mesh.attributes.remove(old)
+    attribute = mesh.attributes.new(name, kind, "POINT")
+    field, width = _FIELDS[kind]
+    flat = array(values, np.int32 if kind == "INT" else np.float32).ravel()
+    if flat.size != len(mesh.vertices) * width:
+        raise ValueError(f"attribute {name}: {flat.size} numbers for {len(mesh.vertices)} points of {width}")
+    if flat.size:
+        attribute.data.foreach_set(field, flat)
+
+
+def get_attribute(mesh: bpy.types.Mesh, name: str) -> NDArray[Any]:
+    """The named attribute as (N,) or (N, width)."""
+    attribute = mesh.attributes[name]
+    field, width = _FIELDS[attribute.data_type]
+    values = np.empty(len(attribute.data) * width, np.int32 if attribute.data_type == "INT" else np.float32)
+    attribute.data.foreach_get(field, values)
+    return values if width == 1 else values.reshape(-1, width)
+
+
+def linear_from_srgb(srgb: NDArray[Any]) -> NDArray[Any]:
+    """Blender's attributes and materials hold scene-linear colour; photos and Gaussians hold sRGB."""
+    srgb = np.asarray(srgb, dtype=np.float32)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def rgba(rgb: NDArray[Any]) -> NDArray[Any]:
+    """(N, 4) with alpha 1."""
+    return np.concatenate([rgb, np.ones((len(rgb), 1), np.float32)], axis=1)
+
+
+def owned_object(scene: bpy.types.Scene, role: Role) -> bpy.types.Object | None:
+    """This Blender scene's object with that role."""
+    return next((item for item in scene.objects if item.get(OWNER) == role), None)
+
+
+def owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
+    """All of this Blender scene's objects with that role."""
+    return [item for item in scene.objects if item.get(OWNER) == role]
+
+
+def owned_collection(scene: bpy.types.Scene, role: Role, name: str) -> bpy.types.Collection:
+    """This Blender scene's collection with that role, made under its name where there is none."""
+    for collection in scene.collection.children_recursive:
+        if collection.get(OWNER) == role:
+            return collection
+    parent = scene.collection if role == "scene" else owned_collection(scene, "scene", "FruitLangs")
+    collection = bpy.data.collections.new(name)
+    collection[OWNER] = role
+    parent.children.link(collection)
+    return collection
+
+
+def new_object(
+    name: str, data: bpy.types.ID | None, role: Role, collection: bpy.types.Collection, parent: bpy.types.Object | None
+) -> bpy.types.Object:
+    """An object of ours, linked into its collection, with coordinates relative to `parent`."""
+    item = bpy.data.objects.new(name, data)
+    item[OWNER] = role
+    item.parent = parent
+    collection.objects.link(item)
+    return item
+
+
+def remove_objects(objects: Iterable[bpy.types.Object]) -> None:
+    """Delete objects, and their data where nothing else uses it."""
+    doomed: Sequence[bpy.types.Object] = list(objects)
+    data = {item.data for item in doomed if item.data is not None}
+    bpy.data.batch_remove(doomed)
+    bpy.data.batch_remove([block for block in data if block.users == 0])

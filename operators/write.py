@@ -1,0 +1,120 @@
+"""Engine values into Blender: everything of one result, into the open file or as a .blend of its own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from numpy.typing import NDArray
+
+from ..engine.errors import OutputError
+from .blender_data import OWNER, new_object, owned_collection
+from .write_cameras import write_cameras
+from .write_fruits import write_fruits
+from .write_gaussians import write_gaussians
+from .write_root import write_root
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..engine.counting.fruit import FruitCount
+    from ..engine.scene.camera import Scene
+    from ..engine.splatting.gaussians import Gaussians
+
+
+def write_result(
+    bpy_scene: bpy.types.Scene,
+    scene: Scene,
+    gaussians: Gaussians,
+    probability: Tensor | NDArray[Any] | None,
+    fruit_count: FruitCount,
+) -> bpy.types.Object:
+    """Put a counted scene into a Blender scene and return its root empty.
+
+    Everything an earlier call put there is replaced; nothing else is touched. Coordinates below the root are those of
+    the input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian.
+    """
+    root = write_root(bpy_scene, scene)
+    write_gaussians(bpy_scene, gaussians, probability, fruit_count.fruits, root)
+    write_fruits(bpy_scene, fruit_count, root)
+    write_cameras(bpy_scene, scene, root)
+    return root
+
+
+def write_blend(
+    path: Path,
+    scene: Scene,
+    gaussians: Gaussians,
+    probability: Tensor | NDArray[Any] | None,
+    fruit_count: FruitCount,
+) -> None:
+    """Write a result as a .blend of its own, lit and with a camera, ready to be opened or rendered.
+
+    For the command line: it starts from an empty file, so it refuses to run where a person works. The file appears
+    complete or not at all (temporary name, then `os.replace`), and no .blend1 is left beside it.
+
+    Raises:
+        OutputError: the file cannot be written, or a window is open.
+    """
+    if not bpy.app.background:
+        raise OutputError(
+            f"{path.name}: a .blend of its own is written in background mode only; use File > Save instead"
+        )
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy_scene = bpy.context.scene
+    root = write_result(bpy_scene, scene, gaussians, probability, fruit_count)
+    light_scene(bpy_scene, root)
+    save_blend(path)
+
+
+def light_scene(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> None:
+    """A sun, a grey sky and plain colour management, so that a render shows what the attributes hold."""
+    sun = bpy.data.lights.new("Sun", "SUN")
+    sun.energy, sun.angle = 2.5, 0.1
+    item = new_object("Sun", sun, "light", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
+    item.rotation_euler = (0.6, 0.3, 0.0)
+    item.location = (0.0, 0.0, 10.0 * root.empty_display_size)
+    world = bpy.data.worlds.new("Sky")
+    world[OWNER] = "world"
+    world.use_nodes = True
+    sky = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    sky.inputs["Color"].default_value = (0.32, 0.34, 0.37, 1.0)
+    bpy_scene.world = world
+    bpy_scene.view_settings.view_transform = "Standard"
+
+
+def save_blend(path: Path) -> None:
+    """Save a copy of the open file as `path`, atomically.
+
+    Raises:
+        OutputError: the folder or file cannot be written.
+    """
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part.blend")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)
+        os.replace(part, path)
+    except (OSError, RuntimeError) as error:  # Blender reports a failed save as a RuntimeError
+        raise OutputError(f"{path}: cannot be written ({error}); choose a folder you may write to") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Blender's own code prints "Saved copy as" with the temporary name; in a command's output that would mislead."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)

@@ -1,0 +1,116 @@
+"""Counted fruit as Blender objects: one each, sharing a mesh a label."""
+
+from __future__ import annotations
+
+import colorsys
+import zlib
+from typing import TYPE_CHECKING
+
+import bmesh
+import bpy
+import numpy as np
+
+from .blender_data import OWNER, linear_from_srgb, new_object, owned_collection, owned_objects, remove_objects
+
+if TYPE_CHECKING:
+    from ..engine.counting.fruit import Fruit, FruitCount
+
+LABEL_HUES = {
+    "apple": 0.0,
+    "banana": 0.14,
+    "blueberry": 0.64,
+    "cherry": 0.96,
+    "fruit": 0.06,
+    "grape": 0.77,
+    "lemon": 0.15,
+    "orange": 0.08,
+    "peach": 0.05,
+    "pear": 0.19,
+    "plum": 0.80,
+}
+GOLDEN = 0.6180339887
+"""Steps of the golden ratio spread any number of neighbours evenly."""
+
+
+def write_fruits(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, root: bpy.types.Object) -> list[bpy.types.Object]:
+    """Replace this Blender scene's fruit objects.
+
+    Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
+    world) and carries the custom properties id, label, diameter (scene units), probability, visible_fraction (absent
+    where not measured) and kind.
+    """
+    remove_objects(owned_objects(bpy_scene, "fruit"))
+    collection = owned_collection(bpy_scene, "fruits", "Fruits")
+    meshes: dict[str, bpy.types.Mesh] = {}
+    objects = []
+    for fruit in fruit_count.fruits:
+        mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
+        item = new_object(_name(fruit, bpy_scene), mesh, "fruit", collection, root)
+        item.location = tuple(np.asarray(fruit.center, dtype=float))
+        item.scale = (float(fruit.diameter),) * 3
+        item.color = fruit_color(fruit)
+        _set_properties(item, fruit)
+        objects.append(item)
+    return objects
+
+
+def fruit_color(fruit: Fruit) -> tuple[float, float, float, float]:
+    """Linear RGBA: the label's hue, with a brightness by id so that touching fruit can be told apart."""
+    hue = LABEL_HUES.get(fruit.label)
+    if hue is None:
+        hue = zlib.crc32(fruit.label.encode()) % 1000 / 1000
+    value = 0.6 + 0.4 * (fruit.id * GOLDEN % 1.0)
+    red, green, blue = linear_from_srgb(np.array(colorsys.hsv_to_rgb(hue, 0.75, value)))
+    return (float(red), float(green), float(blue), 1.0)
+
+
+def _name(fruit: Fruit, bpy_scene: bpy.types.Scene) -> str:
+    name = f"{fruit.label}.{fruit.id:03d}"
+    # Taken, by another Blender scene's fruit or by the user: Blender would count on and give a name with another id.
+    return name if name not in bpy.data.objects else f"{bpy_scene.name} {name}"
+
+
+def _set_properties(item: bpy.types.Object, fruit: Fruit) -> None:
+    item["id"] = int(fruit.id)
+    item["label"] = fruit.label
+    item["diameter"] = float(fruit.diameter)
+    item["probability"] = float(fruit.probability)
+    if fruit.visible_fraction is not None:
+        item["visible_fraction"] = float(fruit.visible_fraction)
+    item["kind"] = str(fruit.kind)
+    for key, text in (
+        ("probability", "Probability of being a fruit of the prompt"),
+        ("visible_fraction", "Largest share of it that any photo shows"),
+    ):
+        if key in item:
+            item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
+    item.id_properties_ui("diameter").update(min=0.0, description="In units of the scene")
+
+
+def _unit_sphere(label: str) -> bpy.types.Mesh:
+    """A smooth sphere of diameter 1, so that an object's scale is its diameter."""
+    mesh = bpy.data.meshes.new(label)
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=3, radius=0.5)
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), dtype=bool))
+    mesh.materials.append(_fruit_material())
+    return mesh
+
+
+def _fruit_material() -> bpy.types.Material:
+    """A matt skin in the object's own colour, one for all fruit."""
+    for material in bpy.data.materials:
+        if material.get(OWNER) == "fruit":
+            return material
+    material = bpy.data.materials.new("Fruit")
+    material[OWNER] = "fruit"
+    material.use_nodes = True
+    tree = material.node_tree
+    skin = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    skin.inputs["Roughness"].default_value = 0.4
+    info = tree.nodes.new("ShaderNodeObjectInfo")
+    info.location = (skin.location.x - 200, skin.location.y)
+    tree.links.new(info.outputs["Color"], skin.inputs["Base Color"])
+    return material

@@ -1,0 +1,88 @@
+"""Gaussians as a Blender point object: a mesh of points with attributes, drawn as ellipsoids by Geometry Nodes.
+
+The attributes are the stored truth. Their names follow Blender's native splats where it has one: `scale` (standard
+deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); beside them `opacity`,
+`probability` and `fruit_id` (-1 where the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from .blender_data import (
+    array,
+    linear_from_srgb,
+    new_object,
+    owned_collection,
+    owned_objects,
+    point_mesh,
+    remove_objects,
+    rgba,
+    set_attribute,
+)
+from .gaussian_nodes import gaussian_node_group
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..engine.counting.fruit import Fruit
+    from ..engine.scene.camera import Scene
+    from ..engine.splatting.gaussians import Gaussians
+
+
+def write_gaussians(
+    bpy_scene: bpy.types.Scene,
+    gaussians: Gaussians,
+    probability: Tensor | NDArray[Any] | None,  # (N,) of the prompt
+    fruits: Sequence[Fruit],
+    root: bpy.types.Object,
+) -> bpy.types.Object:
+    """Replace this Blender scene's Gaussian object."""
+    remove_objects(owned_objects(bpy_scene, "gaussians"))
+    mesh = gaussian_mesh(gaussians, probability, fruits)
+    collection = owned_collection(bpy_scene, "scene", "FruitLangs")
+    item = new_object("Gaussians", mesh, "gaussians", collection, root)
+    modifier = item.modifiers.new("Gaussians", "NODES")
+    modifier.node_group = gaussian_node_group()
+    return item
+
+
+def gaussian_mesh(
+    gaussians: Gaussians, probability: Tensor | NDArray[Any] | None, fruits: Sequence[Fruit]
+) -> bpy.types.Mesh:
+    """Points at the means, in the scene's frame, with the attributes named above."""
+    count = len(gaussians)
+    mesh = point_mesh("Gaussians", array(gaussians.means))
+    quats = array(gaussians.quats)
+    quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+    set_attribute(mesh, "scale", "FLOAT_VECTOR", array(gaussians.scales))
+    set_attribute(mesh, "quaternion", "QUATERNION", quats)
+    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(array(gaussians.base_colors))))
+    set_attribute(mesh, "opacity", "FLOAT", array(gaussians.opacities))
+    set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else array(probability))
+    set_attribute(mesh, "fruit_id", "INT", fruit_ids(count, fruits))
+    mesh.update()
+    return mesh
+
+
+def fruit_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
+    """(N,) the id of the fruit each Gaussian is a member of, -1 for none."""
+    ids = np.full(count, -1, np.int32)
+    for fruit in fruits:
+        ids[array(fruit.members, np.int64)] = fruit.id
+    return ids
+
+
+def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> bpy.types.Object:
+    """Replace this Blender scene's sparse cloud: a mesh of points with their colour in `radiance:base`."""
+    remove_objects(owned_objects(bpy_scene, "points"))
+    mesh = point_mesh("Sparse points", scene.points)
+    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(scene.colors / 255.0)))
+    mesh.update()
+    item = new_object("Sparse points", mesh, "points", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
+    return item

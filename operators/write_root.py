@@ -1,0 +1,67 @@
+"""The root empty: stands the scene upright while everything below it keeps the input scene's coordinates.
+
+Gaussians, points, cameras and fruit are its children with untouched local coordinates, so `object.location` of a fruit
+is its `center` in `fruits.json` and in the input model. The root alone turns the scene's `up` to Blender's +Z, puts the
+point the cameras look at over the origin and the ground at z = 0, and scales scene units to metres where the scale is
+known.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .blender_data import new_object, owned_collection, owned_object
+
+if TYPE_CHECKING:
+    from ..engine.scene.camera import FloatArray, Scene
+
+GROUND_PERCENTILE = 2.0
+"""A robust lowest point: this share of the sparse points may lie below the ground."""
+
+
+def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
+    """Place this Blender scene's root empty for `scene`; it is made where there is none."""
+    root = owned_object(bpy_scene, "root")
+    if root is None:
+        root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
+        root.empty_display_type = "PLAIN_AXES"
+    scale = scene.metres_per_unit or 1.0
+    root.empty_display_size = 0.2 * scene.extent if len(scene.cameras) else 1.0
+    root["metres_per_unit"] = scene.metres_per_unit or 0.0
+    root.matrix_basis = Matrix.Scale(scale, 4) @ Matrix(upright_matrix(scene).tolist())
+    return root
+
+
+def upright_matrix(scene: Scene) -> FloatArray:
+    """(4, 4) rigid transform from the scene's frame to an upright one with its centre over the origin, z = 0 the ground."""
+    from ..engine.scene.orientation import upright_rotation
+
+    matrix = np.eye(4)
+    matrix[:3, :3] = upright_rotation(scene.up)
+    center = matrix[:3, :3] @ looked_at(scene)
+    points = scene.points @ matrix[:3, :3].T
+    if len(points):
+        reach = 1.5 * scene.extent if len(scene.cameras) else np.inf
+        near = points[np.linalg.norm(points[:, :2] - center[:2], axis=1) <= reach]
+        center[2] = np.percentile((near if len(near) else points)[:, 2], GROUND_PERCENTILE)
+    matrix[:3, 3] = -center
+    return matrix
+
+
+def looked_at(scene: Scene) -> FloatArray:
+    """(3,) the point nearest to all viewing rays by least squares; the points' median where the rays are parallel."""
+    fallback = np.median(scene.points, axis=0) if len(scene.points) else np.zeros(3)
+    if not len(scene.cameras):
+        return fallback
+    # A ray c + t·d is at distance |(I - ddᵀ)(p - c)| of p: solve the normal equations of their sum of squares.
+    directions = np.stack([camera.forward for camera in scene.cameras])
+    centers = np.stack([camera.center for camera in scene.cameras])
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    normal = across.sum(axis=0)
+    if np.linalg.cond(normal) > 1e4:
+        return fallback
+    return np.linalg.solve(normal, (across @ centers[:, :, None]).sum(axis=0)[:, 0])
