@@ -13,6 +13,7 @@ import bpy
 from numpy.typing import NDArray
 
 from ..engine.errors import OutputError
+from ..engine.files import replacing
 from .blender_data import OWNER, new_object, owned_collection
 from .write_cameras import write_cameras
 from .write_fruits import write_fruits
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from ..engine.counting.fruit import FruitCount
     from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
+
+SET_ID = "fruitlangs_set_id"
+"""Custom property of the Blender scene: which set of result files it shows."""
 
 
 def write_result(
@@ -41,7 +45,7 @@ def write_result(
     """
     root = write_root(bpy_scene, scene)
     write_gaussians(bpy_scene, gaussians, probability, fruit_count.fruits, root)
-    write_fruits(bpy_scene, fruit_count, root)
+    write_fruits(bpy_scene, fruit_count, root, metres_per_unit=scene.metres_per_unit)
     write_cameras(bpy_scene, scene, root)
     return root
 
@@ -52,11 +56,14 @@ def write_blend(
     gaussians: Gaussians,
     probability: Tensor | NDArray[Any] | None,
     fruit_count: FruitCount,
+    *,
+    set_id: str = "",
 ) -> None:
     """Write a result as a .blend of its own, lit and with a camera, ready to be opened or rendered.
 
     For the command line: it starts from an empty file, so it refuses to run where a person works. The file appears
-    complete or not at all (temporary name, then `os.replace`), and no .blend1 is left beside it.
+    complete or not at all (temporary name, then `os.replace`), and no .blend1 is left beside it. set_id names the set of
+    result files it belongs to (see `fruits.json`); it becomes the scene's custom property `fruitlangs_set_id`.
 
     Raises:
         OutputError: the file cannot be written, or a window is open.
@@ -69,6 +76,8 @@ def write_blend(
     bpy_scene = bpy.context.scene
     root = write_result(bpy_scene, scene, gaussians, probability, fruit_count)
     light_scene(bpy_scene, root)
+    if set_id:
+        bpy_scene[SET_ID] = set_id
     save_blend(path)
 
 
@@ -94,16 +103,12 @@ def save_blend(path: Path) -> None:
     Raises:
         OutputError: the folder or file cannot be written.
     """
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part.blend")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with _quiet():
-            bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)
-        os.replace(part, path)
-    except (OSError, RuntimeError) as error:  # Blender reports a failed save as a RuntimeError
-        raise OutputError(f"{path}: cannot be written ({error}); choose a folder you may write to") from error
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(path) as part:
+        try:
+            with _quiet():
+                bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)
+        except RuntimeError as error:  # how Blender says that a file cannot be saved
+            raise OutputError(f"{path} cannot be written ({str(error).strip()}); choose another folder") from error
 
 
 @contextmanager

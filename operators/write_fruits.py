@@ -32,12 +32,18 @@ GOLDEN = 0.6180339887
 """Steps of the golden ratio spread any number of neighbours evenly."""
 
 
-def write_fruits(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, root: bpy.types.Object) -> list[bpy.types.Object]:
+def write_fruits(
+    bpy_scene: bpy.types.Scene,
+    fruit_count: FruitCount,
+    root: bpy.types.Object,
+    *,
+    metres_per_unit: float | None = None,
+) -> list[bpy.types.Object]:
     """Replace this Blender scene's fruit objects.
 
     Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
-    world) and carries the custom properties id, label, diameter (scene units), probability, visible_fraction (absent
-    where not measured) and kind.
+    world) and carries the custom properties of its row in `fruits.json`: id, label, diameter (metres where
+    metres_per_unit is known, else scene units), probability, visible_fraction (absent where not measured) and kind.
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -49,7 +55,7 @@ def write_fruits(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, root: bpy.
         item.location = tuple(np.asarray(fruit.center, dtype=float))
         item.scale = (float(fruit.diameter),) * 3
         item.color = fruit_color(fruit)
-        _set_properties(item, fruit)
+        _set_properties(item, fruit, metres_per_unit)
         objects.append(item)
     return objects
 
@@ -70,10 +76,10 @@ def _name(fruit: Fruit, bpy_scene: bpy.types.Scene) -> str:
     return name if name not in bpy.data.objects else f"{bpy_scene.name} {name}"
 
 
-def _set_properties(item: bpy.types.Object, fruit: Fruit) -> None:
+def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float | None) -> None:
     item["id"] = int(fruit.id)
     item["label"] = fruit.label
-    item["diameter"] = float(fruit.diameter)
+    item["diameter"] = float(fruit.diameter) * (metres_per_unit or 1.0)
     item["probability"] = float(fruit.probability)
     if fruit.visible_fraction is not None:
         item["visible_fraction"] = float(fruit.visible_fraction)
@@ -84,7 +90,7 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit) -> None:
     ):
         if key in item:
             item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
-    item.id_properties_ui("diameter").update(min=0.0, description="In units of the scene")
+    item.id_properties_ui("diameter").update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 
 
 def _unit_sphere(label: str) -> bpy.types.Mesh:

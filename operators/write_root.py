@@ -37,7 +37,7 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
 
 
 def upright_matrix(scene: Scene) -> FloatArray:
-    """(4, 4) rigid transform from the scene's frame to an upright one with its centre over the origin, z = 0 the ground."""
+    """(4, 4) rigid transform from the scene's frame to an upright one: centre over the origin, ground at z = 0."""
     from ..engine.scene.orientation import upright_rotation
 
     matrix = np.eye(4)
