@@ -1,1 +1,1 @@
-"""The science of FruitLangs: photos → cameras → Gaussians → features → probability → fruits → files. Never imports bpy."""
+"""The science: photos → cameras → Gaussians → features → probability → fruits → files. Never imports bpy."""

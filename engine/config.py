@@ -5,8 +5,9 @@ Field docstrings (the string below a field) are the text of the flag and of the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from .errors import ConfigError
 
@@ -96,3 +97,18 @@ class Config:
     """Features and words."""
     count: CountConfig = field(default_factory=CountConfig)
     """Fruit."""
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> Config:
+        """The config that `dataclasses.asdict` turned into `document`.
+
+        Raises:
+            ConfigError: it was written by another version with other settings.
+        """
+        stages = {"scene": SceneConfig, "train": TrainConfig, "embed": EmbedConfig, "count": CountConfig}
+        try:
+            return cls(**{name: stage(**document[name]) for name, stage in stages.items()})
+        except (KeyError, TypeError) as error:
+            raise ConfigError(
+                f"stored settings are of another version ({error}); count again from the photos"
+            ) from error

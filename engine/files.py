@@ -24,7 +24,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another output folder") from error
+        reason = error.strerror or error
+        raise OutputError(f"{path} cannot be written ({reason}); choose another output folder") from error
     finally:
         if temporary.exists():
             temporary.unlink()

@@ -32,7 +32,7 @@ def object_name(fruit: Fruit) -> str:
 
 
 def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> None:
-    """One named sphere a fruit, its properties as glTF extras; glTF's y axis is the scene's up. Lengths: scene units."""
+    """One named sphere a fruit, its properties as glTF extras; glTF's y axis is the scene's up; scene units."""
     scene = trimesh.Scene()
     rotation = trimesh.geometry.align_vectors(up, [0.0, 1.0, 0.0])
     for fruit in fruit_count.fruits:

@@ -1,7 +1,7 @@
 """`fruits.json`: the file other programs rely on, written last and checked when it is read.
 
-Its `files` hold the SHA-256 of every other file of the set, so a torn set is noticed. `scene.blend` is not a function of
-its input (Blender writes memory addresses), so it carries `set_id` as a scene property instead of being hashed.
+Its `files` hold the SHA-256 of every other file of the set, so a torn set is noticed. `scene.blend` is not a
+function of its input (Blender writes memory addresses), so it carries `set_id` as a scene property instead.
 """
 
 from __future__ import annotations

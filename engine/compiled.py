@@ -1,0 +1,141 @@
+"""The one place that sets up Numba: where machine code is cached, which threads run it, how it is compiled.
+
+Kernel files write `from ..compiled import kernel, njit, prange`; nothing else imports numba's decorators.
+
+- Machine code is cached in the user's cache folder, under a name that holds a hash of every source file that compiles
+  kernels: Numba itself does not notice when a function that a cached one calls has changed. Where that folder cannot be
+  written, kernels are compiled anew in each process.
+- Numba's `workqueue` threads abort the process when two Python threads run kernels at once. `omp` or `tbb` are asked
+  for, and while neither is known to be in charge, `kernel` lets one parallel kernel run at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+# Waiting threads that spin would take the cores from torch's own threads between two kernels.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import numba
+from numba import prange
+
+__all__ = ["CACHE_FOLDER", "kernel", "njit", "prange", "threads"]
+
+_ENGINE = Path(__file__).resolve().parent
+
+
+def _user_cache() -> Path:
+    """The folder in which the user's programs may keep what they can make again."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "fruitlangs"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "fruitlangs"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fruitlangs"
+
+
+def _sources_hash() -> str:
+    """Hash of Numba's version and of every engine file that compiles kernels."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(_ENGINE.rglob("*.py")):
+        source = path.read_bytes()
+        if b"compiled import" in source or b"numba" in source:
+            digest.update(path.relative_to(_ENGINE).as_posix().encode() + b"\0" + source)
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path | None:
+    """A folder that exists and can be written, or None."""
+    try:
+        folder = _user_cache() / f"kernels-{_sources_hash()}"
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".writable-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except (OSError, RuntimeError):  # RuntimeError: no home folder is known
+        return None
+    return folder
+
+
+CACHE_FOLDER: Path | None = _cache_folder()
+"""Where machine code is kept between runs; None when no place for it can be written."""
+
+
+@contextmanager
+def _cached_in_our_folder() -> Iterator[None]:
+    """Point Numba at our folder while a function is declared; other users of Numba in the process keep theirs."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(CACHE_FOLDER) if CACHE_FOLDER is not None else before
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def _prefer_safe_threads() -> None:
+    """Ask for OpenMP or TBB unless the user asked for a layer or one runs already."""
+    if numba.config.THREADING_LAYER != "default":
+        return
+    for layer, module in (("omp", "omppool"), ("tbb", "tbbpool")):
+        try:
+            __import__(f"numba.np.ufunc.{module}")
+        except ImportError:
+            continue
+        numba.config.THREADING_LAYER = layer
+        return
+
+
+_prefer_safe_threads()
+
+
+def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """`numba.njit` with this project's options: fast float32 arithmetic, no GIL, cached machine code."""
+    if function is None:
+        return lambda wrapped: njit(wrapped, **options)
+    defaults: dict[str, Any] = {
+        "fastmath": True,
+        "error_model": "numpy",
+        "nogil": True,
+        "cache": CACHE_FOLDER is not None,
+    }
+    with _cached_in_our_folder():
+        return numba.njit(**(defaults | options))(function)
+
+
+_one_at_a_time = threading.RLock()
+
+
+def _threads_are_safe() -> bool:
+    try:
+        return numba.threading_layer() in ("omp", "tbb")
+    except ValueError:  # no parallel kernel has run yet
+        return False
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A parallel kernel called from Python; loops over `prange` run on Numba's threads."""
+    compiled = njit(function, parallel=True)
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if _threads_are_safe():
+            return compiled(*arguments)
+        with _one_at_a_time:
+            return compiled(*arguments)
+
+    return call
+
+
+def threads() -> int:
+    """How many threads parallel kernels use."""
+    return int(numba.get_num_threads())

@@ -1,0 +1,325 @@
+"""The whole chain: photos → cameras → Gaussians → features → probability → fruits → files.
+
+The command line and Blender's operators call `count_scene`. Training and lifting are kept in `OUT/cache/` under the
+hash of their inputs, settings and code, so a second prompt reuses them. The files of a result are made in a folder of
+their own and put in place at the end, fruits.json last.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from .cache import stage_key
+from .config import Config
+from .counting.count import count_fruit
+from .counting.fruit import FruitCount
+from .errors import ConfigError, FruitLangsError, OutputError
+from .files import file_hash, require_writable, write_text
+from .language.encoders import Encoder, open_encoder
+from .language.lift import Features, lift_features, load_features, save_features
+from .language.relevancy import relevancy
+from .progress import Progress, part, silent
+from .report.meshes import write_glb, write_points_ply
+from .report.pictures import write_strips
+from .report.provenance import run_stamp, versions
+from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
+from .report.tables import fruits_csv
+from .scene.camera import Scene
+from .scene.read import read_scene, scene_hash
+from .scene.stored import dump_cameras, read_cameras
+from .splatting.gaussians import Gaussians
+from .splatting.ply import read_ply, write_ply
+from .splatting.train import train
+
+GAUSSIANS, FEATURES, CAMERAS, PICTURES = "gaussians.ply", "features.safetensors", "cameras.json", "pictures"
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Everything about a scene that does not depend on the prompt, with the files that hold it.
+
+    origin: what went in (source path, hash of the inputs, encoder) and what training reached, for the provenance.
+    """
+
+    scene: Scene
+    gaussians: Gaussians
+    features: Features
+    gaussians_file: Path
+    features_file: Path
+    cameras_file: Path
+    config: Config
+    origin: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run leaves in memory beside its files.
+
+    probability: (N,) that a Gaussian belongs to the prompt; seconds by stage; reused: stages that an earlier run had
+    done; set_id names this set of result files; files: their paths, fruits.json last.
+    """
+
+    scene: Scene
+    gaussians: Gaussians
+    features: Features
+    probability: Tensor
+    fruit_count: FruitCount
+    origin: Mapping[str, Any]
+    seconds: Mapping[str, float]
+    reused: Sequence[str]
+    out: Path
+    set_id: str = ""
+    files: Sequence[Path] = ()
+
+
+Writer = Callable[[Path, Result], None]
+"""Writes one more file of the result from what is in memory, for example Blender's scene.blend."""
+
+
+class _Stages:
+    """The clock of a run: seconds by stage, and which stages an earlier run had done."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.reused: list[str] = []
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def count_scene(
+    source: Path,
+    prompts: Sequence[str],
+    out: Path,
+    *,
+    negatives: Sequence[str] = (),
+    config: Config = Config(),  # noqa: B008 (frozen)
+    writers: Mapping[str, Writer] | None = None,
+    progress: Progress = silent,
+) -> Result:
+    """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
+
+    Args:
+        source: a COLMAP model with its images, a transforms.json folder, or an earlier result folder.
+        prompts: what to count; fitting any of them is enough.
+        negatives: what must not be counted, beside what the encoder contrasts by itself.
+        writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
+
+    Raises:
+        FruitLangsError: something the user can act on; earlier results in `out` are then as they were.
+        Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
+    """
+    encoder = open_encoder(config.embed)
+    encoder.encode_text([*prompts, *negatives])  # an unknown word must not cost a training run
+    require_writable(out / "cache")
+    stages = _Stages()
+    if (source / FRUITS_JSON).is_file():
+        made = _reopen(source, encoder, config, stages)
+    else:
+        made = _reconstruct(source, out / "cache", encoder, config, stages, part(progress, 0.0, 0.9))
+    with stages.timed("count"):
+        probability = relevancy(made.features, encoder, prompts, negatives)
+        fruit_count = count_fruit(
+            made.gaussians,
+            probability,
+            made.scene.cameras,
+            config.count,
+            label=encoder.label(prompts),
+            progress=part(progress, 0.9, 0.97),
+        )
+    result = Result(
+        scene=made.scene,
+        gaussians=made.gaussians,
+        features=made.features,
+        probability=probability,
+        fruit_count=fruit_count,
+        origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives)},
+        seconds=stages.seconds,
+        reused=stages.reused,
+        out=out,
+    )
+    progress(0.97, "writing results")
+    result = _publish(result, made, writers or {}, stages)
+    progress(1.0, "done")
+    return result
+
+
+def _reconstruct(
+    source: Path, cache: Path, encoder: Encoder, config: Config, stages: _Stages, progress: Progress
+) -> Reconstruction:
+    """Photos → Gaussians → features, each from the cache where it is there."""
+    with stages.timed("scene"):
+        scene = read_scene(source, config.scene, progress=part(progress, 0.0, 0.03))
+        inputs = scene_hash(source)
+    train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
+    gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
+    with stages.timed("train"):
+        quality = _train_into(gaussians_file, scene, config, stages, part(progress, 0.03, 0.75))
+        cameras_file = gaussians_file.with_name(CAMERAS)
+        write_text(cameras_file, dump_cameras(scene))
+        # Read back even when just trained: the first prompt must see what later ones will.
+        gaussians = read_ply(gaussians_file)
+    embed_key = stage_key(("language", "splatting"), train_key, encoder.identity, config.embed)
+    features_file = cache / f"embed-{embed_key}" / FEATURES
+    with stages.timed("embed"):
+        if features_file.is_file():
+            stages.reused.append("embed")
+        else:
+            lifted = lift_features(gaussians, scene, encoder, progress=part(progress, 0.75, 1.0))
+            save_features(features_file, lifted)
+        features = load_features(features_file)
+    origin = {
+        "source": str(source.resolve()),
+        "inputs_sha256": inputs,
+        "encoder": encoder.identity,
+        "training": quality,
+    }
+    return Reconstruction(
+        scene=scene,
+        gaussians=gaussians,
+        features=features,
+        gaussians_file=gaussians_file,
+        features_file=features_file,
+        cameras_file=cameras_file,
+        config=config,
+        origin=origin,
+    )
+
+
+def _train_into(
+    gaussians_file: Path, scene: Scene, config: Config, stages: _Stages, progress: Progress
+) -> Mapping[str, Any]:
+    """Train unless `gaussians_file` and its record are there; returns what training reached."""
+    record = gaussians_file.with_name("training.json")
+    if record.is_file() and gaussians_file.is_file():
+        stages.reused.append("train")
+        return json.loads(record.read_text(encoding="utf-8"))
+    checkpoint = gaussians_file.with_name("checkpoint.safetensors")
+    training = train(scene, config.train, checkpoint=checkpoint, progress=progress)
+    write_ply(gaussians_file, training.gaussians)
+    quality = {
+        "steps": training.steps,
+        "gaussians": len(training.gaussians),
+        "psnr": _rounded(training.psnr),
+        "ssim": _rounded(training.ssim),
+        "held_out": [
+            {"view": view.name, "psnr": _rounded(view.psnr), "ssim": _rounded(view.ssim)} for view in training.held_out
+        ],
+    }
+    write_text(record, json.dumps(quality))
+    checkpoint.unlink(missing_ok=True)
+    return quality
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(float(value), 4)
+
+
+def _reopen(folder: Path, encoder: Encoder, config: Config, stages: _Stages) -> Reconstruction:
+    """An earlier result folder: its Gaussians and features as they are, its photos where they still are."""
+    with stages.timed("scene"):
+        document = read_results(folder)
+        stored = Config.from_document(document["config"])
+        for name in ("scene", "train", "embed"):
+            asked = getattr(config, name)
+            if asked not in (getattr(stored, name), getattr(Config(), name)):
+                raise ConfigError(
+                    f"{folder} was made with other {name} settings; to use new ones give the photos' folder as SCENE"
+                )
+        gaussians_file, features_file = folder / GAUSSIANS, folder / FEATURES
+        features = load_features(features_file)
+        if features.encoder_id != encoder.identity:
+            raise ConfigError(
+                f"{features_file} is of encoder {features.encoder_id}, not {encoder.identity}; "
+                "give the folder of the photos as SCENE to embed it anew"
+            )
+        scene = read_cameras(folder / CAMERAS)
+        origin = {key: document["provenance"][key] for key in ("source", "inputs_sha256", "encoder", "training")}
+        photos = Path(origin["source"])
+        # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
+        with suppress(FruitLangsError):
+            if photos.is_dir() and scene_hash(photos) == origin["inputs_sha256"]:
+                scene = read_scene(photos, stored.scene)
+    stages.reused += ["train", "embed"]
+    return Reconstruction(
+        scene=scene,
+        gaussians=read_ply(gaussians_file),
+        features=features,
+        gaussians_file=gaussians_file,
+        features_file=features_file,
+        cameras_file=folder / CAMERAS,
+        config=dataclasses.replace(stored, count=config.count),
+        origin=origin,
+    )
+
+
+def _publish(result: Result, made: Reconstruction, writers: Mapping[str, Writer], stages: _Stages) -> Result:
+    """Make every file in a staging folder, then move the set into place, fruits.json last."""
+    staging = result.out / "cache" / f"publish-{os.getpid()}"
+    shutil.rmtree(staging, ignore_errors=True)
+    (staging / PICTURES).mkdir(parents=True)
+    try:
+        with stages.timed("report"):
+            hashed = _write_set(staging, result, made)
+            files = {name: file_hash(staging / name) for name in hashed}
+            result = dataclasses.replace(result, set_id=set_id(files))
+            for name, write in writers.items():
+                write(staging / name, result)
+        document = fruits_document(
+            result.fruit_count,
+            config=dataclasses.asdict(made.config),
+            provenance={**result.origin, "versions": versions(), **run_stamp(stages.seconds)},
+            files=files,
+            metres_per_unit=result.scene.metres_per_unit,
+        )
+        write_text(staging / FRUITS_JSON, dump(document))
+        names = [*hashed, *writers, FRUITS_JSON]
+        _move_into_place(staging, result.out, names)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{result.out} cannot be written ({reason}); free space or choose another --out") from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return dataclasses.replace(result, files=[result.out / name for name in names])
+
+
+def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
+    """Write the files whose bytes follow from the inputs alone; returns their names."""
+    shutil.copyfile(made.gaussians_file, folder / GAUSSIANS)
+    shutil.copyfile(made.features_file, folder / FEATURES)
+    shutil.copyfile(made.cameras_file, folder / CAMERAS)
+    csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
+    write_text(folder / "fruits.csv", csv)
+    write_glb(folder / "fruits.glb", result.fruit_count, result.scene.up)
+    write_points_ply(folder / "fruits.ply", result.fruit_count)
+    pictures = write_strips(
+        folder / PICTURES, result.scene, result.gaussians, result.features, result.probability, result.fruit_count
+    )
+    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "fruits.glb", "fruits.ply"]
+    return names + [f"{PICTURES}/{path.name}" for path in pictures]
+
+
+def _move_into_place(staging: Path, out: Path, names: Sequence[str]) -> None:
+    """Replace the old set by the new one; what the new set does not have is removed, so that no old picture remains."""
+    (out / PICTURES).mkdir(exist_ok=True)
+    stale = [path for path in (out / PICTURES).glob("view_*.png") if f"{PICTURES}/{path.name}" not in names]
+    if BLEND not in names:
+        stale.append(out / BLEND)
+    for path in stale:
+        path.unlink(missing_ok=True)
+    for name in names:
+        os.replace(staging / name, out / name)

@@ -1,0 +1,31 @@
+"""Where a result came from: versions, and the date and seconds that alone differ between equal runs."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from typing import Any
+
+_PACKAGES = ("numba", "numpy", "pycolmap", "scikit-learn", "scipy", "torch")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that do arithmetic."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            # Inside Blender a package may come without its metadata; it is still the one imported.
+            found[package] = "unknown"
+    return found
+
+
+def run_stamp(seconds: Mapping[str, float]) -> dict[str, Any]:
+    """The only parts of a result that differ between equal runs."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
+    }

@@ -1,0 +1,60 @@
+"""What every script shares at the command line: arguments, progress, exit codes."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+from fruitlangs.engine.errors import Cancelled, FruitLangsError
+from fruitlangs.engine.progress import Progress, silent
+
+
+def import_tyro() -> ModuleType:
+    """tyro, or exit 1 with the command that installs it into this Python."""
+    try:
+        import tyro
+    except ImportError:
+        sys.exit(f'the package tyro is missing in this Python; run: "{sys.executable}" -m pip install tyro')
+    return tyro
+
+
+def arguments_of(script: str) -> list[str]:
+    """The script's own arguments, under plain Python and under `blender -b -P script -- …`."""
+    if Path(sys.argv[0]).resolve() == Path(script).resolve():
+        return sys.argv[1:]
+    return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+
+
+def run(main: Callable[[], None]) -> None:
+    """Call `main` and exit: 0 done, 1 with one line on a `FruitLangsError`, 130 on Ctrl-C or a cancel."""
+    # Blender installs its own handlers; a person's Ctrl-C and a cluster's SIGTERM both mean: stop cleanly.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, lambda *_: signal.default_int_handler(signal.SIGINT, None))
+    try:
+        main()
+    except FruitLangsError as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        sys.exit(1)
+    except (Cancelled, KeyboardInterrupt):
+        print("cancelled; earlier results are as they were", file=sys.stderr, flush=True)
+        sys.exit(130)
+
+
+def terminal_progress() -> Progress:
+    """A bar on a terminal, nothing in a log."""
+    if not sys.stderr.isatty():
+        return silent
+    from tqdm import tqdm
+
+    bar = tqdm(total=1.0, bar_format="{percentage:3.0f}% |{bar}| {elapsed}<{remaining} {desc}", file=sys.stderr)
+
+    def show(fraction: float, message: str) -> None:
+        bar.set_description_str(message, refresh=False)
+        bar.update(max(fraction - bar.n, 0.0))
+        if fraction >= 1.0:
+            bar.close()
+
+    return show

@@ -1,0 +1,108 @@
+"""Count the fruit of one tree, headless.
+
+    python scripts/count_fruit.py SCENE --prompt apple --out DIR
+    blender -b --factory-startup --python-exit-code 1 -P scripts/count_fruit.py -- SCENE --prompt apple --out DIR
+
+Exit code 0: counted (a counted 0 included); 1: could not, with one line that says why; 2: usage; 130: cancelled.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import _checkout  # noqa: F401
+
+from _terminal import arguments_of, import_tyro, run, terminal_progress
+from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.errors import ConfigError
+
+if TYPE_CHECKING:
+    import tyro
+
+    from fruitlangs.engine.pipeline import Result, Writer
+else:
+    tyro = import_tyro()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Count the fruit of one tree from photos with known cameras, and write every fruit as a labelled object."""
+
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    """Folder of a COLMAP model with its images, of a nerfstudio transforms.json, or of an earlier result."""
+    prompt: tuple[str, ...]
+    """What to count, for example: apple, or "red apple". Several: fitting any of them is enough."""
+    out: Path
+    """Folder of the results; its earlier results are replaced when the new ones are complete."""
+    negative: tuple[str, ...] = ()
+    """What must not be counted, beside what is contrasted by itself (leaf, branch, sky, …)."""
+    blend: bool = True
+    """Write scene.blend too (needs Blender or the bpy module; without either it is left out and said so)."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    embed: EmbedConfig = field(default_factory=EmbedConfig)
+    count: CountConfig = field(default_factory=CountConfig)
+
+
+def blend_writer(wanted: bool) -> dict[str, Writer]:
+    """The writer of scene.blend where bpy is there."""
+    if not wanted:
+        return {}
+    if importlib.util.find_spec("bpy") is None:
+        print("scene.blend is left out: the package bpy is not installed (pip install bpy)", file=sys.stderr)
+        return {}
+
+    def write(path: Path, result: Result) -> None:
+        from fruitlangs.operators.write import write_blend
+
+        write_blend(path, result)
+
+    return {"scene.blend": write}
+
+
+def main() -> None:
+    arguments = parse()
+    if not arguments.prompt:
+        raise ConfigError('no prompt is given; say what to count, for example --prompt apple or --prompt "red apple"')
+    from fruitlangs.engine.pipeline import count_scene
+    from fruitlangs.engine.report.tables import summary
+
+    result = count_scene(
+        arguments.source,
+        arguments.prompt,
+        arguments.out,
+        negatives=arguments.negative,
+        config=Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count),
+        writers=blend_writer(arguments.blend),
+        progress=terminal_progress(),
+    )
+    text = summary(
+        result.fruit_count,
+        prompt=" or ".join(arguments.prompt),
+        metres_per_unit=result.scene.metres_per_unit,
+        seconds=result.seconds,
+    )
+    print(text)
+    training = result.origin["training"]
+    if training["psnr"] is not None:
+        print(f"  held-out photos: PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}")
+    if result.reused:
+        print(f"  reused from an earlier run: {', '.join(result.reused)}")
+    print("\nwritten:")
+    for path in result.files:
+        print(f"  {path}")
+
+
+def parse() -> Arguments:
+    """The arguments, or exit 2 with a usage message."""
+    return tyro.cli(Arguments, args=arguments_of(__file__), prog="count_fruit.py", description=Arguments.__doc__)
+
+
+if __name__ == "__main__":
+    run(main)
