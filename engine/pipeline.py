@@ -27,8 +27,9 @@ from .counting.fruit import FruitCount
 from .errors import ConfigError, FruitLangsError, OutputError
 from .files import file_hash, require_writable, write_text
 from .language.encoders import Encoder, open_encoder
-from .language.lift import Features, lift_features, load_features, save_features
+from .language.lift import Features, encode_photos, lift_features, load_features, save_features
 from .language.relevancy import relevancy
+from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .report.meshes import write_glb, write_points_ply
 from .report.pictures import write_strips
@@ -138,7 +139,7 @@ def count_scene(
             probability,
             made.scene.cameras,
             config.count,
-            label=encoder.label(prompts),
+            label=_label(prompts),
             progress=part(progress, 0.9, 0.97),
         )
     result = Result(
@@ -156,6 +157,11 @@ def count_scene(
     result = _publish(result, made, writers or {}, stages)
     progress(1.0, "done")
     return result
+
+
+def _label(prompts: Sequence[str]) -> str:
+    """What the counted things are called: "Apples" → "apple"; several prompts are joined."""
+    return " or ".join(dict.fromkeys(parse(prompt).text for prompt in prompts))
 
 
 def _reconstruct(
@@ -179,7 +185,13 @@ def _reconstruct(
         if features_file.is_file():
             stages.reused.append("embed")
         else:
-            lifted = lift_features(gaussians, scene, encoder, progress=part(progress, 0.75, 1.0))
+            lifted = lift_features(
+                gaussians,
+                scene.cameras,
+                encode_photos(scene, encoder),
+                encoder_id=encoder.identity,
+                progress=part(progress, 0.75, 1.0),
+            )
             save_features(features_file, lifted)
         features = load_features(features_file)
     origin = {
