@@ -1,0 +1,168 @@
+"""Nerfstudio's `transforms.json`: cameras with OpenGL axes, and perhaps a point cloud beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import SceneConfig
+from ..errors import SceneError
+from ..progress import Progress, silent
+from .camera import FloatArray, Scene
+from .lens import Lens
+from .photo import PosedPhoto, make_scene, posed_photos, read_header
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # COLMAP's order in FULL_OPENCV
+_FISHEYE = ("k1", "k2", "k3", "k4")
+_GREY = 128
+
+
+def read_transforms(
+    path: Path,
+    config: SceneConfig = SceneConfig(),  # noqa: B008 - frozen
+    *,
+    progress: Progress = silent,
+) -> Scene:
+    """Read a `transforms.json` (its path or its folder's) and the headers of its photos.
+
+    Intrinsics are `fl_x, fl_y, cx, cy, w, h` (or `camera_angle_x`) and `k1…, p1, p2`, a frame's own before the
+    file's; `camera_model` OPENCV (the default), OPENCV_FISHEYE or EQUIRECTANGULAR. `transform_matrix` is camera to
+    world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative to the
+    file; a photo may lack its extension. The scene's frame is the file's; without a point cloud it has no points.
+
+    Raises:
+        SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or a photo is missing.
+    """
+    path = Path(path)
+    file = path / "transforms.json" if path.is_dir() else path
+    content = _read_json(file)
+    frames = content.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise SceneError(f"{file} has no frames; give a transforms.json with at least one posed photo")
+    views: list[PosedPhoto] = []
+    named = sorted(((_frame_name(frame, index, file), frame) for index, frame in enumerate(frames)), key=lambda f: f[0])
+    for index, (name, frame) in enumerate(named):
+        progress(index / len(named), "reading photo headers")
+        photo = _photo_path(file.parent / name, len(named))
+        views += posed_photos(
+            photo,
+            name=name.removeprefix("./"),
+            lens=_lens({**content, **frame}, photo, f"{file}, {name}"),
+            world_to_camera=_world_to_camera(frame, f"{file}, {name}"),
+            mask_path=_mask_path(frame, file),
+            downscale=config.downscale,
+        )
+    cloud = content.get("ply_file_path")
+    points, colors = _cloud(file.parent / cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
+    return make_scene(views, points, colors)
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{file} cannot be read ({error.strerror}); give a folder with a transforms.json") from error
+    except ValueError as error:
+        raise SceneError(f"{file} is not JSON ({error}); export it again") from error
+    if not isinstance(content, dict):
+        raise SceneError(f"{file} is not a transforms.json: it holds no object; export it again")
+    return content
+
+
+def _frame_name(frame: Any, index: int, file: Path) -> str:
+    name = frame.get("file_path") if isinstance(frame, dict) else None
+    if not isinstance(name, str) or not name:
+        raise SceneError(f"{file}: frame {index} has no file_path; export it again")
+    return name.replace("\\", "/")
+
+
+def _photo_path(path: Path, frames: int) -> Path:
+    candidates = [path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES)]
+    found = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if found is None:
+        raise SceneError(f"photo {path} (one of {frames}) cannot be found; put it there")
+    return found
+
+
+def _mask_path(frame: Mapping[str, Any], file: Path) -> Path | None:
+    if not frame.get("mask_path"):
+        return None
+    path = file.parent / str(frame["mask_path"])
+    if not path.is_file():
+        raise SceneError(f"mask {path} cannot be found; put it there or take mask_path out of {file}")
+    return path
+
+
+def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
+    def number(key: str) -> float:
+        try:
+            return float(values[key])
+        except (TypeError, ValueError):
+            raise SceneError(f"{where}: {key} is {values[key]!r}, not a number; export it again") from None
+
+    if "w" in values and "h" in values:
+        width, height = int(number("w")), int(number("h"))
+    else:
+        header = read_header(photo)
+        width, height = header.width, header.height
+    model = values.get("camera_model", "OPENCV")
+    if model == "EQUIRECTANGULAR":
+        return Lens(model, (float(width), float(height)), width, height)
+    if "fl_x" in values:
+        fx = number("fl_x")
+    elif "camera_angle_x" in values:
+        fx = 0.5 * width / np.tan(0.5 * number("camera_angle_x"))
+    else:
+        raise SceneError(f"{where} has neither fl_x nor camera_angle_x; export it with intrinsics")
+    fy = number("fl_y") if "fl_y" in values else fx
+    cx = number("cx") if "cx" in values else width / 2
+    cy = number("cy") if "cy" in values else height / 2
+    if model not in ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
+        raise SceneError(f"{where} has the camera_model {model!r}; known are OPENCV, OPENCV_FISHEYE, EQUIRECTANGULAR")
+    fisheye = model == "OPENCV_FISHEYE"
+    distortion = tuple(number(key) if key in values else 0.0 for key in (_FISHEYE if fisheye else _DISTORTION))
+    if fisheye:
+        return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *distortion), width, height)
+    if not any(distortion):
+        return Lens("PINHOLE", (fx, fy, cx, cy), width, height)
+    return Lens("FULL_OPENCV", (fx, fy, cx, cy, *distortion), width, height)
+
+
+def _world_to_camera(frame: Mapping[str, Any], where: str) -> FloatArray:
+    try:
+        matrix = np.array(frame["transform_matrix"], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        matrix = np.zeros((0, 0))
+    if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+        raise SceneError(f"{where} has no transform_matrix of 4x4 finite numbers; export it again")
+    u, s, vt = np.linalg.svd(matrix[:3, :3])
+    if np.linalg.det(matrix[:3, :3]) <= 0.0 or np.abs(s - 1.0).max() > 1e-2:
+        raise SceneError(f"{where}: transform_matrix is no rigid motion (it scales or mirrors); export it again")
+    camera_axes = u @ vt * [1.0, -1.0, -1.0]  # OpenGL's y up, z backward to y down, z forward
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = camera_axes.T
+    world_to_camera[:3, 3] = -camera_axes.T @ matrix[:3, 3]
+    return world_to_camera
+
+
+def _cloud(path: Path) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """(P, 3) finite points and their (P, 3) colours (grey where the file has none)."""
+    from plyfile import PlyData, PlyParseError
+
+    try:
+        vertex = PlyData.read(str(path))["vertex"].data
+        points = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    except (OSError, PlyParseError, KeyError, ValueError) as error:
+        raise SceneError(f"{path} cannot be read as a point cloud ({error}); export it again") from error
+    if {"red", "green", "blue"} <= set(vertex.dtype.names):
+        colors = np.stack([vertex[channel] for channel in ("red", "green", "blue")], axis=1).astype(np.uint8)
+    else:
+        colors = np.full((len(points), 3), _GREY, dtype=np.uint8)
+    finite = np.isfinite(points).all(axis=1)
+    return points[finite], colors[finite]
