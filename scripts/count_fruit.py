@@ -61,7 +61,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
     def write(path: Path, result: Result) -> None:
         from fruitlangs.operators.write import write_blend
 
-        write_blend(path, result)
+        write_blend(path, result.scene, result.gaussians, result.probability, result.fruit_count, set_id=result.set_id)
 
     return {"scene.blend": write}
 
