@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from plyfile import PlyData
+
+from fruitlangs.engine.counting.fruit import AuditEntry, Fruit, FruitCount
+from fruitlangs.engine.errors import FormatError, OutputError
+from fruitlangs.engine.files import file_hash, write_text
+from fruitlangs.engine.report.meshes import id_color, write_glb, write_points_ply
+from fruitlangs.engine.report.results import dump, fruits_document, read_results
+from fruitlangs.engine.report.tables import fruits_csv, summary
+
+
+def fruit(number: int, x: float) -> Fruit:
+    return Fruit(
+        id=number,
+        label="red apple",
+        center=np.array([x, 0.5, -1.0]),
+        diameter=0.08,
+        diameter_sd=0.004,
+        volume=0.08**3 * np.pi / 6,
+        probability=0.9,
+        visible_fraction=0.75,
+        kind="single",
+        members=np.array([1, 2]),
+    )
+
+
+def two_fruit() -> FruitCount:
+    return FruitCount(
+        fruits=[fruit(1, 0.0), fruit(2, 1.0)],
+        audit=[AuditEntry(1, "kept", "fits a sphere", (0.0, 0.5, -1.0), 40, (1,))],
+        max_probability=0.97,
+        mean_diameter=0.08,
+        points=np.array([[0.0, 0.54, -1.0], [9.0, 9.0, 9.0]]),
+        point_colors=np.array([[200, 10, 10], [0, 0, 0]], np.uint8),
+        point_fruit_ids=np.array([1, -1]),
+    )
+
+
+NO_FRUIT = FruitCount(
+    fruits=[],
+    audit=[AuditEntry(0, "dropped", "highest probability .31 is below .50", (0.0, 0.0, 0.0), 0)],
+    max_probability=0.31,
+    mean_diameter=None,
+)
+
+
+def write_set(folder: Path, fruit_count: FruitCount) -> None:
+    write_text(folder / "fruits.csv", fruits_csv(fruit_count, metres_per_unit=None))
+    document = fruits_document(
+        fruit_count,
+        config={},
+        provenance={"source": "photos"},
+        files={"fruits.csv": file_hash(folder / "fruits.csv")},
+        metres_per_unit=None,
+    )
+    write_text(folder / "fruits.json", dump(document))
+
+
+def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> None:
+    write_set(tmp_path, two_fruit())
+    document = read_results(tmp_path)
+    promised = {"schema", "count", "interval", "total", "total_interval", "unit", "metres_per_unit", "fruits"}
+    assert promised | {"config", "provenance"} <= set(document)
+    assert document["count"] == 2
+    assert document["interval"] is document["total"] is document["total_interval"] is None
+    assert set(document["fruits"][0]) >= {
+        "id",
+        "label",
+        "center",
+        "diameter",
+        "probability",
+        "visible_fraction",
+        "kind",
+    }
+    assert document["fruits"][1]["center"] == [1.0, 0.5, -1.0]
+
+
+def test_no_fruit_is_a_count_of_zero_that_says_how_near_it_came(tmp_path: Path) -> None:
+    write_set(tmp_path, NO_FRUIT)
+    document = read_results(tmp_path)
+    assert document["count"] == 0
+    assert document["fruits"] == []
+    assert document["audit"]["max_probability"] == 0.31
+    assert "0.31" in summary(NO_FRUIT, prompt="pear", metres_per_unit=None, seconds={})
+
+
+def test_a_file_of_another_run_is_noticed(tmp_path: Path) -> None:
+    write_set(tmp_path, two_fruit())
+    (tmp_path / "fruits.csv").write_text("id\n")
+    with pytest.raises(OutputError, match=r"fruits\.csv"):
+        read_results(tmp_path)
+
+
+def test_a_damaged_fruits_json_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "fruits.json").write_text('{"schema": ')
+    with pytest.raises(FormatError, match="not a results file"):
+        read_results(tmp_path)
+
+
+def test_a_number_that_is_not_finite_is_never_written() -> None:
+    with pytest.raises(OutputError, match="finite"):
+        dump({"count": float("nan")})
+
+
+def test_lengths_become_metres_when_the_scale_is_known() -> None:
+    document = fruits_document(two_fruit(), config={}, provenance={}, files={}, metres_per_unit=2.0)
+    assert document["unit"] == "m"
+    assert document["fruits"][0]["diameter"] == pytest.approx(0.16)
+    assert document["fruits"][0]["center"] == [0.0, 0.5, -1.0]
+    row = next(csv.DictReader(io.StringIO(fruits_csv(two_fruit(), metres_per_unit=2.0))))
+    assert float(row["diameter_m"]) == pytest.approx(0.16)
+
+
+def test_the_table_has_one_row_a_fruit_and_names_its_unit() -> None:
+    rows = list(csv.DictReader(io.StringIO(fruits_csv(two_fruit(), metres_per_unit=None))))
+    assert [row["id"] for row in rows] == ["1", "2"]
+    assert float(rows[0]["diameter_units"]) == pytest.approx(0.08)
+
+
+def test_the_glb_holds_one_named_mesh_a_fruit_with_up_along_y(tmp_path: Path) -> None:
+    write_glb(tmp_path / "fruits.glb", two_fruit(), up=np.array([0.0, 0.0, 1.0]))
+    scene = trimesh.load(tmp_path / "fruits.glb")
+    assert sorted(scene.geometry) == ["red_apple.001", "red_apple.002"]
+    low, high = scene.bounds
+    # z = -1 in the scene is y = -1 in glTF
+    assert (low[1] + high[1]) / 2 == pytest.approx(-1.0, abs=1e-3)
+    assert high[1] - low[1] == pytest.approx(0.08, rel=0.02)
+    header = (tmp_path / "fruits.glb").read_bytes()
+    length = int.from_bytes(header[12:16], "little")
+    extras = json.loads(header[20 : 20 + length])["meshes"][0]["extras"]
+    assert extras["probability"] == 0.9
+
+
+def test_a_glb_without_fruit_is_a_valid_empty_scene(tmp_path: Path) -> None:
+    write_glb(tmp_path / "fruits.glb", NO_FRUIT, up=np.array([0.0, 0.0, 1.0]))
+    assert len(trimesh.load(tmp_path / "fruits.glb").geometry) == 0
+
+
+def test_points_carry_their_fruit(tmp_path: Path) -> None:
+    write_points_ply(tmp_path / "fruits.ply", two_fruit())
+    vertex = PlyData.read(str(tmp_path / "fruits.ply"))["vertex"]
+    assert vertex["fruit_id"].tolist() == [1, -1]
+    assert vertex["red"].tolist() == [200, 0]
+
+
+def test_neighbouring_ids_have_distinct_colours() -> None:
+    colors = np.array([id_color(number) for number in range(1, 40)], dtype=int)
+    assert np.abs(np.diff(colors, axis=0)).sum(axis=1).min() > 100
+    assert len({tuple(color) for color in colors.tolist()}) == 39
