@@ -1,0 +1,118 @@
+"""Which Gaussians each tile draws, nearest first."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import kernel, njit, prange
+from .projection_kernels import DEPTH, tile_columns, tile_rows
+
+_BITS = 11
+_BUCKETS = 1 << _BITS
+
+
+@njit
+def depth_order(records: NDArray[np.float32], counts: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Indices of the drawn Gaussians by depth; equal depths in the order of the indices (radix sort).
+
+    A positive float32 sorts as the integer of the same bits: three rounds of eleven bits.
+    """
+    n = counts.shape[0]
+    order = np.empty(n, np.int32)
+    drawn = 0
+    for i in range(n):
+        if counts[i] > 0:
+            order[drawn] = i
+            drawn += 1
+    order = order[:drawn]
+    keys = np.empty(drawn, np.float32)
+    for k in range(drawn):
+        keys[k] = records[order[k], DEPTH]
+    bits = keys.view(np.uint32)
+    other_order = np.empty(drawn, np.int32)
+    other_bits = np.empty(drawn, np.uint32)
+    places = np.empty(_BUCKETS, np.int64)
+    for shift in (0, _BITS, 2 * _BITS):
+        places[:] = 0
+        for k in range(drawn):
+            places[(bits[k] >> np.uint32(shift)) & np.uint32(_BUCKETS - 1)] += 1
+        place = 0
+        for bucket in range(_BUCKETS):
+            count = places[bucket]
+            places[bucket] = place
+            place += count
+        for k in range(drawn):
+            bucket = (bits[k] >> np.uint32(shift)) & np.uint32(_BUCKETS - 1)
+            other_order[places[bucket]] = order[k]
+            other_bits[places[bucket]] = bits[k]
+            places[bucket] += 1
+        order, other_order = other_order, order
+        bits, other_bits = other_bits, bits
+    return order
+
+
+@njit
+def pair_starts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(N + 1,) where each Gaussian's pairs begin."""
+    starts = np.empty(counts.shape[0] + 1, np.int64)
+    starts[0] = 0
+    for i in range(counts.shape[0]):
+        starts[i + 1] = starts[i] + counts[i]
+    return starts
+
+
+CHUNKS = 16
+"""Parts of the depth order that are scattered at once; fixed, so that threads change nothing."""
+
+
+@kernel
+def fill_tiles(
+    records: NDArray[np.float32],
+    order: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    width: int,
+    height: int,
+    columns: int,
+    rows: int,
+    tile_starts: NDArray[np.int64],
+    gaussian_of: NDArray[np.int32],
+    pair_of: NDArray[np.int32],
+) -> None:
+    """Write tile_starts (columns·rows + 1,) and, for each entry of each tile's list, its Gaussian and its pair.
+
+    Pairs are numbered by Gaussian, then by tile, so that a Gaussian's gradients lie side by side.
+    """
+    tiles = columns * rows
+    n = order.shape[0]
+    size = (n + CHUNKS - 1) // CHUNKS
+    places = np.zeros((CHUNKS, tiles), np.int64)
+    for chunk in prange(CHUNKS):
+        for k in range(chunk * size, min((chunk + 1) * size, n)):
+            record = records[order[k]]
+            first, last = tile_rows(record, height)
+            for row in range(first, last):
+                begin, end = tile_columns(record, row, width)
+                for column in range(begin, end):
+                    places[chunk, row * columns + column] += 1
+    place = 0
+    for tile in range(tiles):
+        tile_starts[tile] = place
+        for chunk in range(CHUNKS):
+            count = places[chunk, tile]
+            places[chunk, tile] = place
+            place += count
+    tile_starts[tiles] = place
+    for chunk in prange(CHUNKS):
+        for k in range(chunk * size, min((chunk + 1) * size, n)):
+            record = records[order[k]]
+            pair = starts[order[k]]
+            first, last = tile_rows(record, height)
+            for row in range(first, last):
+                begin, end = tile_columns(record, row, width)
+                for column in range(begin, end):
+                    entry = places[chunk, row * columns + column]
+                    places[chunk, row * columns + column] = entry + 1
+                    gaussian_of[entry] = order[k]
+                    pair_of[entry] = pair
+                    pair += 1
