@@ -1,0 +1,99 @@
+"""What a synthetic orchard is made of, as one value."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from .species import SPECIES
+
+GENERATOR_VERSION = "1"
+"""Raised whenever the same configuration would give another scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrchardConfig:
+    """One scene: a tree, its fruit, its light and the walk around it. Lengths in metres."""
+
+    species: str = "apple"
+    """Kind of fruit: apple, pear, cherry, plum, lemon, orange, peach or mango."""
+
+    variant: str = ""
+    """Colour variety of the species, such as red or green; empty: drawn by the seed."""
+
+    seed: int = 1
+    """Seed of everything that is random. Seeds of 1000 and above are kept for training the encoder."""
+
+    fruits: int = 120
+    """Number of fruit hanging on the tree."""
+
+    fallen: int = 4
+    """Number of fruit lying on the ground."""
+
+    leaves: int = 3600
+    """Number of leaves on the tree."""
+
+    views: int = 60
+    """Number of pictures."""
+
+    rings: int = 2
+    """Number of heights from which the tree is walked around."""
+
+    width: int = 480
+    """Width of a picture in pixels."""
+
+    height: int = 360
+    """Height of a picture in pixels."""
+
+    fruit_pixels: float = 17.0
+    """Mean fruit diameter in a picture, in pixels, at the tree's axis."""
+
+    samples: int = 12
+    """Cycles samples a pixel; the pictures are denoised after."""
+
+    bounces: int = 3
+    """Light bounces."""
+
+    points: int = 20000
+    """Number of points of the sparse cloud."""
+
+    close_ups: bool = False
+    """Views at scattered distances, aimed at single places of the crown, instead of the walk around the tree."""
+
+    light_variety: float = 0.25
+    """How much sun, sky and exposure vary between seeds, from 0 to 1."""
+
+    def digest(self) -> str:
+        """A short hash of every setting and of the generator's version."""
+        text = json.dumps({"generator": GENERATOR_VERSION, **asdict(self)}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+FIRST_TRAINING_SEED = 1000
+
+
+def training_config(seed: int) -> OrchardConfig:
+    """A small close-up scene for training the encoder: species and varieties take turns, the rest is drawn by seed."""
+    rng = np.random.default_rng([seed, 99])
+    number = seed - FIRST_TRAINING_SEED
+    species = list(SPECIES.values())[number % len(SPECIES)]
+    variant = species.variants[number // len(SPECIES) % len(species.variants)]
+    return OrchardConfig(
+        species=species.name,
+        variant=variant.name,
+        seed=seed,
+        fruits=int(rng.integers(25, 90)),
+        fallen=int(rng.integers(0, 8)),
+        leaves=int(rng.integers(1600, 4200)),
+        views=6,
+        width=320,
+        height=320,
+        samples=6,
+        bounces=3,
+        points=500,
+        close_ups=True,
+        light_variety=1.0,
+    )

@@ -1,0 +1,142 @@
+"""Cheap Cycles materials. A material's pass index is the class of the pixels that show it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .species import Species
+
+CLASSES = ("sky", "leaf", "branch", "trunk", "soil", "grass", "post", "fruit")
+"""Class words by index; the last stands for the species' own word. Ground is soil until `render` tells grass from it."""
+
+
+class _Nodes:
+    """Builds a node tree with little noise: `nodes("ShaderNodeX", Input=value or socket)`."""
+
+    def __init__(self, tree: Any) -> None:
+        self.tree = tree
+        tree.nodes.clear()
+
+    def __call__(self, kind: str, settings: dict[str, Any] | None = None, **inputs: Any) -> Any:
+        node = self.tree.nodes.new(kind)
+        for name, value in (settings or {}).items():
+            setattr(node, name, value)
+        for name, value in inputs.items():
+            key: int | str = int(name[1:]) if name[0] == "_" else name.replace("_", " ")
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[key])
+            else:
+                node.inputs[key].default_value = value
+        return node
+
+
+def _material(name: str, index: int) -> tuple[Any, _Nodes]:
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    material.pass_index = index
+    return material, _Nodes(material.node_tree)
+
+
+def _finish(nodes: _Nodes, shader: Any) -> None:
+    nodes("ShaderNodeOutputMaterial", Surface=shader)
+
+
+def leaf_material() -> Any:
+    """Diffuse, translucent and a little gloss; the object's colour, paler on the lower side."""
+    material, nodes = _material("leaf", CLASSES.index("leaf"))
+    color = nodes("ShaderNodeObjectInfo").outputs["Color"]
+    back = nodes("ShaderNodeNewGeometry").outputs["Backfacing"]
+    pale = nodes("ShaderNodeMixRGB", {"blend_type": "MIX"}, _0=0.3, _1=color, _2=(0.32, 0.38, 0.22, 1)).outputs[0]
+    front = nodes("ShaderNodeMixRGB", {"blend_type": "MIX"}, _0=back, _1=color, _2=pale).outputs[0]
+    through = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=color, _2=(1.5, 1.45, 0.6, 1)).outputs[0]
+    diffuse = nodes("ShaderNodeBsdfDiffuse", Color=front).outputs[0]
+    translucent = nodes("ShaderNodeBsdfTranslucent", Color=through).outputs[0]
+    matte = nodes("ShaderNodeMixShader", _0=0.36, _1=diffuse, _2=translucent).outputs[0]
+    gloss = nodes("ShaderNodeBsdfGlossy", Color=(1, 1, 1, 1), Roughness=0.42).outputs[0]
+    share = nodes("ShaderNodeFresnel", IOR=1.38).outputs[0]
+    _finish(nodes, nodes("ShaderNodeMixShader", _0=share, _1=matte, _2=gloss).outputs[0])
+    return material
+
+
+def wood_material(name: str, colors: tuple[tuple[float, ...], tuple[float, ...]], *, scale: float, bump: float) -> Any:
+    """Bark: noise stretched along the height, with relief."""
+    material, nodes = _material(name, CLASSES.index(name))
+    place = nodes("ShaderNodeTexCoord").outputs["Object"]
+    stretched = nodes("ShaderNodeVectorMath", {"operation": "MULTIPLY"}, _0=place, _1=(scale, scale, 0.3 * scale))
+    noise = nodes("ShaderNodeTexNoise", Vector=stretched.outputs[0], Scale=1.0, Detail=3.0, Roughness=0.6).outputs[0]
+    ramp = nodes("ShaderNodeValToRGB", _0=noise)
+    for element, color in zip(ramp.color_ramp.elements, colors, strict=True):
+        element.color = color
+    ramp.color_ramp.elements[0].position, ramp.color_ramp.elements[1].position = 0.35, 0.68
+    relief = nodes("ShaderNodeBump", Strength=bump, Distance=0.01, Height=noise).outputs[0]
+    _finish(nodes, nodes("ShaderNodeBsdfDiffuse", Color=ramp.outputs[0], Normal=relief).outputs[0])
+    return material
+
+
+def fruit_material(species: Species) -> Any:
+    """Skin: the mesh's own colours with fine speckles, under a glossy or a hairy layer."""
+    material, nodes = _material("fruit", CLASSES.index("fruit"))
+    skin = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
+    place = nodes("ShaderNodeTexCoord").outputs["Object"]
+    noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=9.0 / species.diameter, Detail=1.0).outputs[0]
+    speckle = nodes("ShaderNodeMapRange", _0=noise, _1=0.3, _2=0.7, _3=0.88, _4=1.1).outputs[0]
+    color = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=skin, _2=speckle).outputs[0]
+    matte = nodes("ShaderNodeBsdfDiffuse", Color=color).outputs[0]
+    if species.fuzz > 0:
+        hair = nodes("ShaderNodeBsdfSheen", Color=(0.9, 0.8, 0.75, 1), Roughness=0.4).outputs[0]
+        matte = nodes("ShaderNodeMixShader", _0=species.fuzz, _1=matte, _2=hair).outputs[0]
+    gloss = nodes("ShaderNodeBsdfGlossy", Color=(1, 1, 1, 1), Roughness=species.roughness).outputs[0]
+    share = nodes("ShaderNodeFresnel", IOR=1.45).outputs[0]
+    _finish(nodes, nodes("ShaderNodeMixShader", _0=share, _1=matte, _2=gloss).outputs[0])
+    return material
+
+
+def ground_material() -> Any:
+    """The mesh's own colours with soft mottling."""
+    material, nodes = _material("ground", CLASSES.index("soil"))
+    base = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
+    place = nodes("ShaderNodeTexCoord").outputs["Object"]
+    noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=9.0, Detail=2.0).outputs[0]
+    mottle = nodes("ShaderNodeMapRange", _0=noise, _1=0.3, _2=0.7, _3=0.8, _4=1.2).outputs[0]
+    color = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=base, _2=mottle).outputs[0]
+    _finish(nodes, nodes("ShaderNodeBsdfDiffuse", Color=color).outputs[0])
+    return material
+
+
+def grass_material() -> Any:
+    """Diffuse and translucent in the object's colour."""
+    material, nodes = _material("grass", CLASSES.index("grass"))
+    color = nodes("ShaderNodeObjectInfo").outputs["Color"]
+    diffuse = nodes("ShaderNodeBsdfDiffuse", Color=color).outputs[0]
+    translucent = nodes("ShaderNodeBsdfTranslucent", Color=color).outputs[0]
+    _finish(nodes, nodes("ShaderNodeMixShader", _0=0.4, _1=diffuse, _2=translucent).outputs[0])
+    return material
+
+
+def backdrop_material() -> Any:
+    """Far bushes and trees: the mesh's own colours."""
+    material, nodes = _material("backdrop", CLASSES.index("leaf"))
+    color = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
+    _finish(nodes, nodes("ShaderNodeBsdfDiffuse", Color=color).outputs[0])
+    return material
+
+
+def sky(scene: Any, *, horizon: tuple[float, ...], zenith: tuple[float, ...], clouds: float, strength: float) -> None:
+    """A sky from horizon to zenith colour with soft clouds."""
+    world = bpy.data.worlds.new("sky")
+    world.use_nodes = True
+    nodes = _Nodes(world.node_tree)
+    direction = nodes("ShaderNodeTexCoord").outputs["Generated"]
+    height = nodes("ShaderNodeSeparateXYZ", _0=direction).outputs[2]
+    rise = nodes("ShaderNodeMapRange", _0=height, _1=-0.02, _2=0.55, _3=0.0, _4=1.0).outputs[0]
+    clear = nodes("ShaderNodeMixRGB", _0=rise, _1=(*horizon, 1), _2=(*zenith, 1)).outputs[0]
+    noise = nodes("ShaderNodeTexNoise", Vector=direction, Scale=2.2, Detail=2.0).outputs[0]
+    cover = nodes("ShaderNodeMapRange", _0=noise, _1=0.42, _2=0.72, _3=0.0, _4=clouds).outputs[0]
+    color = nodes("ShaderNodeMixRGB", _0=cover, _1=clear, _2=(0.95, 0.96, 1.0, 1)).outputs[0]
+    background = nodes("ShaderNodeBackground", Color=color, Strength=strength).outputs[0]
+    nodes("ShaderNodeOutputWorld", Surface=background)
+    # A smooth sky is sampled well by the surfaces alone, which saves a shadow ray a bounce.
+    world.cycles.sampling_method = "NONE"
+    scene.world = world

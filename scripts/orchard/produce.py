@@ -1,0 +1,155 @@
+"""One scene from configuration to files, view by view, resumable."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import cameras, png, sparse, truth
+from .cameras import Viewpoint
+from .config import GENERATOR_VERSION, OrchardConfig
+from .errors import OrchardError
+from .materials import CLASSES
+from .render import Passes, picture_pixels, prepare, render_view
+from .stage import Orchard, plant, set_stage
+
+Report = Callable[[str], None]
+
+
+def produce(config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0, report: Report) -> None:
+    """Plant, render and describe one orchard into `out`.
+
+    Pictures that an earlier run of the same configuration left are kept. With `preview`, only so many views, spread
+    along the walk, are made. `classes` adds classes/ and classes.json.
+
+    Raises:
+        OrchardError: `out` holds a scene of another configuration.
+    """
+    _claim(config, out)
+    if _complete(out, classes=classes):
+        report(f"{out}: already complete")
+        return
+    orchard = plant(config)
+    views = viewpoints(orchard)
+    if preview:
+        views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, preview).astype(int))]
+    passes = _render(orchard, views, out, classes=classes, report=report)
+    _describe(orchard, views, passes, out)
+    if classes:
+        words = [*CLASSES[:-1], config.species]
+        _write_json(out / "classes.json", {str(i): word for i, word in enumerate(words)})
+    _write_truth(orchard, views, passes, out)
+    if not preview:
+        shutil.rmtree(out / "cache", ignore_errors=True)
+        mark = json.loads((out / "orchard.json").read_text())
+        _write_json(out / "orchard.json", {**mark, "complete": True})
+    report(f"{out}: complete")
+
+
+def _complete(out: Path, *, classes: bool) -> bool:
+    """Whether an earlier run of this configuration ended."""
+    done = bool(json.loads((out / "orchard.json").read_text()).get("complete"))
+    return done and (not classes or (out / "classes.json").exists())
+
+
+def _claim(config: OrchardConfig, out: Path) -> None:
+    """Make the folder this configuration's own."""
+    mark = out / "orchard.json"
+    if mark.exists():
+        if json.loads(mark.read_text()).get("digest") != config.digest():
+            raise OrchardError(f"{out} holds a scene of other settings: name another folder or remove it")
+        if _complete(out, classes=False):
+            return
+    elif out.exists() and any(out.iterdir()):
+        raise OrchardError(f"{out} is not empty and holds no orchard: name another folder")
+    try:
+        for folder in ("images", "instances", "cache"):
+            (out / folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OrchardError(f"{out} cannot be made: {error.strerror}; name a folder that can be written") from error
+    _write_json(mark, {"digest": config.digest(), "generator": GENERATOR_VERSION, "config": asdict(config)})
+
+
+def viewpoints(orchard: Orchard) -> list[Viewpoint]:
+    """The scene's cameras, drawn from its seed."""
+    rng = np.random.default_rng([orchard.config.seed, 20])
+    if not orchard.config.close_ups:
+        return cameras.walk(rng, orchard.config, orchard.species, orchard.crown)
+    centers = np.array([f.body.center for f in orchard.fruits]).reshape(-1, 3)
+    return cameras.close_ups(rng, orchard.config, orchard.species, orchard.crown, centers)
+
+
+def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes: bool, report: Report) -> list[Passes]:
+    scratch = out / "cache"
+    scratch.mkdir(exist_ok=True)
+    missing = [v for v in views if not ((out / "images" / v.name).exists() and _cached(out, v).exists())]
+    if missing:
+        set_stage(orchard)
+        prepare(orchard.config, scratch)
+    start = time.monotonic()
+    for done, view in enumerate(missing, start=1):
+        seed = orchard.config.seed * 1000 + int(Path(view.name).stem)
+        passes = render_view(view, out / "images" / view.name, scratch, orchard.ground, seed=seed)
+        half_made = scratch / "half_made.npz"
+        np.savez_compressed(half_made, fruit=passes.fruit, classes=passes.classes, depth=passes.depth)
+        os.replace(half_made, _cached(out, view))
+        pace = (time.monotonic() - start) / done
+        report(f"{out.name}: view {done}/{len(missing)}, {pace:.1f} s a view")
+    results = []
+    for view in views:
+        with np.load(_cached(out, view)) as file:
+            results.append(Passes(fruit=file["fruit"], classes=file["classes"], depth=file["depth"]))
+        stem = Path(view.name).stem
+        png.write_grey(out / "instances" / f"{stem}.png", results[-1].fruit)
+        if classes:
+            (out / "classes").mkdir(exist_ok=True)
+            png.write_grey(out / "classes" / f"{stem}.png", results[-1].classes)
+    return results
+
+
+def _cached(out: Path, view: Viewpoint) -> Path:
+    return out / "cache" / f"{Path(view.name).stem}.npz"
+
+
+def _describe(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[Passes], out: Path) -> None:
+    """Write the COLMAP model; it knows pictures and depths, nothing of fruit."""
+    rng = np.random.default_rng([orchard.config.seed, 30])
+    pictures: list[NDArray[np.uint8]] = [picture_pixels(out / "images" / v.name) for v in views]
+    cloud = sparse.sample_cloud(rng, views, [p.depth for p in passes], pictures, orchard.config.points)
+    sparse.write_model(out / "sparse" / "0", views, cloud)
+
+
+def _write_truth(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[Passes], out: Path) -> None:
+    config = orchard.config
+    names = [v.name for v in views]
+    ids = [f.id for f in orchard.fruits]
+    shown = truth.visibilities(views, [p.fruit for p in passes], ids, orchard.fruit_meshes)
+    document = {
+        "generator": GENERATOR_VERSION,
+        "seed": config.seed,
+        "species": config.species,
+        "variant": orchard.variant.name,
+        "metres_per_unit": 1.0,
+        "fruits": [truth.fruit_record(f, config.species, v, names) for f, v in zip(orchard.fruits, shown, strict=True)],
+    }
+    _write_json(out / "truth.json", document)
+
+
+def write_scene_list(out: Path) -> None:
+    """scenes.json of a training set: the seeds of the finished scenes, so that tests never use them."""
+    seeds = sorted(int(p.parent.name) for p in out.glob("*/truth.json"))
+    _write_json(out / "scenes.json", {"generator": GENERATOR_VERSION, "seeds": seeds})
+
+
+def _write_json(path: Path, document: object) -> None:
+    half_made = path.with_name(path.name + ".part")
+    half_made.write_text(json.dumps(document, indent=1) + "\n")
+    os.replace(half_made, path)
