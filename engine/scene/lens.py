@@ -76,15 +76,15 @@ class Lens:
         """The `pycolmap.Camera`; pycolmap is imported when first needed."""
         import pycolmap
 
-        try:
-            return pycolmap.Camera(
-                camera_id=1, model=self.model, width=self.width, height=self.height, params=list(self.params)
-            )
-        except (ValueError, TypeError, AttributeError) as error:
-            raise SceneError(
-                f"camera model {self.model} with {len(self.params)} parameters is not one that pycolmap "
-                f"{pycolmap.__version__} knows"
-            ) from error
+        known = [name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"]
+        if self.model not in known:
+            raise SceneError(f"camera model {self.model} is not known; pycolmap reads {', '.join(known)}")
+        camera = pycolmap.Camera(
+            camera_id=1, model=self.model, width=self.width, height=self.height, params=list(self.params)
+        )
+        if not camera.verify_params():
+            raise SceneError(f"camera {self.model} has {len(self.params)} parameters, it takes {camera.params_info}")
+        return camera
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,27 +97,19 @@ class FilePhoto:
         Raises:
             SceneError: as `pixels`, or the mask has another shape than the photo.
         """
-        allowed = [
-            self._stored_mask(path) for path in (self.mask_path, self.path if self.header.has_alpha else None) if path
-        ]
-        usable = np.logical_and.reduce(allowed) if allowed else None
-        if not self.lens.is_pinhole:
-            source = source_map(self.lens, self.face, self.width, self.height)
-            if usable is None:
-                usable = source.valid
-            else:
-                usable = (look_up(usable[..., None].astype(np.float32), source)[..., 0] > 0.999) & source.valid
-        return None if usable is None or usable.all() else usable
-
-    def _stored_mask(self, path: Path) -> NDArray[np.bool_]:
-        """(height, width) True where a mask file, or the alpha channel of the photo itself, covers nothing unusable."""
-        image = self._decode(path)
-        if path == self.path:
-            usable = np.asarray(image.convert("RGBA"))[..., 3] >= 128
+        covers = []
+        if self.mask_path is not None:
+            covers.append(_not_black(self._decode(self.mask_path), self.mask_path))
+        if self.header.has_alpha:
+            covers.append(np.asarray(self._decode(self.path).convert("RGBA"))[..., 3] >= 128)
+        shares = [shrink(cover[..., None].astype(np.float32), self.width, self.height) for cover in covers]
+        if self.lens.is_pinhole:
+            usable = [share[..., 0] > 0.999 for share in shares]
         else:
-            usable = np.asarray(image.convert("RGBA") if image.mode == "P" else image)
-            usable = (usable[..., :3] if usable.ndim == 3 else usable[..., None]).any(axis=2)
-        return shrink(usable[..., None].astype(np.float32), self.width, self.height)[..., 0] > 0.999
+            source = source_map(self.lens, self.face, self.width, self.height)
+            usable = [source.valid, *(look_up(share, source)[..., 0] > 0.999 for share in shares)]
+        everywhere = np.logical_and.reduce(usable) if usable else None
+        return None if everywhere is None or everywhere.all() else everywhere
 
     def _decode(self, path: Path) -> Image.Image:
         try:
@@ -129,6 +121,14 @@ class FilePhoto:
         if path == self.path and decoded.size != (self.header.width, self.header.height):
             raise SceneError(f"{path} changed its size to {decoded.width}x{decoded.height}; read the scene again")
         return decoded if self.turn is None else decoded.transpose(self.turn)
+
+
+def _not_black(image: Image.Image, path: Path) -> NDArray[np.bool_]:
+    """(H, W) True where a mask picture of any mode is not black."""
+    darkest = 127 if path.suffix.lower() in (".jpg", ".jpeg") else 0  # JPEG blurs black
+    if image.mode not in ("1", "L") and not image.mode.startswith("I"):
+        return (np.asarray(image.convert("RGB")) > darkest).any(axis=2)
+    return np.asarray(image) > darkest
 
 
 def _rgb(image: Image.Image, path: Path) -> NDArray[np.uint8]:

@@ -6,12 +6,14 @@ from pathlib import Path
 
 from ..config import SceneConfig
 from ..errors import SceneError
+from ..files import files_hash
 from ..progress import Progress, silent
 from .camera import Scene
-from .colmap import find_model, read_colmap
-from .transforms import read_transforms
+from .colmap import colmap_files, read_colmap
+from .layout import find_model
+from .transforms import TRANSFORMS, read_transforms, transforms_files
 
-_READ_TODAY = "read are a COLMAP model's folder, a folder with transforms.json, and an earlier result's folder"
+_READ_TODAY = "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder"
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}
 _PHOTOS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng"}
@@ -19,7 +21,7 @@ _PHOTOS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng"}
 
 def read_scene(
     path: Path,
-    config: SceneConfig = SceneConfig(),  # noqa: B008 - frozen
+    config: SceneConfig = SceneConfig(),  # noqa: B008 (frozen)
     *,
     images: Path | None = None,
     masks: Path | None = None,
@@ -33,19 +35,56 @@ def read_scene(
         SceneError: there is nothing there, it is another kind of scene, or it is damaged.
     """
     path = Path(path)
+    if _is_transforms(path):
+        return read_transforms(path, config, progress=progress)
+    return read_colmap(path, config, images=images, masks=masks, progress=progress)
+
+
+def scene_files(path: Path, *, images: Path | None = None, masks: Path | None = None) -> list[Path]:
+    """Every file that `read_scene` and its photos read: the model's or transforms.json, photos, masks, points.
+
+    Raises:
+        SceneError: as `read_scene`.
+    """
+    path = Path(path)
+    if _is_transforms(path):
+        return transforms_files(path)
+    return colmap_files(path, images=images, masks=masks)
+
+
+def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = None) -> str:
+    """SHA-256 over the names and bytes of `scene_files`; the same wherever the scene's folder is moved to.
+
+    Raises:
+        SceneError: as `read_scene`, or a file cannot be read.
+    """
+    path = Path(path)
+    try:
+        return files_hash(scene_files(path, images=images, masks=masks), path if path.is_dir() else path.parent)
+    except OSError as error:
+        raise SceneError(f"{error.filename} cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _is_transforms(path: Path) -> bool:
+    """True for a transforms.json or its folder, False for a COLMAP model's folder.
+
+    Raises:
+        SceneError: neither.
+    """
     if not path.exists():
         raise SceneError(f"{path} does not exist; {_READ_TODAY}")
     if path.is_file():
         if path.suffix.lower() == ".json":
-            return read_transforms(path, config, progress=progress)
+            return True
         raise SceneError(f"{path} is {_kind(path)}; {_READ_TODAY}")
     if find_model(path) is not None:
-        return read_colmap(path, config, images=images, masks=masks, progress=progress)
-    if (path / "transforms.json").is_file():
-        return read_transforms(path, config, progress=progress)
-    photos = sum(1 for file in path.iterdir() if file.suffix.lower() in _PHOTOS)
+        return False
+    if (path / TRANSFORMS).is_file():
+        return True
+    photos = sum(1 for folder in (path, path / "images") if folder.is_dir()
+                 for file in folder.iterdir() if file.suffix.lower() in _PHOTOS)  # fmt: skip
     if photos:
-        raise SceneError(f"{path} is a folder of {photos} photos without a model; {_READ_TODAY}")
+        raise SceneError(f"{path} has {photos} photos but no model of where they were taken; {_READ_TODAY}")
     raise SceneError(f"{path} holds no model in sparse/0, sparse, itself or colmap/sparse/0; {_READ_TODAY}")
 
 
@@ -54,4 +93,4 @@ def _kind(file: Path) -> str:
     for suffixes, kind in ((_VIDEOS, "a video"), (_CLOUDS, "a point cloud or splat"), (_PHOTOS, "a single photo")):
         if suffix in suffixes:
             return kind
-    return "a file"
+    return "a file, not a folder"

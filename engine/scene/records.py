@@ -22,12 +22,20 @@ MODEL_FILES = ("cameras", "images", "points3D")
 RIG_FILES = ("rigs", "frames")
 
 
-def check_binary(path: Path) -> int:
-    """The number of records of a binary model file, after walking over them all.
+def check_records(path: Path) -> int:
+    """The number of records in a model file, `.bin` or `.txt`, after checking every one's length or line.
 
     Raises:
-        SceneError: the file ends before its last record, or goes on after it.
+        SceneError: the file cannot be read, is cut short, goes on after its last record, or has a malformed line.
     """
+    try:
+        return (_check_binary if path.suffix == ".bin" else _check_text)(path)
+    except OSError as error:
+        raise SceneError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _check_binary(path: Path) -> int:
+    """Walk over all records of a binary file."""
     content = path.read_bytes()
     walk = _WALKS[path.stem]
     try:
@@ -131,12 +139,8 @@ _WALKS: dict[str, Callable[[bytes, int, Path], int]] = {
 }
 
 
-def check_text(path: Path) -> int:
-    """The number of records of a text model file (cameras, images or points3D), after checking its lines.
-
-    Raises:
-        SceneError: a line is malformed; the message has its number.
-    """
+def _check_text(path: Path) -> int:
+    """Check all lines of a text file (of rigs and frames only count them)."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from .camera import FloatArray, Scene
 from .lens import Lens
 from .photo import PosedPhoto, make_scene, posed_photos, read_header
 
+TRANSFORMS = "transforms.json"
+
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # COLMAP's order in FULL_OPENCV
 _FISHEYE = ("k1", "k2", "k3", "k4")
@@ -25,7 +28,7 @@ _GREY = 128
 
 def read_transforms(
     path: Path,
-    config: SceneConfig = SceneConfig(),  # noqa: B008 - frozen
+    config: SceneConfig = SceneConfig(),  # noqa: B008 (frozen)
     *,
     progress: Progress = silent,
 ) -> Scene:
@@ -39,28 +42,70 @@ def read_transforms(
     Raises:
         SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or a photo is missing.
     """
-    path = Path(path)
-    file = path / "transforms.json" if path.is_dir() else path
-    content = _read_json(file)
-    frames = content.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise SceneError(f"{file} has no frames; give a transforms.json with at least one posed photo")
+    source = _open_transforms(Path(path))
     views: list[PosedPhoto] = []
-    named = sorted(((_frame_name(frame, index, file), frame) for index, frame in enumerate(frames)), key=lambda f: f[0])
-    for index, (name, frame) in enumerate(named):
-        progress(index / len(named), "reading photo headers")
-        photo = _photo_path(file.parent / name, len(named))
+    for index, frame in enumerate(source.frames):
+        progress(index / len(source.frames), "reading photo headers")
         views += posed_photos(
-            photo,
-            name=name.removeprefix("./"),
-            lens=_lens({**content, **frame}, photo, f"{file}, {name}"),
-            world_to_camera=_world_to_camera(frame, f"{file}, {name}"),
-            mask_path=_mask_path(frame, file),
+            frame.photo,
+            name=frame.name,
+            lens=_lens(frame.values, frame.photo, f"{source.file}, {frame.name}"),
+            world_to_camera=_world_to_camera(frame.values, f"{source.file}, {frame.name}"),
+            mask_path=frame.mask,
             downscale=config.downscale,
         )
-    cloud = content.get("ply_file_path")
-    points, colors = _cloud(file.parent / cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
+    points, colors = _no_cloud() if source.cloud is None else _cloud(source.cloud)
     return make_scene(views, points, colors)
+
+
+def transforms_files(path: Path) -> list[Path]:
+    """Every file that `read_transforms` reads from: the JSON, the point cloud, then photos and masks in name order.
+
+    Raises:
+        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+    """
+    source = _open_transforms(Path(path))
+    clouds = [] if source.cloud is None else [source.cloud]
+    photos = [frame.photo for frame in source.frames]
+    return [source.file, *clouds, *photos, *(frame.mask for frame in source.frames if frame.mask)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One entry of `frames`: values are its own before the file's."""
+
+    name: str
+    values: Mapping[str, Any]
+    photo: Path
+    mask: Path | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Transforms:
+    """A transforms.json with the files that it names; frames in name order."""
+
+    file: Path
+    frames: Sequence[_Frame]
+    cloud: Path | None
+
+
+def _open_transforms(path: Path) -> _Transforms:
+    file = path / TRANSFORMS if path.is_dir() else path
+    content = _read_json(file)
+    entries = content.pop("frames", None)
+    if not isinstance(entries, list) or not entries:
+        raise SceneError(f"{file} has no frames; give a transforms.json with at least one posed photo")
+    named = sorted(((_frame_name(entry, index, file), index) for index, entry in enumerate(entries)))
+    frames = [
+        _Frame(
+            name=name.removeprefix("./"),
+            values={**content, **entries[index]},
+            photo=_photo_path(file.parent / name, len(named)),
+            mask=_named_file(entries[index], "mask_path", file),
+        )
+        for name, index in named
+    ]
+    return _Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file))
 
 
 def _read_json(file: Path) -> dict[str, Any]:
@@ -90,12 +135,13 @@ def _photo_path(path: Path, frames: int) -> Path:
     return found
 
 
-def _mask_path(frame: Mapping[str, Any], file: Path) -> Path | None:
-    if not frame.get("mask_path"):
+def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
+    """The file that `values[key]` names beside the JSON, None without one."""
+    if not values.get(key):
         return None
-    path = file.parent / str(frame["mask_path"])
+    path = file.parent / str(values[key])
     if not path.is_file():
-        raise SceneError(f"mask {path} cannot be found; put it there or take mask_path out of {file}")
+        raise SceneError(f"{path} cannot be found; put it there or take {key} out of {file}")
     return path
 
 
@@ -149,6 +195,10 @@ def _world_to_camera(frame: Mapping[str, Any], where: str) -> FloatArray:
     world_to_camera[:3, :3] = camera_axes.T
     world_to_camera[:3, 3] = -camera_axes.T @ matrix[:3, 3]
     return world_to_camera
+
+
+def _no_cloud() -> tuple[FloatArray, NDArray[np.uint8]]:
+    return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8)
 
 
 def _cloud(path: Path) -> tuple[FloatArray, NDArray[np.uint8]]:
