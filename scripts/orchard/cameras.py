@@ -28,6 +28,8 @@ class Viewpoint:
     height: int
     world_to_camera: FloatArray
     """(3, 4) rotation and translation, metres."""
+    nearest: float = 0.02
+    """Anything closer is cut away, metres along the optical axis."""
 
     @property
     def position(self) -> FloatArray:
@@ -88,7 +90,7 @@ def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, crow
 def close_ups(
     rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray, centers: FloatArray
 ) -> list[Viewpoint]:
-    """Views from scattered distances, each aimed at a fruit; fruit span from about 10 to 90 pixels. All share one focal."""
+    """Views from scattered distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length."""
     size = species.tree_height / 2.3
     middle = crown.mean(axis=0)
     focal = 1.15 * max(config.width, config.height)
@@ -107,6 +109,7 @@ def close_ups(
                 focal=focal,
                 width=config.width,
                 height=config.height,
+                nearest=0.55 * distance,
                 world_to_camera=look_at(
                     place, target + rng.normal(0.0, 0.25, 3) * species.diameter, rng.normal(0, 0.06)
                 ),

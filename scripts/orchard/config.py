@@ -81,13 +81,15 @@ def training_config(seed: int) -> OrchardConfig:
     number = seed - FIRST_TRAINING_SEED
     species = list(SPECIES.values())[number % len(SPECIES)]
     variant = species.variants[number // len(SPECIES) % len(species.variants)]
+    # Leaves to cover the crown of this tree as 3600 leaves of the apple cover its own.
+    cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
     return OrchardConfig(
         species=species.name,
         variant=variant.name,
         seed=seed,
         fruits=int(rng.integers(25, 90)),
         fallen=int(rng.integers(0, 8)),
-        leaves=int(rng.integers(1600, 4200)),
+        leaves=int(rng.integers(1600, 4200) * cover),
         views=6,
         width=320,
         height=320,

@@ -60,7 +60,7 @@ class Ground:
         return np.clip((self.patches(x, y) + bare - self.soil_level) / 0.35 + 0.5, 0.0, 1.0)
 
 
-GRASSES = (("#4c5f26", "#84914a"), ("#556b2a", "#8f9d50"), ("#6c6f34", "#a39a58"), ("#3f6126", "#7aa043"))
+GRASSES = (("#4c6426", "#84964a"), ("#4f6f2a", "#86a04c"), ("#66702f", "#9d9c54"), ("#3f6126", "#7aa043"))
 SOILS = (("#5a4632", "#86694c"), ("#4b3b2c", "#75604a"), ("#6d5a44", "#9a8263"))
 TUFT_PROTOTYPES = 5
 
@@ -86,7 +86,7 @@ def lay_ground(rng: np.random.Generator, *, size: float) -> Ground:
 
 def _tufts(rng: np.random.Generator, ground: Ground, size: float) -> tuple[Tuft, ...]:
     tufts = []
-    for _ in range(int(rng.integers(120, 260))):
+    for _ in range(int(rng.integers(200, 420))):
         away, turn = size * 3.2 * np.sqrt(rng.uniform(0.01, 1.0)), rng.uniform(0, 2 * np.pi)
         x, y = float(away * np.cos(turn)), float(away * np.sin(turn))
         scale, shade, spin = rng.uniform(0.6, 1.3), rng.uniform(), rng.uniform(0, 2 * np.pi)

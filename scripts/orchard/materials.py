@@ -9,7 +9,7 @@ import bpy
 from .species import Species
 
 CLASSES = ("sky", "leaf", "branch", "trunk", "soil", "grass", "post", "fruit")
-"""Class words by index; the last stands for the species' own word. Ground is soil until `render` tells grass from it."""
+"""Class words by index; the last stands for the species' word. Ground is soil until `render` tells grass from it."""
 
 
 class _Nodes:
@@ -46,7 +46,7 @@ def _finish(nodes: _Nodes, shader: Any) -> None:
 def leaf_material() -> Any:
     """Diffuse, translucent and a little gloss; the object's colour, paler on the lower side."""
     material, nodes = _material("leaf", CLASSES.index("leaf"))
-    color = nodes("ShaderNodeObjectInfo").outputs["Color"]
+    color = _veined(nodes, nodes("ShaderNodeObjectInfo").outputs["Color"])
     back = nodes("ShaderNodeNewGeometry").outputs["Backfacing"]
     pale = nodes("ShaderNodeMixRGB", {"blend_type": "MIX"}, _0=0.3, _1=color, _2=(0.32, 0.38, 0.22, 1)).outputs[0]
     front = nodes("ShaderNodeMixRGB", {"blend_type": "MIX"}, _0=back, _1=color, _2=pale).outputs[0]
@@ -58,6 +58,21 @@ def leaf_material() -> Any:
     share = nodes("ShaderNodeFresnel", IOR=1.38).outputs[0]
     _finish(nodes, nodes("ShaderNodeMixShader", _0=share, _1=matte, _2=gloss).outputs[0])
     return material
+
+
+def _veined(nodes: _Nodes, color: Any) -> Any:
+    """A paler midrib along the leaf's own y axis and faint slanting side veins; gone at a distance."""
+
+    def calculate(operation: str, a: Any, b: Any = 0.0) -> Any:
+        return nodes("ShaderNodeMath", {"operation": operation}, _0=a, _1=b).outputs[0]
+
+    place = nodes("ShaderNodeSeparateXYZ", _0=nodes("ShaderNodeTexCoord").outputs["Object"])
+    aside = calculate("ABSOLUTE", place.outputs[0])
+    rib = nodes("ShaderNodeMapRange", _0=aside, _1=0.008, _2=0.028, _3=0.55, _4=0.0).outputs[0]
+    wave = calculate("SINE", calculate("MULTIPLY", calculate("SUBTRACT", place.outputs[1], aside), 52.0))
+    vein = nodes("ShaderNodeMapRange", _0=wave, _1=0.75, _2=1.0, _3=0.0, _4=0.2).outputs[0]
+    share = calculate("MAXIMUM", rib, vein)
+    return nodes("ShaderNodeMixRGB", _0=share, _1=color, _2=(0.42, 0.5, 0.2, 1)).outputs[0]
 
 
 def wood_material(name: str, colors: tuple[tuple[float, ...], tuple[float, ...]], *, scale: float, bump: float) -> Any:
@@ -118,7 +133,11 @@ def grass_material() -> Any:
 def backdrop_material() -> Any:
     """Far bushes and trees: the mesh's own colours."""
     material, nodes = _material("backdrop", CLASSES.index("leaf"))
-    color = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
+    base = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
+    place = nodes("ShaderNodeTexCoord").outputs["Object"]
+    noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=0.9, Detail=3.0, Roughness=0.6).outputs[0]
+    foliage = nodes("ShaderNodeMapRange", _0=noise, _1=0.35, _2=0.65, _3=0.45, _4=1.35).outputs[0]
+    color = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=base, _2=foliage).outputs[0]
     _finish(nodes, nodes("ShaderNodeBsdfDiffuse", Color=color).outputs[0])
     return material
 

@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
-    """Vertices (V, 3) in metres, quads (F, 4) of vertex numbers (a triangle repeats its last), colours (V, 3) linear RGB."""
+    """Vertices (V, 3) in metres, quads (F, 4) of vertex numbers (a triangle repeats its last), linear RGB (V, 3)."""
 
     vertices: FloatArray
     quads: IntArray

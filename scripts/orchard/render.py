@@ -109,7 +109,7 @@ def place_camera(view: Viewpoint) -> None:
     lens.sensor_fit = "HORIZONTAL"
     lens.sensor_width = 36.0
     lens.lens = view.focal * 36.0 / view.width
-    lens.clip_start, lens.clip_end = 0.02, 500.0
+    lens.clip_start, lens.clip_end = view.nearest, 500.0
     matrix = np.eye(4)
     matrix[:3, :3] = view.world_to_camera[:, :3].T * [1, -1, -1]
     matrix[:3, 3] = view.position

@@ -40,7 +40,7 @@ class Orchard:
 
 
 def plant(config: OrchardConfig) -> Orchard:
-    """Draw the whole orchard from the seed. Each part has its own stream, so one part's size leaves the others alone."""
+    """Draw the whole orchard from the seed. Each part has its own stream, so none disturbs another."""
     species = SPECIES[config.species]
     streams = [np.random.default_rng([config.seed, part]) for part in range(6)]
     names = [v.name for v in species.variants]
@@ -212,7 +212,7 @@ def _backdrop_mesh(rng: np.random.Generator, size: float) -> Mesh:
     turns = np.linspace(0, 2 * np.pi, 240, endpoint=False)
     away = rng.uniform(18, 40) * size
     shape = sum(np.sin(m * turns + rng.uniform(0, 6.28)) / m**0.6 for m in (2, 3, 5, 9, 14, 23, 37))
-    high = away * rng.uniform(0.05, 0.12) * np.clip(1.0 + 0.35 * shape, 0.15, 2.5)
+    high = away * rng.uniform(0.11, 0.22) * np.clip(1.0 + 0.25 * shape, 0.5, 2.2)
     levels = np.array([-0.05, 0.0, 0.4, 0.75, 1.0])
     z = levels[:, None] * high
     r = away * (1 + 0.03 * levels[:, None] + 0.015 * shape)
@@ -258,4 +258,4 @@ def _light(orchard: Orchard, rng: np.random.Generator) -> None:
     )
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.look = "AgX - Medium High Contrast"
-    scene.view_settings.exposure = float(0.35 + v * rng.uniform(-0.9, 0.9))
+    scene.view_settings.exposure = float(0.55 + v * rng.uniform(-0.8, 0.7))

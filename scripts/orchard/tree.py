@@ -102,7 +102,7 @@ def grow(rng: np.random.Generator, species: Species) -> tuple[Branch, ...]:
         base, _ = trunk.at(f)
         rise = np.radians(rng.uniform(18, 38) + 30 * max(0.0, f - 0.45))
         direction = np.array([np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)])
-        length = size * (0.98 - 0.52 * f) * rng.uniform(0.9, 1.1)
+        length = size * (1.10 - 0.55 * f) * rng.uniform(0.9, 1.1)
         limb = Branch(
             points=_path(rng, base, direction, length, steps=14, wander=0.055, lift=0.5, droop=1.1),
             radii=_taper(min(0.62 * trunk.radius_at(f), 0.021 * size), 0.0045 * size**0.5, 15),
@@ -115,7 +115,7 @@ def grow(rng: np.random.Generator, species: Species) -> tuple[Branch, ...]:
 
 def _trunk(rng: np.random.Generator, size: float) -> Branch:
     lean = np.array([*rng.normal(0.0, 0.05, 2), 1.0])
-    points = _path(rng, np.array([0.0, 0.0, -0.04]), lean, 2.0 * size, steps=24, wander=0.035, lift=2.2, droop=-2.0)
+    points = _path(rng, np.array([0.0, 0.0, -0.04]), lean, 1.78 * size, steps=24, wander=0.035, lift=2.2, droop=-2.0)
     radii = _taper(0.047 * size, 0.007 * size, 25)
     flare = 1.0 + 0.5 * np.exp(-np.arange(25) / 1.2)
     return Branch(points=points, radii=radii * flare, generation=0)
