@@ -6,13 +6,15 @@ Layouts: https://colmap.github.io/format.html; rigs and frames as COLMAP ≥ 3.1
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
 from ..errors import SceneError
 
+_QUATERNION = struct.Struct("<4d")
 _COUNT = struct.Struct("<Q")
 _SENSOR = 8  # int32 type, uint32 id
 _POSE = 56  # 7 float64
@@ -94,6 +96,11 @@ def _walk_images(content: bytes, count: int, path: Path) -> int:
         name_end = content.find(b"\0", at + 64)
         if name_end < 0:
             return len(content) + 1
+        _require_rotation(
+            _QUATERNION.unpack_from(content, at + 4),
+            path,
+            f"image {content[at + 64 : name_end].decode(errors='replace')}",
+        )
         (points,) = _COUNT.unpack_from(content, name_end + 1)
         at = name_end + 9 + _POINT2D * points
         if at > len(content):
@@ -112,6 +119,11 @@ def _walk_points(content: bytes, count: int, path: Path) -> int:
     return at
 
 
+def _require_rotation(quaternion: Sequence[float], path: Path, what: str) -> None:
+    if not 0.0 < sum(q * q for q in quaternion) < math.inf:  # pycolmap takes (0, 0, 0, 0) for no rotation
+        raise SceneError(f"{path}: {what} has the quaternion {tuple(quaternion)}; copy or export the model again")
+
+
 def _walk_rigs(content: bytes, count: int, path: Path) -> int:
     at = 8
     for _ in range(count):
@@ -126,6 +138,7 @@ def _walk_frames(content: bytes, count: int, path: Path) -> int:
     at = 8
     for _ in range(count):
         (data,) = struct.unpack_from("<I", content, at + 8 + _POSE)
+        _require_rotation(_QUATERNION.unpack_from(content, at + 8), path, "a frame")
         at += 12 + _POSE + (_SENSOR + 8) * data
     return at
 
@@ -182,6 +195,7 @@ def _check_image(words: list[str], path: Path, number: int) -> None:
         raise ValueError("expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
     _numbers([words[0], words[8]], int)
     _numbers(words[1:8], float)
+    _require_rotation([float(word) for word in words[1:5]], path, f"line {number}, the image")
 
 
 def _check_observations(words: list[str]) -> None:
