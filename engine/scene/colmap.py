@@ -123,7 +123,7 @@ def _read(files: ModelFiles) -> Any:
 
 def _lens(camera: Any, files: ModelFiles) -> Lens:
     try:
-        return Lens(camera.model_name, tuple(float(p) for p in camera.params), camera.width, camera.height)
+        return Lens(camera.model.name, tuple(float(p) for p in camera.params), camera.width, camera.height)
     except SceneError as error:
         raise SceneError(f"camera {camera.camera_id} in {files.file('cameras')}: {error}") from error
 

@@ -76,9 +76,8 @@ def _parameter_counts() -> dict[int | str, int]:
     counts: dict[int | str, int] = {}
     for name, model in pycolmap.CameraModelId.__members__.items():
         if int(model.value) >= 0:
-            counts[int(model.value)] = counts[name] = len(
-                pycolmap.Camera.create_from_model_name(1, name, 1.0, 2, 2).params
-            )
+            parameters = pycolmap.Camera(model=name, width=2, height=2, params=[]).params_info.split(",")
+            counts[int(model.value)] = counts[name] = len(parameters)
     return counts
 
 
