@@ -62,7 +62,7 @@ def write_blend(
     """Write a result as a .blend of its own, lit and with a camera, ready to be opened or rendered.
 
     For the command line: it starts from an empty file, so it refuses to run where a person works. The file appears
-    complete or not at all (temporary name, then `os.replace`), and no .blend1 is left beside it. set_id names the set of
+    complete or not at all, and no .blend1 is left beside it. set_id names the set of
     result files it belongs to (see `fruits.json`); it becomes the scene's custom property `fruitlangs_set_id`.
 
     Raises:

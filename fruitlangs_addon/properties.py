@@ -1,0 +1,71 @@
+"""The state that a Blender scene keeps: what to count where, the settings of every stage, and the last result."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from bpy.props import FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from ..operators.settings import config_properties, stage_classes
+
+# Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
+_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+
+
+def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:
+    """A property group class made by call, because its properties are computed."""
+    return type(
+        name, (bpy.types.PropertyGroup,), {"__annotations__": properties, "__doc__": doc, "__module__": __name__}
+    )
+
+
+STAGES = {
+    stage: _group(f"FRUITLANGS_PG_{stage}", config_properties(config_class), config_class.__doc__)
+    for stage, config_class in stage_classes().items()
+}
+"""{stage: property group}, one for each config of the engine."""
+
+FRUITLANGS_PG_config = _group(
+    "FRUITLANGS_PG_config",
+    {stage: PointerProperty(type=group) for stage, group in STAGES.items()},
+    "Every stage's settings.",
+)
+
+
+class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
+    """What the panel shows of the last import and the last count."""
+
+    photos: IntProperty(name="Photos", min=0)
+    points: IntProperty(name="Points", min=0)
+    count: IntProperty(name="Count", default=-1, min=-1, description="Fruit counted; -1 before there was a count")
+    label: StringProperty(name="Label", description="What was counted")
+    mean_diameter: FloatProperty(name="Mean Diameter", description="Of the counted fruit, in the unit beside it")
+    unit: StringProperty(name="Unit", description="m where the scene's scale is known, else scene units")
+    max_probability: FloatProperty(name="Highest Probability", description="That any Gaussian reached")
+    folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=_RELATIVE)
+
+
+class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
+    """`scene.fruitlangs`."""
+
+    source: StringProperty(
+        name="Scene",
+        subtype="DIR_PATH",
+        options=_RELATIVE,
+        description="Folder of a COLMAP model with its photos, or of an earlier result",
+    )
+    out: StringProperty(
+        name="Results",
+        subtype="DIR_PATH",
+        options=_RELATIVE,
+        description="Folder for results; when empty, one beside the .blend (or beside the scene, if never saved)",
+    )
+    prompt: StringProperty(name="Prompt", default="apple", description="What to count; several words with commas")
+    negative: StringProperty(name="Not", description="What must not be counted; several words with commas")
+    error: StringProperty(name="Error", description="What went wrong last")
+    config: PointerProperty(type=FRUITLANGS_PG_config)
+    result: PointerProperty(type=FRUITLANGS_PG_result)
+
+
+CLASSES = (*STAGES.values(), FRUITLANGS_PG_config, FRUITLANGS_PG_result, FRUITLANGS_PG_settings)

@@ -1,0 +1,86 @@
+"""Count the prompt's fruit in the chosen scene and show them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .jobs import JobOperator, Work, running
+from .settings import read_config, read_prompts, read_words, result_folder, source_folder, stored_path
+from .target import Target
+from .write import SET_ID, write_result
+
+
+class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.count"
+    bl_label = "Count Fruit"
+    bl_description = "Train Gaussians from the photos, ask them the prompt and count; stages already done are reused"
+    bl_options = {"UNDO"}
+
+    title = "Count"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if running() is not None:
+            cls.poll_message_set("Another job is at work; wait or cancel it first")
+            return False
+        if context.scene is None or not context.scene.fruitlangs.source:
+            cls.poll_message_set("Choose a scene first")
+            return False
+        if not context.scene.fruitlangs.prompt.strip(" ,"):
+            cls.poll_message_set("Type what to count, for example apple")
+            return False
+        return True
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        from ..engine.pipeline import count_scene
+
+        settings = context.scene.fruitlangs
+        source, out = source_folder(settings), result_folder(settings)
+        prompts, negatives = read_prompts(settings), read_words(settings.negative)
+        config = read_config(settings)
+        self._target = Target(context.scene)
+        return lambda progress: count_scene(source, prompts, out, negatives=negatives, config=config, progress=progress)
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        bpy_scene = self._target.scene(context)
+        write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count)
+        bpy_scene[SET_ID] = result.set_id
+        keep_result(bpy_scene.fruitlangs, result)
+        show_colors(context)
+        self.report({"INFO"}, f"{count_text(bpy_scene.fruitlangs.result)}; files are in {result.out}")
+
+    def failed(self, context: bpy.types.Context, message: str) -> None:
+        context.scene.fruitlangs.error = message
+
+
+def keep_result(settings: Any, result: Any) -> None:
+    """Keep in the .blend what the panel shows of a count."""
+    fruit_count, metres_per_unit, shown = result.fruit_count, result.scene.metres_per_unit, settings.result
+    shown.count = fruit_count.count
+    shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
+    shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * (metres_per_unit or 1.0)
+    shown.unit = "m" if metres_per_unit else "scene units"
+    shown.max_probability = fruit_count.max_probability
+    shown.photos, shown.points = len(result.scene.images), len(result.scene.points)
+    shown.folder = stored_path(result.out)
+
+
+def count_text(shown: Any) -> str:
+    """'7 apple, mean diameter 0.081 m'."""
+    if shown.count:
+        return f"{shown.count} {shown.label}, mean diameter {shown.mean_diameter:.3g} {shown.unit}"
+    return f"0 {shown.label}: nothing came above probability {shown.max_probability:.2f}"
+
+
+def show_colors(context: bpy.types.Context) -> None:
+    """Turn solid viewports of this window to material shading: Solid shows no attribute of an instance."""
+    if context.screen is None or bpy.app.background:
+        return
+    for area in context.screen.areas:
+        if area.type == "VIEW_3D" and area.spaces.active.shading.type in {"SOLID", "WIREFRAME"}:
+            area.spaces.active.shading.type = "MATERIAL"
+
+
+CLASSES = (FRUITLANGS_OT_count,)

@@ -1,0 +1,70 @@
+"""Read a scene's cameras and sparse points and show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .jobs import JobOperator, Work, running
+from .settings import read_config, source_folder, stored_path
+from .target import Target
+from .write_cameras import write_cameras
+from .write_gaussians import write_points
+from .write_root import write_root
+
+
+class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.import_scene"
+    bl_label = "Import Scene"
+    bl_description = "Show the cameras and the sparse points of a COLMAP model; its photos must be there too"
+    bl_options = {"UNDO"}
+
+    title = "Import"
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if running() is not None:
+            cls.poll_message_set("Another job is at work; wait or cancel it first")
+            return False
+        return context.scene is not None
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not self.directory and not context.scene.fruitlangs.source and not bpy.app.background:
+            context.window_manager.fileselect_add(self)
+            return {"RUNNING_MODAL"}
+        return super().invoke(context, event)
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        from ..engine.scene.read import read_scene
+
+        settings = context.scene.fruitlangs
+        if self.directory:
+            settings.source = stored_path(Path(bpy.path.abspath(self.directory)))
+        source = source_folder(settings)
+        config = read_config(settings).scene
+        self._target = Target(context.scene)
+        return lambda progress: read_scene(source, config, progress=progress)
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        bpy_scene = self._target.scene(context)
+        root = write_root(bpy_scene, result)
+        write_points(bpy_scene, result, root)
+        write_cameras(bpy_scene, result, root)
+        shown = bpy_scene.fruitlangs.result
+        shown.photos, shown.points = len(result.images), len(result.points)
+        self.report({"INFO"}, f"{len(result.images)} photos and {len(result.points)} points imported")
+
+    def failed(self, context: bpy.types.Context, message: str) -> None:
+        context.scene.fruitlangs.error = message
+
+
+def menu_entry(self: Any, context: bpy.types.Context) -> None:
+    """File > Import."""
+    self.layout.operator(FRUITLANGS_OT_import_scene.bl_idname, text="Fruit Scene (COLMAP)")
+
+
+CLASSES = (FRUITLANGS_OT_import_scene,)

@@ -1,0 +1,212 @@
+"""Long work from an operator: in a thread with progress and Cancel in a window, to the end at once in background mode.
+
+The thread runs engine functions only. Everything of bpy is touched on the main thread: before the work starts
+(`JobOperator.prepare`) and after it has ended (`JobOperator.finish`).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+
+from ..engine.errors import Cancelled, FruitLangsError
+from ..engine.progress import Progress, silent
+
+REDRAW_SECONDS = 0.25
+"""Redrawing more often takes the time from the work."""
+
+Work = Callable[[Progress], Any]
+
+
+class Job:
+    """A function running in a thread, with what a panel shows of it."""
+
+    def __init__(self, title: str, work: Work) -> None:
+        self.title = title
+        self.fraction = 0.0
+        self.message = "starting"
+        self.started = time.monotonic()
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self.cancelling = False
+        self._work = work
+        self._thread = threading.Thread(target=self._run, name=f"fruitlangs {title}", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def cancel(self) -> None:
+        """Ask the work to stop; it does at its next report of progress."""
+        self.cancelling = True
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the thread's end, no longer than this."""
+        self._thread.join(seconds)
+
+    @property
+    def ended(self) -> bool:
+        return not self._thread.is_alive()
+
+    @property
+    def seconds(self) -> float:
+        """Since the start."""
+        return time.monotonic() - self.started
+
+    def _progress(self, fraction: float, message: str) -> None:
+        if self.cancelling:
+            raise Cancelled
+        self.fraction, self.message = fraction, message
+
+    def _run(self) -> None:
+        try:
+            self.result = self._work(self._progress)
+        except BaseException as error:  # whatever it is, the main thread reports it
+            self.error = error
+
+
+# A thread cannot live in a .blend, so the one running job is the one thing kept here. It is not forgotten before its
+# thread has ended, even if its file was closed: two jobs must never work at once.
+_current: Job | None = None
+
+
+def running() -> Job | None:
+    """The job at work, if any."""
+    global _current
+    if _current is not None and _current.ended:
+        _current = None
+    return _current
+
+
+def cancel_running(wait: float = 0.0) -> None:
+    """Ask the job at work to stop and wait up to so many seconds for it."""
+    job = running()
+    if job is not None:
+        job.cancel()
+        job.wait(wait)
+
+
+def describe_error(error: BaseException) -> str:
+    """One line for a person; what nobody foresaw is also printed in full to the console."""
+    if isinstance(error, FruitLangsError):
+        return str(error)
+    if isinstance(error, ImportError):
+        return f"A Python package is missing or broken: {error}. The Fruit tab says how to install what is needed"
+    if isinstance(error, MemoryError):
+        return "Out of memory; use smaller photos (downscale) or fewer Gaussians"
+    traceback.print_exception(error)
+    return f"Unexpected {type(error).__name__}: {error}. The system console has the details; please report it"
+
+
+class JobOperator:
+    """Mix into an operator whose work is long.
+
+    `execute` (scripts, background mode) runs to the end before it returns; `invoke` in a window starts a thread, and a
+    modal timer reports it. A failure is an error report, which scripts get as RuntimeError, and {'CANCELLED'}.
+    """
+
+    title = ""
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        """Read the settings and return the work; called on the main thread. May raise FruitLangsError, ImportError."""
+        raise NotImplementedError
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        """Show the result; called on the main thread."""
+        raise NotImplementedError
+
+    def failed(self, context: bpy.types.Context, message: str) -> None:
+        """Leave the message where a panel shows it; called on the main thread, '' when work starts."""
+
+    def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        self.failed(context, "")
+        try:
+            self.finish(context, self.prepare(context)(silent))
+        except Exception as error:
+            return self._report_failure(context, error)
+        return {"FINISHED"}
+
+    def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        global _current
+        if bpy.app.background:
+            return self.execute(context)
+        if running() is not None:
+            self.report({"WARNING"}, f"{running().title} is still at work; wait or cancel it first")
+            return {"CANCELLED"}
+        self.failed(context, "")
+        try:
+            self._job = Job(self.title, self.prepare(context))
+        except Exception as error:
+            return self._report_failure(context, error)
+        _current = self._job
+        self._job.start()
+        self._timer = context.window_manager.event_timer_add(REDRAW_SECONDS, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC" and event.value == "PRESS":
+            self._job.cancel()
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        redraw_sidebars(context)
+        if not self._job.ended:
+            return {"PASS_THROUGH"}
+        context.window_manager.event_timer_remove(self._timer)
+        return self._conclude(context)
+
+    def cancel(self: Any, context: bpy.types.Context) -> None:
+        """Called by Blender when the file or the window is closed: nothing is left to show the result in."""
+        self._job.cancel()
+        context.window_manager.event_timer_remove(self._timer)
+
+    def _conclude(self: Any, context: bpy.types.Context) -> set[str]:
+        job = self._job
+        if isinstance(job.error, Cancelled):
+            self.report({"INFO"}, f"{job.title} cancelled; finished stages are kept")
+            return {"CANCELLED"}
+        if job.error is not None:
+            return self._report_failure(context, job.error)
+        try:
+            self.finish(context, job.result)
+        except Exception as error:
+            return self._report_failure(context, error)
+        return {"FINISHED"}
+
+    def _report_failure(self: Any, context: bpy.types.Context, error: BaseException) -> set[str]:
+        message = describe_error(error)
+        self.failed(context, message)
+        self.report({"ERROR"}, message)
+        return {"CANCELLED"}
+
+
+class FRUITLANGS_OT_cancel(bpy.types.Operator):
+    bl_idname = "fruitlangs.cancel"
+    bl_label = "Cancel"
+    bl_description = "Stop the work at its next safe point; finished stages and the last checkpoint are kept"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return running() is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        cancel_running()
+        return {"FINISHED"}
+
+
+def redraw_sidebars(context: bpy.types.Context) -> None:
+    """Redraw the 3D viewports' sidebars and nothing else."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
+
+
+CLASSES = (FRUITLANGS_OT_cancel,)

@@ -1,0 +1,174 @@
+"""The panel's settings as engine values: Blender properties from a config dataclass, and the way back.
+
+A setting is declared once, in `engine/config.py`; the string below its field is the tooltip here and the help text of
+the command line's flag.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import itertools
+import textwrap
+import types
+import typing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ..engine.errors import SceneError, VocabularyError
+
+if TYPE_CHECKING:
+    from ..engine.config import Config
+
+LARGEST_INT = 2**31 - 1
+
+
+def field_docs(config_class: type) -> dict[str, str]:
+    """{field: the string below it} of a dataclass, from its source, in one line each."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(config_class))).body[0].body  # type: ignore[attr-defined]
+    docs = {}
+    for statement, following in itertools.pairwise(body):
+        if (
+            isinstance(statement, ast.AnnAssign)
+            and isinstance(statement.target, ast.Name)
+            and isinstance(following, ast.Expr)
+            and isinstance(following.value, ast.Constant)
+        ):
+            docs[statement.target.id] = " ".join(str(following.value.value).split())
+    return docs
+
+
+def config_properties(config_class: type) -> dict[str, Any]:
+    """{field: Blender property} of a config dataclass, in its order.
+
+    A number that may be None is a property with 0 for None.
+    """
+    docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
+    return {
+        field.name: _property(kinds[field.name], field, docs.get(field.name, ""))
+        for field in dataclasses.fields(config_class)
+    }
+
+
+def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
+    """The config that a group made by `config_properties` holds.
+
+    Raises:
+        ConfigError: a value makes no sense.
+    """
+    kinds = typing.get_type_hints(config_class)
+    values = {field.name: getattr(group, field.name) for field in dataclasses.fields(config_class)}
+    return config_class(
+        **{name: None if _optional(kinds[name]) and not value else _plain(value) for name, value in values.items()}
+    )
+
+
+def _plain(value: Any) -> Any:
+    # A property holds float32; the shortest text of it is what was typed, so 0.2 stays 0.2 as on the command line.
+    return float(f"{value:.7g}") if isinstance(value, float) else value
+
+
+def _optional(kind: Any) -> bool:
+    return isinstance(kind, types.UnionType | typing._UnionGenericAlias) and type(None) in typing.get_args(kind)  # type: ignore[attr-defined]
+
+
+def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
+    """The Blender property for one field."""
+    words = field.name.replace("_", " ").title()
+    named = {"name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "), "description": doc.rstrip(".")}
+    if _optional(kind):
+        (kind,) = (choice for choice in typing.get_args(kind) if choice is not type(None))
+        named["description"] += " (0: not given)"
+        default = field.default or kind()
+    else:
+        default = field.default
+    if typing.get_origin(kind) is typing.Literal:
+        items = [(choice, choice.replace("-", " ").capitalize(), "") for choice in typing.get_args(kind)]
+        return bpy.props.EnumProperty(items=items, default=default, **named)
+    if kind is bool:
+        return bpy.props.BoolProperty(default=default, **named)
+    if kind is int:
+        return bpy.props.IntProperty(default=default, min=0, max=LARGEST_INT, **named)
+    if kind is float:
+        return bpy.props.FloatProperty(default=default, min=0.0, precision=3, **named)
+    if kind is str or kind is Path:
+        return bpy.props.StringProperty(default=str(default), **named)
+    raise TypeError(f"{field.name}: no Blender property for {kind}")
+
+
+def read_config(settings: Any) -> Config:
+    """Every stage's config from `scene.fruitlangs`.
+
+    Raises:
+        ConfigError: a value makes no sense.
+    """
+    from ..engine.config import Config
+
+    return Config(**{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()})
+
+
+def stage_classes() -> dict[str, type]:
+    """{stage: config class} in the order of the chain."""
+    from ..engine.config import Config
+
+    kinds = typing.get_type_hints(Config)
+    return {field.name: kinds[field.name] for field in dataclasses.fields(Config)}
+
+
+def read_words(text: str) -> list[str]:
+    """'apple, red apple' → ['apple', 'red apple']."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def read_prompts(settings: Any) -> list[str]:
+    """The words to count.
+
+    Raises:
+        VocabularyError: none was given.
+    """
+    prompts = read_words(settings.prompt)
+    if not prompts:
+        raise VocabularyError("The prompt is empty: type what to count, for example apple")
+    return prompts
+
+
+def source_folder(settings: Any) -> Path:
+    """The scene's folder, absolute.
+
+    Raises:
+        SceneError: none was chosen, it is relative to a .blend never saved, or it is not there (any more).
+    """
+    if not settings.source:
+        raise SceneError("No scene is chosen: set Scene to the folder of a COLMAP model with its photos")
+    folder = _absolute(settings.source)
+    if not folder.is_dir():
+        raise SceneError(f"The scene folder {folder} is not there; choose it again")
+    return folder
+
+
+def result_folder(settings: Any) -> Path:
+    """Where results go: as set, else a folder beside the .blend, else, for a .blend never saved, beside the scene's."""
+    if settings.out:
+        return _absolute(settings.out)
+    source = _absolute(settings.source) if settings.source else Path("scene")
+    beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
+    return beside / f"{source.name}_fruit"
+
+
+def _absolute(text: str) -> Path:
+    if text.startswith("//") and not bpy.data.filepath:
+        raise SceneError(f"The folder {text} is relative to this .blend, which was never saved; choose it again")
+    return Path(bpy.path.abspath(text)).resolve()
+
+
+def stored_path(path: Path) -> str:
+    """How a path is kept in the .blend: relative to it where it has a file and they share a drive."""
+    if not bpy.data.filepath:
+        return str(path)
+    try:
+        return bpy.path.relpath(str(path))
+    except ValueError:
+        return str(path)

@@ -1,0 +1,28 @@
+"""The Blender scene a job works for, found again when it ends."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..engine.errors import OutputError
+
+
+class Target:
+    """Remembers a Blender scene across undo, renaming and deletion, none of which a Python reference survives."""
+
+    def __init__(self, scene: bpy.types.Scene) -> None:
+        self._uid = scene.session_uid
+        self._name = scene.name
+
+    def scene(self, context: bpy.types.Context) -> bpy.types.Scene:
+        """The scene, with Object Mode entered where the user edits something in it.
+
+        Raises:
+            OutputError: it was deleted, or another file was opened.
+        """
+        for scene in bpy.data.scenes:
+            if scene.session_uid == self._uid:
+                if context.mode != "OBJECT" and bpy.ops.object.mode_set.poll():
+                    bpy.ops.object.mode_set(mode="OBJECT")
+                return scene
+        raise OutputError(f"The scene {self._name} was deleted meanwhile; results are in the results folder")
