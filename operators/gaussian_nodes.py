@@ -11,10 +11,10 @@ from typing import Any
 
 import bpy
 
-from .blender_data import OWNER
+from .blender_data import OWNER, linear_from_srgb
 
 VERSION = 1
-"""Raise when a node tree or material changes: those of older files are then left alone and new ones made."""
+"""Raise when a node tree or material changes: those in older files are then left alone and new ones made."""
 
 ELLIPSOID_LIMIT = 100_000
 """Above this many Gaussians points are drawn; instances get too slow."""
@@ -95,6 +95,15 @@ def probability_material(attribute_type: str) -> bpy.types.Material:
 def color_material() -> bpy.types.Material:
     """`radiance:base` of points as light."""
     return _once("Sparse point colour", "point colour", bpy.data.materials, _make_color_material)
+
+
+def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
+    """Set an input of a Geometry Nodes modifier by its name."""
+    for socket in modifier.node_group.interface.items_tree:
+        if socket.name == name and socket.in_out == "INPUT":
+            modifier[socket.identifier] = value
+            return
+    raise KeyError(f"{modifier.node_group.name} has no input {name}")
 
 
 def _input(group: Any, name: str, kind: str, default: Any, low: Any, high: Any, description: str) -> None:
@@ -209,8 +218,6 @@ def _make_probability_material(attribute_type: str) -> bpy.types.Material:
 
 
 def _set_ramp(ramp: bpy.types.ColorRamp) -> None:
-    from .blender_data import linear_from_srgb
-
     while len(ramp.elements) < len(PROBABILITY_RAMP):
         ramp.elements.new(0.5)
     for element, (position, srgb, cover) in zip(ramp.elements, PROBABILITY_RAMP, strict=True):

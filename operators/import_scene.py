@@ -11,7 +11,7 @@ from .jobs import JobOperator, Work, running
 from .settings import read_config, source_folder, stored_path
 from .target import Target
 from .write_cameras import write_cameras
-from .write_gaussians import write_points
+from .write_points import write_points
 from .write_root import write_root
 
 

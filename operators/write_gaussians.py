@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from ..engine.counting.fruit import Fruit
-    from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
 
 
@@ -76,13 +75,3 @@ def fruit_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
     for fruit in fruits:
         ids[array(fruit.members, np.int64)] = fruit.id
     return ids
-
-
-def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> bpy.types.Object:
-    """Replace this Blender scene's sparse cloud: a mesh of points with their colour in `radiance:base`."""
-    remove_objects(owned_objects(bpy_scene, "points"))
-    mesh = point_mesh("Sparse points", scene.points)
-    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(scene.colors / 255.0)))
-    mesh.update()
-    item = new_object("Sparse points", mesh, "points", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
-    return item
