@@ -101,8 +101,8 @@ def test_the_top_of_a_turned_photo_is_where_exif_puts_it(tmp_path: Path, orienta
     exif = Image.Exif()
     exif[0x0112] = orientation
     skyward = pose(save(tmp_path / "a.png", PIXELS, exif=exif)).skyward
-    upright_top = np.rot90(x * skyward[0] + y * skyward[1], turns)[0]
-    assert (upright_top == upright_top.max()).all()
+    upright_height = np.rot90(x * skyward[0] + y * skyward[1], turns)
+    assert (upright_height[0] == upright_height.max()).all()
 
 
 @pytest.mark.parametrize("mode", ["L", "1", "P", "CMYK", "YCbCr", "RGBA", "LA"])
