@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import sys
+import types
+from pathlib import Path
+
+import bpy
+import pytest
+
+from fruitlangs.engine.errors import SceneError
+
+
+@pytest.fixture
+def engine(monkeypatch, counted, tmp_path):
+    """In place of the engine's two slow functions: what they were called with, and a result at once."""
+    calls = types.SimpleNamespace(read=[], count=[], error=None)
+
+    def read_scene(source, config, *, progress):
+        calls.read.append((source, config))
+        if calls.error:
+            raise calls.error
+        return counted.scene
+
+    def count_scene(source, prompts, out, **options):
+        calls.count.append((source, prompts, out, options))
+        if calls.error:
+            raise calls.error
+        values = dict(zip(("scene", "gaussians", "probability", "fruit_count"), counted.parts(), strict=True))
+        return types.SimpleNamespace(**values, out=out, set_id="f00")
+
+    for name, function in (("scene.read", read_scene), ("pipeline", count_scene)):
+        module = types.ModuleType(f"fruitlangs.engine.{name}")
+        setattr(module, function.__name__, function)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return calls
+
+
+@pytest.fixture
+def settings(extension, tmp_path):
+    (tmp_path / "tree").mkdir()
+    settings = bpy.context.scene.fruitlangs
+    settings.source = str(tmp_path / "tree")
+    return settings
+
+
+def test_import_shows_cameras_and_points(engine, settings, tmp_path):
+    assert bpy.ops.fruitlangs.import_scene() == {"FINISHED"}
+    assert engine.read[0][0] == tmp_path / "tree"
+    assert len(bpy.data.collections["Cameras"].objects) == 6
+    assert len(bpy.data.objects["Sparse points"].data.vertices) == 200
+    assert (settings.result.photos, settings.result.points) == (6, 200)
+
+
+def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_path):
+    bpy.ops.fruitlangs.import_scene(directory=str(tmp_path))
+    assert Path(bpy.context.scene.fruitlangs.source) == tmp_path
+
+
+def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings, tmp_path):
+    settings.prompt, settings.negative, settings.config.train.steps = "apple, pear", "leaf", 9
+    assert bpy.ops.fruitlangs.count() == {"FINISHED"}
+    source, prompts, out, options = engine.count[0]
+    assert (source, prompts, out) == (tmp_path / "tree", ["apple", "pear"], tmp_path / "tree_fruit")
+    assert options["negatives"] == ["leaf"]
+    assert options["config"].train.steps == 9
+    assert len(bpy.data.collections["Fruits"].objects) == 3
+    result = settings.result
+    assert (result.count, result.label, result.unit) == (3, "apple", "scene units")
+    assert result.mean_diameter == pytest.approx(0.2)
+    assert bpy.context.scene["fruitlangs_set_id"] == "f00"
+
+
+def test_a_count_without_fruit_is_a_counted_zero(engine, settings, counted_with, monkeypatch):
+    none = counted_with(fruits=0)
+    monkeypatch.setattr(
+        sys.modules["fruitlangs.engine.pipeline"],
+        "count_scene",
+        lambda source, prompts, out, **_: types.SimpleNamespace(
+            scene=none.scene,
+            gaussians=none.gaussians,
+            probability=none.probability,
+            fruit_count=none.fruit_count,
+            out=out,
+            set_id="f00",
+        ),
+    )
+    bpy.ops.fruitlangs.count()
+    assert (settings.result.count, settings.result.label) == (0, "apple")
+
+
+def test_a_failure_is_a_report_and_leaves_the_last_result(engine, settings):
+    bpy.ops.fruitlangs.count()
+    engine.error = SceneError("photo 7 is gone; put it back")
+    with pytest.raises(RuntimeError, match="photo 7 is gone"):
+        bpy.ops.fruitlangs.count()
+    assert settings.error == "photo 7 is gone; put it back"
+    assert settings.result.count == 3
+    assert len(bpy.data.collections["Fruits"].objects) == 3
+
+
+def test_a_failure_never_becomes_a_count(engine, settings):
+    engine.error = ZeroDivisionError("boom")
+    with pytest.raises(RuntimeError, match="boom"):
+        bpy.ops.fruitlangs.count()
+    assert settings.result.count == -1
+    assert len(bpy.data.objects) == 0
+
+
+def test_a_missing_package_is_a_report_that_names_it(engine, settings):
+    engine.error = ModuleNotFoundError("No module named 'torch'")
+    with pytest.raises(RuntimeError, match="torch"):
+        bpy.ops.fruitlangs.count()
+
+
+def test_a_success_clears_the_last_error(engine, settings):
+    settings.error = "old"
+    bpy.ops.fruitlangs.count()
+    assert settings.error == ""
+
+
+def test_count_wants_a_scene_and_a_prompt(engine, extension, tmp_path):
+    settings = bpy.context.scene.fruitlangs
+    assert not bpy.ops.fruitlangs.count.poll()
+    settings.source = str(tmp_path)
+    assert bpy.ops.fruitlangs.count.poll()
+    settings.prompt = " , "
+    assert not bpy.ops.fruitlangs.count.poll()
+
+
+def test_a_folder_that_vanished_is_a_report(engine, settings, tmp_path):
+    (tmp_path / "tree").rmdir()
+    with pytest.raises(RuntimeError, match="is not there"):
+        bpy.ops.fruitlangs.import_scene()
+
+
+def test_a_scene_deleted_meanwhile_is_named_and_nothing_is_lost(extension, counted):
+    from fruitlangs.engine.errors import OutputError
+    from fruitlangs.operators.target import Target
+
+    other = bpy.data.scenes.new("Row 7")
+    target = Target(other)
+    other.name = "Row 8"
+    assert target.scene(bpy.context) == other
+    bpy.data.scenes.remove(other)
+    with pytest.raises(OutputError, match="Row 7 was deleted"):
+        target.scene(bpy.context)
+
+
+def test_missing_packages_are_named_with_a_command_that_keeps_blenders_numpy(extension, monkeypatch):
+    from fruitlangs.operators import dependencies
+
+    assert dependencies.missing_packages() == []
+    monkeypatch.setitem(dependencies.REQUIRED, "no_such_module", "no-such-package")
+    missing = dependencies.missing_packages()
+    assert missing == ["no-such-package"]
+    assert "-m pip install no-such-package numpy==" in dependencies.install_command(missing)

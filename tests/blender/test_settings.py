@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import bpy
+import pytest
+
+from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.errors import ConfigError, SceneError, VocabularyError
+from fruitlangs.operators import settings as conversions
+
+
+def test_untouched_settings_are_the_configs_defaults(extension):
+    assert conversions.read_config(bpy.context.scene.fruitlangs) == Config()
+
+
+def test_every_setting_of_every_stage_has_a_property_with_its_text(extension):
+    for stage, config_class in conversions.stage_classes().items():
+        properties = getattr(bpy.context.scene.fruitlangs.config, stage).bl_rna.properties
+        for field in dataclasses.fields(config_class):
+            text = conversions.field_docs(config_class)[field.name]
+            assert properties[field.name].description.startswith(text.rstrip("."))
+
+
+def test_field_docs_are_the_strings_below_the_fields():
+    assert conversions.field_docs(TrainConfig)["steps"] == "Optimiser steps, one photo each."
+
+
+def test_changed_settings_arrive_as_typed(extension):
+    config = bpy.context.scene.fruitlangs.config
+    config.count.threshold, config.count.method, config.train.steps = 0.3, "template", 77
+    read = conversions.read_config(bpy.context.scene.fruitlangs)
+    assert (read.count.threshold, read.count.method, read.train.steps) == (0.3, "template", 77)
+
+
+def test_zero_of_an_optional_number_means_not_given(extension):
+    config = bpy.context.scene.fruitlangs.config
+    assert conversions.read_config(bpy.context.scene.fruitlangs).count.diameter is None
+    config.count.diameter = 0.08
+    assert conversions.read_config(bpy.context.scene.fruitlangs).count.diameter == 0.08
+
+
+def test_a_senseless_value_is_the_configs_own_error(extension):
+    bpy.context.scene.fruitlangs.config.count.threshold = 1.0
+    with pytest.raises(ConfigError, match="threshold"):
+        conversions.read_config(bpy.context.scene.fruitlangs)
+
+
+def test_words_are_split_at_commas():
+    assert conversions.read_words(" apple, red apple ,,") == ["apple", "red apple"]
+
+
+def test_an_empty_prompt_is_an_error(extension):
+    bpy.context.scene.fruitlangs.prompt = " , "
+    with pytest.raises(VocabularyError, match="empty"):
+        conversions.read_prompts(bpy.context.scene.fruitlangs)
+
+
+def test_no_or_a_vanished_scene_folder_is_an_error(extension):
+    settings = bpy.context.scene.fruitlangs
+    with pytest.raises(SceneError, match="No scene is chosen"):
+        conversions.source_folder(settings)
+    settings.source = "/gone"
+    with pytest.raises(SceneError, match="/gone is not there"):
+        conversions.source_folder(settings)
+    settings.source = "//photos"
+    with pytest.raises(SceneError, match="never saved"):
+        conversions.source_folder(settings)
+
+
+def test_paths_are_kept_relative_to_the_blend(extension, tmp_path):
+    (tmp_path / "tree").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    settings = bpy.context.scene.fruitlangs
+    settings.source = conversions.stored_path(tmp_path / "tree")
+    assert settings.source == "//tree"
+    assert conversions.source_folder(settings) == tmp_path / "tree"
+    assert conversions.result_folder(settings) == tmp_path / "tree_fruit"
+
+
+def test_results_go_beside_the_scene_when_the_blend_was_never_saved(extension):
+    settings = bpy.context.scene.fruitlangs
+    settings.source = "/data/row7"
+    assert conversions.result_folder(settings) == Path("/data/row7_fruit")
+    settings.out = "/elsewhere/x"
+    assert conversions.result_folder(settings) == Path("/elsewhere/x")
