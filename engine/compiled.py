@@ -21,9 +21,6 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-# Waiting threads that spin would take the cores from torch's own threads between two kernels.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-
 import numba
 from numba import prange
 

@@ -42,6 +42,38 @@ class TrainConfig:
     """Keep every n-th photo (in name order) out of training to measure quality; 0 trains on all."""
     ssim_weight: float = 0.2
     """Weight of 1 - SSIM in the photometric loss; L1 has the rest."""
+    means_rate: float = 1.6e-4
+    """Learning rate of positions at the start, times the scene's extent; it falls to a hundredth."""
+    scales_rate: float = 5e-3
+    """Learning rate of log scales."""
+    quats_rate: float = 1e-3
+    """Learning rate of rotations."""
+    opacity_rate: float = 5e-2
+    """Learning rate of opacity logits."""
+    sh_rate: float = 2.5e-3
+    """Learning rate of base colours; harmonics above move at a twentieth of it."""
+    coarse_until: float = 0.0
+    """Share of the steps that train on photos of half size."""
+    densify_from: float = 0.05
+    """Share of the steps after which Gaussians are cloned and split."""
+    densify_until: float = 0.6
+    """Share of the steps after which no Gaussian is added any more."""
+    densify_every: int = 100
+    """Steps between two densifications."""
+    densify_gradient: float = 2e-4
+    """Mean gradient of a projected position, in half-images, from which a Gaussian is cloned or split."""
+    prune_opacity: float = 0.005
+    """Gaussians fainter than this are removed when densifying."""
+    reset_opacity_every: int = 0
+    """Steps between two resets of all opacities, which clear floaters in long trainings; 0 for never."""
+    opacity_weight: float = 0.0
+    """Weight of the mean opacity in the loss: what no photo needs fades."""
+    scale_weight: float = 0.0
+    """Weight of the mean size (scene units) in the loss."""
+    random_background: bool = False
+    """Draw each step over another colour, so that surfaces become opaque."""
+    checkpoint_every: int = 500
+    """Steps between two checkpoints."""
     seed: int = 0
     """Seed of every random choice in training."""
 

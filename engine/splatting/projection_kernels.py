@@ -18,7 +18,9 @@ from .lanes import LANES
 
 RECORD = 16
 """float32 values of a record: one cache line."""
-MEAN_X, MEAN_Y, CONIC_A, CONIC_B, CONIC_C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, REACH = range(13)
+MEAN_X, MEAN_Y, CONIC_A, CONIC_B, CONIC_C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, REACH = (
+    range(13)
+)
 
 MOMENT = 16
 """float32 values of one pair's gradients; the first ten are used: Σv, Σv·dx, Σv·dy, Σv·dx², Σv·dx·dy, Σv·dy², where v
@@ -365,7 +367,7 @@ def project_backward(
 ) -> None:
     """Add up each Gaussian's pairs, in the order of its tiles, and pull the sums back to its parameters.
 
-    starts: (N + 1,) where each Gaussian's pairs begin in moments (P, MOMENT). The gradients are expected to be zero.
+    starts: (N + 1,) where each Gaussian's pairs begin in moments (P, MOMENT). Gradients of what is not drawn are 0.
     """
     n = means.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
@@ -375,7 +377,13 @@ def project_backward(
         r = np.empty(14, np.float32)
         turned = np.empty(9, np.float32)
         for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+            d_sh[i] = ZERO
             if starts[i] == starts[i + 1]:
+                d_means[i] = ZERO
+                d_log_scales[i] = ZERO
+                d_quats[i] = ZERO
+                d_opacity_logits[i] = ZERO
+                d_offsets[i] = ZERO
                 continue
             record = records[i]
             g[:] = ZERO

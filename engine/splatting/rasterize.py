@@ -152,29 +152,28 @@ class _Render(torch.autograd.Function):
         tiles: _Tiles = ctx.tiles
         color, alpha, depth, extra, _ = grads
         planes = ctx.planes
-        gradients = torch.zeros((5 + features.shape[1], *planes.shape[1:]))
+        gradients = np.empty((5 + features.shape[1], *planes.shape[1:]), np.float32)
         for place, gradient in ((slice(0, 3), color), (3, depth), (4, alpha), (slice(5, None), extra)):
-            if gradient is not None:
-                gradients[place] = gradient
+            gradients[place] = 0.0 if gradient is None else gradient.numpy()
         moments = np.empty((tiles.pairs, MOMENT), np.float32)
         feature_moments = np.empty((tiles.pairs, features.shape[1]), np.float32)
         blend_backward(
             threads(), tiles.columns, tiles.records.reshape(-1), _flat(features), tiles.tile_starts,
-            tiles.gaussian_of, tiles.pair_of, _flat(background), planes, gradients.numpy(), moments, feature_moments,
+            tiles.gaussian_of, tiles.pair_of, _flat(background), planes, gradients, moments, feature_moments,
         )  # fmt: skip
-        pulled = [torch.zeros_like(parameter, memory_format=torch.contiguous_format) for parameter in parameters]
-        d_offsets = torch.zeros(len(means), 2)
+        pulled = [np.empty(parameter.shape, np.float32) for parameter in (*parameters, torch.empty(len(means), 2))]
         project_backward(
             _flat(means), _flat(log_scales), _flat(quats), _flat(sh), ctx.degree, camera_values(ctx.camera),
-            tiles.records, tiles.starts, moments, *(gradient.numpy() for gradient in pulled), d_offsets.numpy(),
+            tiles.records, tiles.starts, moments, *pulled,
         )  # fmt: skip
-        d_features = torch.zeros_like(features, memory_format=torch.contiguous_format)
+        d_features = np.zeros(features.shape, np.float32)
         if features.shape[1] > 0:
-            sum_pairs(tiles.starts, feature_moments, d_features.numpy())
+            sum_pairs(tiles.starts, feature_moments, d_features)
         d_background = None
         if ctx.needs_input_grad[6] and color is not None:
             d_background = (color * torch.from_numpy(planes[TRANSMITTANCE])).sum((1, 2))
-        return (*pulled, d_features, d_background, d_offsets, None, None)
+        *d_parameters, d_offsets = (torch.from_numpy(gradient) for gradient in pulled)
+        return (*d_parameters, torch.from_numpy(d_features), d_background, d_offsets, None, None)
 
 
 def render(

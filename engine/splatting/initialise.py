@@ -1,0 +1,130 @@
+"""The first Gaussians: the sparse cloud, random points where it is too thin, and a dome for what lies far behind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..errors import TrainingError
+from ..scene.camera import Camera, Scene
+from .gaussians import SH_C0, Gaussians
+
+FEWEST_POINTS = 2000
+"""Below this many sparse points, random ones are added up to it."""
+DOME_POINTS = 3000
+START_OPACITY = 0.1
+Points = NDArray[np.float64]
+
+
+def first_gaussians(scene: Scene, views: Sequence[int], sh_degree: int, limit: int, seed: int) -> Gaussians:
+    """At most `limit` isotropic Gaussians to start training from, coloured by the cloud or by the photos of `views`.
+
+    Sparse points get the mean distance of their three nearest neighbours as size (3DGS). A scene with fewer than 2,000
+    of them, down to none, gets random points in the ball that the cameras look at. What is farther away than any point
+    (sky, hills) starts on a sphere around the scene, where some training photo sees it.
+
+    Raises:
+        TrainingError: no camera sees any of the points.
+    """
+    random = np.random.default_rng([seed, 0x1717])
+    points, colors = np.asarray(scene.points, np.float64), scene.colors / 255.0
+    finite = np.isfinite(points).all(1)
+    points, colors = points[finite], colors[finite]
+    dome = _dome(scene, points)
+    dome_colors, seen = _colors_in_photos(scene, views, dome)
+    dome, dome_colors = dome[seen], dome_colors[seen]
+    if len(points) < FEWEST_POINTS:
+        center, radius = _looked_at(scene.cameras)
+        extra = center + radius * _in_ball(random, FEWEST_POINTS - len(points))
+        extra_colors, seen = _colors_in_photos(scene, views, extra)
+        points, colors = np.concatenate([points, extra[seen]]), np.concatenate([colors, extra_colors[seen]])
+    if len(points) == 0:
+        raise TrainingError("no camera sees any part of the scene; check the model's poses")
+    room = max(limit - len(dome), limit // 2)
+    if len(points) > room:
+        kept = np.sort(random.choice(len(points), room, replace=False))
+        points, colors = points[kept], colors[kept]
+    dome, dome_colors = dome[: limit - len(points)], dome_colors[: limit - len(points)]
+    sizes = np.concatenate([neighbour_distances(points), neighbour_distances(dome)])
+    return _isotropic(np.concatenate([points, dome]), sizes, np.concatenate([colors, dome_colors]), sh_degree)
+
+
+def neighbour_distances(points: Points) -> NDArray[np.float64]:
+    """(P,) root mean square distance to the three nearest neighbours."""
+    if len(points) < 2:
+        return np.ones(len(points))
+    distances = cKDTree(points).query(points, k=min(4, len(points)))[0][:, 1:]
+    return np.maximum(np.sqrt((distances**2).mean(1)), 1e-7)
+
+
+def _isotropic(points: Points, sizes: NDArray[np.float64], colors: Points, sh_degree: int) -> Gaussians:
+    n = len(points)
+    sh = torch.zeros(n, (sh_degree + 1) ** 2, 3)
+    sh[:, 0] = torch.from_numpy((colors - 0.5) / SH_C0).float()
+    return Gaussians(
+        means=torch.from_numpy(points).float(),
+        log_scales=torch.from_numpy(np.log(sizes)).float()[:, None].repeat(1, 3),
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        opacity_logits=torch.full((n,), math.log(START_OPACITY / (1.0 - START_OPACITY))),
+        sh=sh,
+    )
+
+
+def _looked_at(cameras: Sequence[Camera]) -> tuple[Points, float]:
+    """Centre and radius of the ball that the cameras look at: the point nearest to all viewing axes.
+
+    With parallel axes that point is anywhere; a pull of 1 % to the middle of the cameras, one camera spread ahead,
+    settles it.
+    """
+    centers = np.stack([camera.center for camera in cameras])
+    axes = np.stack([camera.forward for camera in cameras])
+    spread = max(float(np.linalg.norm(centers - centers.mean(0), axis=1).max()), 1e-3)
+    guess = centers.mean(0) + axes.mean(0) * spread
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    left = across.sum(0) + 0.01 * len(cameras) * np.eye(3)
+    right = (across @ centers[:, :, None]).sum(0)[:, 0] + 0.01 * len(cameras) * guess
+    center = np.linalg.solve(left, right)
+    return center, 0.7 * float(np.linalg.norm(centers - center, axis=1).mean())
+
+
+def _in_ball(random: np.random.Generator, n: int) -> Points:
+    directions = random.normal(size=(n, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions * random.random((n, 1)) ** (1 / 3)
+
+
+def _dome(scene: Scene, points: Points) -> Points:
+    """Evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
+    center = np.stack([camera.center for camera in scene.cameras]).mean(0)
+    reach = max(scene.extent, 1e-3)
+    if len(points) > 0:
+        reach = max(reach, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.98)))
+    k = np.arange(DOME_POINTS) + 0.5
+    height = 1.0 - 2.0 * k / DOME_POINTS
+    turn = math.pi * (1.0 + math.sqrt(5.0)) * k
+    ring = np.sqrt(1.0 - height**2)
+    return center + 4.0 * reach * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
+
+
+def _colors_in_photos(scene: Scene, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
+    """(P, 3) mean colour of the pixels that points project to, and (P,) whether any photo has such a pixel."""
+    sums = np.zeros((len(points), 3))
+    counts = np.zeros(len(points))
+    for view in views[:: max(len(views) // 40, 1)]:
+        camera = scene.cameras[view]
+        local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        ahead = local[:, 2] > 1e-6
+        pixel = local @ camera.K.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column, row = (pixel[:, :2] / pixel[:, 2:]).T
+        inside = ahead & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        if inside.any():
+            photo = scene.images[view].pixels()
+            sums[inside] += photo[row[inside].astype(int), column[inside].astype(int)] / 255.0
+            counts[inside] += 1
+    return sums / np.maximum(counts, 1)[:, None], counts > 0

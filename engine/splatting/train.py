@@ -1,0 +1,241 @@
+"""Photos → Gaussians by gradient descent (Kerbl et al. 2023; paper section 3.1)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..config import TrainConfig
+from ..errors import TrainingError
+from ..progress import Progress, silent
+from ..scene.camera import Scene
+from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
+from .densify import DensifyRules, Pulls, densify, reset_opacity
+from .gaussians import Gaussians
+from .initialise import first_gaussians
+from .losses import photometric_loss, psnr, ssim
+from .parameters import NAMES, Parameters, Rates
+from .photos import PhotoShelf, Picture
+from .rasterize import render
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """How well a photo that training never saw is drawn: PSNR in dB, SSIM."""
+
+    name: str
+    psnr: float
+    ssim: float
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """Trained Gaussians and what is known of their quality.
+
+    held_out: scores of the photos kept aside; psnr, ssim: their means, None where none was kept; steps: optimiser steps
+    behind the Gaussians; seconds: spent in this call.
+    """
+
+    gaussians: Gaussians
+    held_out: tuple[ViewScore, ...]
+    psnr: float | None
+    ssim: float | None
+    steps: int
+    seconds: float
+
+
+def train(
+    scene: Scene, config: TrainConfig, *, checkpoint: Path | None = None, progress: Progress = silent
+) -> Training:
+    """Train Gaussians on a scene's photos.
+
+    With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it takes
+    up from it: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or of
+    another scene is passed over, with a message to `progress`.
+
+    Raises:
+        TrainingError: there is nothing to train on, or the loss is no longer a number.
+        SceneError: a photo cannot be read.
+        OutputError: the checkpoint cannot be written.
+        Cancelled: `progress` asked for it; the last checkpoint stays.
+    """
+    begin = time.perf_counter()
+    kept_aside = held_out_views(scene, config.holdout_every)
+    views = [view for view in range(len(scene.cameras)) if view not in kept_aside]
+    if not views:
+        raise TrainingError("the scene has no photo to train on; give at least one")
+    shelf = PhotoShelf(scene)
+    key = training_key(scene, config)
+    state = _resume(checkpoint, key, progress)
+    if state is None:
+        progress(0.0, "placing the first Gaussians")
+        gaussians = first_gaussians(scene, views, config.sh_degree, config.max_gaussians, config.seed)
+        state = TrainingState(Parameters.start(gaussians), Pulls.none(len(gaussians)))
+    schedule = Schedule(config, scene)
+    while state.step < config.steps:
+        loss = _step(state, shelf, views, schedule)
+        done = state.step
+        if not math.isfinite(loss):
+            raise TrainingError(
+                f"training broke down at step {done}: the loss is {loss}; look for broken photos or wrong camera poses,"
+                " or lower --train.steps"
+            )
+        if done % 20 == 0 or done == config.steps:
+            progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
+        if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
+            write_checkpoint(checkpoint, state, key)
+    gaussians = Gaussians(**{name: value.clone() for name, value in state.parameters.values.items()})
+    progress(0.96, "measuring the photos kept aside")
+    scores = tuple(_score(gaussians, shelf.picture(view), scene.images[view].name) for view in sorted(kept_aside))
+    return Training(
+        gaussians=gaussians,
+        held_out=scores,
+        psnr=float(np.mean([score.psnr for score in scores])) if scores else None,
+        ssim=float(np.mean([score.ssim for score in scores])) if scores else None,
+        steps=state.step,
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def held_out_views(scene: Scene, every: int) -> frozenset[int]:
+    """Every n-th view from the first on (as 3DGS does); none for 0, and never all."""
+    if every <= 1 or len(scene.cameras) < 2:
+        return frozenset()
+    return frozenset(range(0, len(scene.cameras), every))
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """What changes from step to step, all of it a function of the step alone."""
+
+    config: TrainConfig
+    scene: Scene
+
+    @property
+    def extent(self) -> float:
+        return max(self.scene.extent, 1e-6)
+
+    @property
+    def middle(self) -> Tensor:
+        return torch.from_numpy(np.stack([camera.center for camera in self.scene.cameras]).mean(0)).float()
+
+    def done(self, step: int) -> float:
+        return step / self.config.steps
+
+    def rates(self, step: int) -> Rates:
+        """3DGS's rates; the means' falls exponentially to a hundredth and scales with the scene."""
+        config = self.config
+        means = config.means_rate * self.extent * 0.01 ** self.done(step)
+        return Rates(
+            means, config.scales_rate, config.quats_rate, config.opacity_rate, config.sh_rate, config.sh_rate / 20
+        )
+
+    def sh_degree(self, step: int) -> int:
+        """One degree more with every sixth of the steps."""
+        return min(self.config.sh_degree, int(6 * self.done(step)))
+
+    def halvings(self, step: int) -> int:
+        """Coarse pictures first."""
+        return 1 if self.done(step) < self.config.coarse_until else 0
+
+    def densifies(self, step: int) -> bool:
+        config = self.config
+        begun = step >= config.densify_from * config.steps and step <= config.densify_until * config.steps
+        return begun and step % config.densify_every == 0
+
+    def resets_opacity(self, step: int) -> bool:
+        every = self.config.reset_opacity_every
+        return every > 0 and step % every == 0 and step <= self.config.densify_until * self.config.steps
+
+    def rules(self) -> DensifyRules:
+        return DensifyRules(
+            gradient=self.config.densify_gradient,
+            max_gaussians=self.config.max_gaussians,
+            small=0.01 * self.extent,
+            opacity=self.config.prune_opacity,
+            oversize=0.1,
+            extent=self.extent,
+        )
+
+
+def view_at(step: int, views: Sequence[int], seed: int) -> int:
+    """The photo of a step: every round shows all photos once, in an order drawn from (seed, round)."""
+    lap, place = divmod(step, len(views))
+    return views[np.random.default_rng([seed, lap]).permutation(len(views))[place]]
+
+
+def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingState | None:
+    if checkpoint is None or not checkpoint.exists():
+        return None
+    try:
+        return read_checkpoint(checkpoint, key)
+    except TrainingError as error:
+        progress(0.0, f"starting anew: {error}")
+        return None
+
+
+def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedule: Schedule) -> float:
+    """One photo: draw, compare, move; densify when it is time. Returns the photometric loss."""
+    config, step = schedule.config, state.step
+    picture = shelf.picture(view_at(step, views, config.seed), schedule.halvings(step))
+    degree = schedule.sh_degree(step)
+    gradients, pulled, radii, loss = _gradients(state.parameters.gaussians(), picture, config, degree, step)
+    _regularise(state.parameters, gradients, radii, config)
+    state.parameters.update(gradients, schedule.rates(step), degree)
+    state.pulls.add(pulled, radii, picture.camera.width, picture.camera.height)
+    done = state.step
+    if schedule.densifies(done):
+        densify(state.parameters, state.pulls, schedule.rules(), schedule.middle, [config.seed, done])
+        state.pulls = Pulls.none(len(state.parameters))
+    if schedule.resets_opacity(done):
+        reset_opacity(state.parameters, 0.05)
+    return loss
+
+
+def _gradients(
+    gaussians: Gaussians, picture: Picture, config: TrainConfig, sh_degree: int, step: int
+) -> tuple[dict[str, Tensor], Tensor, Tensor, float]:
+    """Gradients by parameter and of the projected means, the radii, and the loss."""
+    leaves = {name: getattr(gaussians, name).detach().requires_grad_() for name in NAMES}
+    offsets = torch.zeros(len(gaussians), 2, requires_grad=True)
+    background = None
+    if config.random_background:
+        background = torch.from_numpy(np.random.default_rng([config.seed, step, 7]).random(3)).float()
+    rendering = render(
+        Gaussians(**leaves), picture.camera, background=background, sh_degree=sh_degree, screen_offsets=offsets
+    )
+    loss = photometric_loss(rendering.color, picture.pixels, ssim_weight=config.ssim_weight, mask=picture.mask)
+    loss.backward()
+    gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+    assert offsets.grad is not None and len(gradients) == len(NAMES)
+    return gradients, offsets.grad, rendering.radii, loss.item()
+
+
+def _regularise(parameters: Parameters, gradients: dict[str, Tensor], radii: Tensor, config: TrainConfig) -> None:
+    """Add the gradients of weight · mean(opacity) and weight · mean(scale) over the Gaussians that were drawn.
+
+    A Gaussian that no photo needs fades and is pruned (3DGS-MCMC, Kheradmand et al. 2024, section 3.4).
+    """
+    drawn = (radii > 0).float() / max(len(radii), 1)
+    if config.opacity_weight > 0.0:
+        opacities = parameters.values["opacity_logits"].sigmoid()
+        gradients["opacity_logits"] += config.opacity_weight * drawn * opacities * (1.0 - opacities)
+    if config.scale_weight > 0.0:
+        gradients["log_scales"] += config.scale_weight / 3.0 * drawn[:, None] * parameters.values["log_scales"].exp()
+
+
+def _score(gaussians: Gaussians, picture: Picture, name: str) -> ViewScore:
+    with torch.no_grad():
+        color = render(gaussians, picture.camera).color
+    return ViewScore(
+        name=name,
+        psnr=psnr(color, picture.pixels, mask=picture.mask),
+        ssim=ssim(color, picture.pixels, mask=picture.mask),
+    )
