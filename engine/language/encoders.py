@@ -1,0 +1,73 @@
+"""What an encoder of words and photos must offer, and how one is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..config import EmbedConfig
+from ..errors import EncoderError
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """One thing to ask of a feature: is it any of `positives` rather than any of `negatives`?
+
+    positives: (P, D), negatives: (M, D) unit text vectors. `score` says what a cosine c means to this encoder: itself,
+    or ("posterior") the square root of a probability, so that its score is log c². Answer, with s the scores:
+    σ((logsumexp s⁺ − logsumexp s⁻) / temperature − bias), the calibrated margin.
+    """
+
+    positives: Tensor
+    negatives: Tensor
+    score: Literal["cosine", "posterior"]
+    temperature: float
+    bias: float
+
+
+class Encoder(Protocol):
+    """Words and photos in one space of unit vectors."""
+
+    @property
+    def identity(self) -> str:
+        """Name and fingerprint of the weights; features of another identity cannot be queried with this encoder."""
+        ...
+
+    @property
+    def dimension(self) -> int:
+        """D, the length of a feature."""
+        ...
+
+    def encode_text(self, prompts: Sequence[str]) -> Tensor:
+        """(P, D) unit float32. Raises VocabularyError for a word it does not know."""
+        ...
+
+    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
+        """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row."""
+        ...
+
+    def questions(self, prompt: str) -> Sequence[Question]:
+        """What to ask so that the product of the answers is the probability of `prompt`."""
+        ...
+
+    def excludes(self, prompt: str, negative: str) -> bool:
+        """Whether nothing could satisfy `prompt` without satisfying `negative`."""
+        ...
+
+
+def open_encoder(config: EmbedConfig) -> Encoder:
+    """The encoder that the settings name.
+
+    Raises:
+        EncoderError: its weights are missing or unreadable.
+    """
+    if config.encoder == "embedded":
+        from .embedded import EmbeddedEncoder
+
+        return EmbeddedEncoder.open()
+    raise EncoderError(f"there is no encoder '{config.encoder}'; use 'embedded'")

@@ -1,0 +1,1 @@
+"""How the embedded encoder is trained: photos, renders, pasted fruit, loss, measures, model card."""

@@ -1,0 +1,32 @@
+"""The training loss: fruit and surroundings count alike, however few pixels are fruit."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
+
+from .pictures import NOT_FRUIT
+
+
+def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45) -> Tensor:
+    """Cross-entropy of (B, K, H, W) logits against (B, H, W) labels.
+
+    A pixel known only as no fruit asks for the sum of the surroundings' probabilities. Every word counts by the root of
+    its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the rest.
+    """
+    log_probability = logits.float().log_softmax(1)
+    known = labels < len(CONCEPTS)
+    target = torch.where(known, labels, 0)
+    exact = -log_probability.gather(1, target[:, None])[:, 0]
+    vague = -log_probability[:, len(FRUITS) :].logsumexp(1)
+    loss = torch.where(known, exact, vague)
+    bins = torch.where(labels == NOT_FRUIT, len(CONCEPTS), torch.where(known, labels, len(CONCEPTS) + 1))
+    counts = torch.bincount(bins.flatten(), minlength=len(CONCEPTS) + 2)
+    weights = counts.clamp_min(1).float().rsqrt()
+    weights[-1] = 0.0
+    mass = counts * weights
+    weights[: len(FRUITS)] *= fruit_share / mass[: len(FRUITS)].sum().clamp_min(1.0)
+    weights[len(FRUITS) :] *= (1.0 - fruit_share) / mass[len(FRUITS) :].sum().clamp_min(1.0)
+    return (loss * weights[bins]).sum()

@@ -1,0 +1,180 @@
+"""Labelled pictures: photos with boxes as weak labels, renders with exact masks, plain backgrounds."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS, parse
+
+IGNORED = 255
+"""Label of a pixel that teaches nothing."""
+NOT_FRUIT = 254
+"""Label of a pixel that is some word of the surroundings, nobody knows which."""
+POSITIVE_SHARE = 0.6
+"""Central share of a box that is surely fruit, as an ellipse."""
+NEGATIVE_SHARE = 1.1
+"""Outside this much of every box a pixel counts as no fruit."""
+
+Labels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A labelled box in pixels."""
+
+    label: str
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """pixels: (H, W, 3) sRGB; labels: (H, W) index into CONCEPTS, NOT_FRUIT or IGNORED; instances: (H, W) fruit ids of
+    a render, 0 none; boxes of a photo; source: the set or the scene it is from.
+    """
+
+    pixels: NDArray[np.uint8]
+    labels: Labels
+    source: str
+    boxes: Sequence[Box] = ()
+    instances: NDArray[np.uint16] | None = None
+
+
+def read_photos(folder: Path, split: str) -> list[Picture]:
+    """Every set below `folder` that has an annotations.csv (image, split, label, xmin, ymin, xmax, ymax).
+
+    Raises:
+        FormatError: there is none, or a row cannot be read.
+    """
+    pictures = []
+    for table in sorted(folder.glob("*/annotations.csv")):
+        boxes: dict[str, list[Box]] = {}
+        with table.open(newline="", encoding="utf-8") as file:
+            for number, row in enumerate(csv.DictReader(file), start=2):
+                try:
+                    if row["split"] != split:
+                        continue
+                    mine = boxes.setdefault(row["image"], [])
+                    if row["label"]:
+                        corners = (float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax"))
+                        mine.append(Box(parse(row["label"]).concepts[0], *corners))
+                except (KeyError, ValueError) as error:
+                    raise FormatError(f"{table} line {number} cannot be read ({error}); see --help") from error
+        for name, mine in sorted(boxes.items()):
+            pixels = np.asarray(Image.open(table.parent / name).convert("RGB"))
+            pictures.append(Picture(pixels, box_labels(mine, pixels.shape[:2]), table.parent.name, mine))
+    if not pictures:
+        raise FormatError(f"{folder} has no folder with an annotations.csv of split '{split}'")
+    return pictures
+
+
+def box_labels(boxes: Sequence[Box], shape: tuple[int, ...]) -> Labels:
+    """(H, W): fruit in the central ellipses, nothing known around them, no fruit outside."""
+    labels = np.full(shape, NOT_FRUIT, np.uint8)
+    for box in boxes:
+        labels[inside(box, NEGATIVE_SHARE, shape, ellipse=False)] = IGNORED
+    for box in boxes:
+        labels[inside(box, POSITIVE_SHARE, shape)] = CONCEPTS.index(box.label)
+    return labels
+
+
+def inside(box: Box, share: float, shape: tuple[int, ...], *, ellipse: bool = True) -> NDArray[np.bool_]:
+    """(H, W) True in the box, or in its ellipse, scaled about its centre by `share`."""
+    y, x = np.ogrid[: shape[0], : shape[1]]
+    u = (x + 0.5 - (box.left + box.right) / 2.0) / (share * (box.right - box.left) / 2.0)
+    v = (y + 0.5 - (box.top + box.bottom) / 2.0) / (share * (box.bottom - box.top) / 2.0)
+    return u * u + v * v < 1.0 if ellipse else (np.abs(u) < 1.0) & (np.abs(v) < 1.0)
+
+
+def read_renders(folder: Path) -> list[Picture]:
+    """Every scene below `folder`: images/*.jpg with classes/*.png, instances/*.png and classes.json (index → word).
+
+    Raises:
+        FormatError: a scene lacks a file or names an unknown class.
+    """
+    pictures = []
+    for table in sorted(folder.glob("*/classes.json")):
+        scene = table.parent
+        lookup = _lookup(table)
+        for image in sorted((scene / "images").glob("*")):
+            classes = scene / "classes" / f"{image.stem}.png"
+            instances = scene / "instances" / f"{image.stem}.png"
+            if not (classes.is_file() and instances.is_file()):
+                continue
+            pictures.append(
+                Picture(
+                    np.asarray(Image.open(image).convert("RGB")),
+                    lookup[np.asarray(Image.open(classes))],
+                    scene.name,
+                    instances=np.asarray(Image.open(instances)).astype(np.uint16),
+                )
+            )
+    if not pictures:
+        raise FormatError(f"{folder} has no scene with classes.json, images, classes and instances; see --help")
+    return pictures
+
+
+def _lookup(table: Path) -> Labels:
+    lookup = np.full(256, IGNORED, np.uint8)
+    try:
+        for index, word in json.loads(table.read_text(encoding="utf-8")).items():
+            concept = CONCEPTS.index(word) if word in CONCEPTS else None
+            if concept is not None:
+                lookup[int(index)] = concept
+    except (ValueError, AttributeError) as error:
+        raise FormatError(f"{table} cannot be read ({error}); make the scene again") from error
+    return lookup
+
+
+def scene_seeds(folder: Path) -> list[int]:
+    """Seeds of the rendered scenes, from truth.json or scenes.json.
+
+    Raises:
+        FormatError: a scene's seed is not recorded.
+    """
+    seeds = []
+    for table in sorted(folder.glob("*/classes.json")):
+        truth = table.parent / "truth.json"
+        try:
+            seeds.append(int(json.loads(truth.read_text(encoding="utf-8"))["config"]["seed"]))
+        except (OSError, KeyError, ValueError, TypeError):
+            digits = table.parent.name.rpartition("_")[2]
+            if not digits.isdigit():
+                raise FormatError(f"the seed of {table.parent} is not recorded in its truth.json") from None
+            seeds.append(int(digits))
+    return sorted(seeds)
+
+
+def plain_picture(rng: np.random.Generator, size: int) -> Picture:
+    """A wall, cloth or table top: flat or shaded, with grain, stripes or bumps, labelled background."""
+    y, x = np.mgrid[:size, :size].astype(np.float32) / size
+    base = rng.uniform(0.1, 1.0) * (1.0 - rng.uniform(0.0, 0.5) * rng.random(3) ** 2)
+    shade = 1.0 + rng.uniform(-0.35, 0.35) * (x - 0.5) + rng.uniform(-0.35, 0.35) * (y - 0.5)
+    texture = np.zeros_like(x)
+    for _ in range(rng.integers(0, 3)):
+        angle, frequency = rng.uniform(0, np.pi), rng.uniform(4, 80)
+        texture += rng.uniform(0.0, 0.06) * np.sin(
+            2 * np.pi * frequency * (x * np.cos(angle) + y * np.sin(angle)) + rng.uniform(0, 6)
+        )
+    cells = int(rng.integers(3, 40))
+    coarse = Image.fromarray(rng.normal(0.0, 1.0, (cells, cells)).astype(np.float32), mode="F")
+    texture += rng.uniform(0.0, 0.08) * np.asarray(coarse.resize((size, size), Image.Resampling.BICUBIC))
+    pixels = np.clip((shade + texture)[..., None] * base, 0.0, 1.0)
+    labels = np.full((size, size), CONCEPTS.index("background"), np.uint8)
+    return Picture((pixels * 255.0).astype(np.uint8), labels, "plain")
+
+
+def is_fruit(labels: Labels) -> NDArray[np.bool_]:
+    """True where a label is a fruit word."""
+    return labels < len(FRUITS)

@@ -1,0 +1,172 @@
+"""Train the embedded encoder on rendered orchards and a folder of photos, and write its weights and model card.
+
+PHOTOS holds one folder a set, each with `images/` and `annotations.csv` (image, split, label, xmin, ymin, xmax, ymax;
+split train or val; boxes in pixels). RENDERS holds one folder a scene, as scripts/make_orchard.py writes them with
+class masks. The same inputs, seed and number of steps give the same weights on the same machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import _checkout  # noqa: F401
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple a step's cost on a busy machine
+
+import numpy as np
+import torch
+import tyro
+from encoder.batches import Material, make_batch
+from encoder.card import write_card
+from encoder.losses import concept_loss
+from encoder.measures import Measures, calibrate, measure, sample
+from encoder.pasting import cut_fruit
+from encoder.pictures import Picture, read_photos, read_renders, scene_seeds
+
+from fruitlangs.engine.errors import FruitLangsError
+from fruitlangs.engine.language.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
+from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network, normalise
+from fruitlangs.engine.language.vocabulary import CONCEPTS
+
+HELD_OUT_EVERY = 8
+"""Every n-th render scene is kept out of training, to calibrate and to measure on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to train on and for how long."""
+
+    renders: Path | None = None
+    """Folder of rendered training scenes."""
+    photos: Path
+    """Folder of photo sets with annotations.csv."""
+    out: Path = WEIGHTS
+    """Weights to write; OUT with suffix .json and MODEL_CARD.md are written beside it."""
+    steps: int = 6000
+    """Optimiser steps."""
+    minutes: float | None = None
+    """Stop after this many minutes instead, with the learning rate ended by then; not reproducible to the byte."""
+    batch: int = 8
+    """Crops a step."""
+    rate: float = 2e-3
+    """Highest learning rate."""
+    threads: int = 2
+    """CPU threads; 1 is quicker on a machine that is busy otherwise."""
+    bf16: bool = True
+    """Compute convolutions in bfloat16 while training."""
+    seed: int = 0
+    """Seed of the weights and of every crop."""
+
+
+def main(options: Options) -> None:
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    photos, val_photos = read_photos(options.photos, "train"), read_photos(options.photos, "val")
+    renders, held_out = split_scenes(read_renders(options.renders) if options.renders else [])
+    seeds = scene_seeds(options.renders) if options.renders else []
+    material = Material(photos, renders, cut_fruit([*photos, *renders]))
+    print(f"{len(photos)} photos, {len(renders)} renders to train on, {len(held_out)} held out", flush=True)
+    print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
+
+    network = Network(len(CONCEPTS))
+    steps = train(network, material, options)
+    draft = options.out.with_suffix(".draft.safetensors")
+    notes = {"seeds": seeds, "steps": steps, "seed": options.seed}
+
+    def opened(calibration: Calibration) -> EmbeddedEncoder:
+        save_weights(draft, network, calibration, widths=WIDTHS, depths=DEPTHS, **notes)
+        return EmbeddedEncoder.open(draft)
+
+    encoder = opened(Calibration())
+    photo_sample, render_sample = sample(encoder, val_photos), sample(encoder, held_out)
+    calibration = calibrate(encoder, photo_sample, render_sample)
+    measures = measure(opened(calibration), val_photos, photo_sample, render_sample)
+    draft.replace(options.out)
+    report(options, measures, calibration, notes, [len(photos), len(renders), len(held_out)])
+
+
+def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]:
+    """Training pictures and held-out pictures; every HELD_OUT_EVERY-th scene of each fruit is held out."""
+    by_fruit: dict[int, list[str]] = {}
+    for picture in pictures:
+        fruit = picture.labels[picture.labels < 8]
+        kind = int(np.bincount(fruit).argmax()) if fruit.size else -1
+        scenes = by_fruit.setdefault(kind, [])
+        if not any(picture.source in names for names in by_fruit.values()):
+            scenes.append(picture.source)
+    held = {name for scenes in by_fruit.values() for name in scenes[HELD_OUT_EVERY // 2 :: HELD_OUT_EVERY]}
+    return [p for p in pictures if p.source not in held], [p for p in pictures if p.source in held]
+
+
+def train(network: Network, material: Material, options: Options) -> int:
+    """Adam with a one-cycle learning rate; leaves the averaged weights in `network`. Returns the steps taken."""
+    rng = np.random.default_rng(options.seed)
+    network.to(memory_format=torch.channels_last).train()
+    optimiser = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=1e-3, fused=True)
+    average = torch.optim.swa_utils.AveragedModel(network, avg_fn=_moving_average, use_buffers=True)
+    autocast = torch.autocast("cpu", torch.bfloat16) if options.bf16 else nullcontext()
+    losses: list[float] = []
+    step = 0
+    for done in _fractions(options):
+        optimiser.param_groups[0]["lr"] = options.rate * min(1.0, done / 0.03 + 0.01) * 0.5 * (1 + np.cos(np.pi * done))
+        images, labels = make_batch(material, options.batch, rng)
+        with autocast:
+            logits = network(normalise(images).contiguous(memory_format=torch.channels_last))
+        down, right = rng.integers(0, 2, size=2)  # the network answers for 2×2 pixels: ask it about each in turn
+        loss = concept_loss(logits, labels[:, down::2, right::2])
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        average.update_parameters(network)
+        losses.append(float(loss.detach()))
+        step += 1
+        if step % 100 == 0:
+            print(f"step {step} ({done:.0%}) loss {np.mean(losses[-100:]):.4f}", flush=True)
+    network.load_state_dict(average.module.state_dict())
+    network.eval()
+    return step
+
+
+def _moving_average(average: torch.Tensor, current: torch.Tensor, count: torch.Tensor) -> torch.Tensor:
+    """Exponential, over about 500 steps, over fewer at the start."""
+    return current + (average - current) * torch.clamp((1 + count) / (10 + count), max=0.998).to(current.dtype)
+
+
+def _fractions(options: Options) -> Iterator[float]:
+    start = time.monotonic()
+    if options.minutes is None:
+        yield from (step / options.steps for step in range(options.steps))
+        return
+    while (done := (time.monotonic() - start) / (60.0 * options.minutes)) < 1.0:
+        yield done
+
+
+def report(
+    options: Options, measures: Measures, calibration: Calibration, notes: dict[str, object], pictures: list[int]
+) -> None:
+    """Print the figures, write them beside the weights and into the model card."""
+    document = {
+        **notes,
+        "pictures": dict(zip(("photos", "renders", "held_out_renders"), pictures, strict=True)),
+        "calibration": {"temperature": calibration.temperature, "bias": calibration.bias},
+        "measures": measures.document(),
+    }
+    options.out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    table = write_card(options.out.parent / "MODEL_CARD.md", document)
+    print(table)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Options, description=__doc__))
+    except FruitLangsError as error:
+        print(f"train_encoder: {error}", file=sys.stderr)
+        sys.exit(1)
