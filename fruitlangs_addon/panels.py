@@ -109,7 +109,7 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     box = layout.box()
     row = box.row()
     row.scale_y = 1.4
-    row.label(text=f"{result.count} {result.label}", icon="CHECKMARK")
+    row.label(text=f"{result.label}: {result.count}", icon="CHECKMARK")
     if result.count:
         box.label(text=f"Mean diameter {result.mean_diameter:.3g} {result.unit}")
     else:
@@ -121,7 +121,7 @@ def draw_text(layout: Any, text: str, context: bpy.types.Context) -> None:
     """Text broken to the sidebar's width; labels do not wrap by themselves."""
     pixels = context.region.width / context.preferences.system.ui_scale
     column = layout.column(align=True)
-    for line in textwrap.wrap(text, max(int(pixels / 7) - 5, 12)):
+    for line in textwrap.wrap(text, max(int(pixels / 6.3) - 6, 12)):
         column.label(text=line)
 
 

@@ -6,9 +6,11 @@ from typing import Any
 
 import bpy
 
+from .blender_data import owned_object
 from .jobs import JobOperator, Work, running
 from .settings import read_config, read_prompts, read_words, result_folder, source_folder, stored_path
 from .target import Target
+from .viewport import look_at_scene, show_colors
 from .write import SET_ID, write_result
 
 
@@ -45,10 +47,13 @@ class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)
+        first = owned_object(bpy_scene, "root") is None
         write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count)
         bpy_scene[SET_ID] = result.set_id
         keep_result(bpy_scene.fruitlangs, result)
         show_colors(context)
+        if first:
+            look_at_scene(context, bpy_scene)
         self.report({"INFO"}, f"{count_text(bpy_scene.fruitlangs.result)}; files are in {result.out}")
 
     def failed(self, context: bpy.types.Context, message: str) -> None:
@@ -68,19 +73,10 @@ def keep_result(settings: Any, result: Any) -> None:
 
 
 def count_text(shown: Any) -> str:
-    """'7 apple, mean diameter 0.081 m'."""
+    """'apple: 7, mean diameter 0.081 m'."""
     if shown.count:
-        return f"{shown.count} {shown.label}, mean diameter {shown.mean_diameter:.3g} {shown.unit}"
-    return f"0 {shown.label}: nothing came above probability {shown.max_probability:.2f}"
-
-
-def show_colors(context: bpy.types.Context) -> None:
-    """Turn solid viewports of this window to material shading: Solid shows no attribute of an instance."""
-    if context.screen is None or bpy.app.background:
-        return
-    for area in context.screen.areas:
-        if area.type == "VIEW_3D" and area.spaces.active.shading.type in {"SOLID", "WIREFRAME"}:
-            area.spaces.active.shading.type = "MATERIAL"
+        return f"{shown.label}: {shown.count}, mean diameter {shown.mean_diameter:.3g} {shown.unit}"
+    return f"{shown.label}: 0, nothing came above probability {shown.max_probability:.2f}"
 
 
 CLASSES = (FRUITLANGS_OT_count,)

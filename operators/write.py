@@ -87,7 +87,7 @@ def light_scene(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> None:
     sun.energy, sun.angle = 2.5, 0.1
     item = new_object("Sun", sun, "light", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
     item.rotation_euler = (0.6, 0.3, 0.0)
-    item.location = (0.0, 0.0, 10.0 * root.empty_display_size)
+    item.location = (0.0, 0.0, 40.0 * root.empty_display_size)
     world = bpy.data.worlds.new("Sky")
     world[OWNER] = "world"
     world.use_nodes = True

@@ -21,7 +21,7 @@ from .gaussian_nodes import point_node_group, set_input
 if TYPE_CHECKING:
     from ..engine.scene.camera import Scene
 
-RADIUS = 0.002
+RADIUS = 0.003
 """Of a point, as a share of the scene's extent."""
 
 

@@ -30,7 +30,7 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
         root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
         root.empty_display_type = "PLAIN_AXES"
     scale = scene.metres_per_unit or 1.0
-    root.empty_display_size = 0.2 * scene.extent if len(scene.cameras) else 1.0
+    root.empty_display_size = 0.05 * scene.extent if len(scene.cameras) else 1.0
     root["metres_per_unit"] = scene.metres_per_unit or 0.0
     root.matrix_basis = Matrix.Scale(scale, 4) @ Matrix(upright_matrix(scene).tolist())
     return root
