@@ -135,9 +135,11 @@ def train(network: Network, material: Material, options: Options) -> int:
     return step
 
 
-def _moving_average(average: torch.Tensor, current: torch.Tensor, count: torch.Tensor) -> torch.Tensor:
+def _moving_average(average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
     """Exponential, over about 500 steps, over fewer at the start."""
-    return current + (average - current) * torch.clamp((1 + count) / (10 + count), max=0.998).to(current.dtype)
+    if not current.is_floating_point():
+        return current
+    return current + (average - current) * min(0.998, (1 + int(count)) / (10 + int(count)))
 
 
 def _fractions(options: Options) -> Iterator[float]:

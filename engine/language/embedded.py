@@ -80,7 +80,7 @@ class EmbeddedEncoder:
                 f"the encoder's weights {path} cannot be read ({str(error).splitlines()[0]}); install the package again"
             ) from error
         fingerprint = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-        return cls(network.fuse().to(memory_format=torch.channels_last), calibration, f"embedded-{fingerprint}")
+        return cls(network.fuse(), calibration, f"embedded-{fingerprint}")
 
     @property
     def dimension(self) -> int:

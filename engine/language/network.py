@@ -74,7 +74,7 @@ class Network(nn.Module):
         for module in self.modules():
             if isinstance(module, Unit):
                 module.fuse()
-        return self
+        return nn.Module.to(self, memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
 def normalise(image: Tensor) -> Tensor:

@@ -1,0 +1,109 @@
+"""Probabilities of prompts, from features whose answers are known."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from fruitlangs.engine.errors import EncoderError, VocabularyError
+from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
+from fruitlangs.engine.language.lift import Features
+from fruitlangs.engine.language.network import Network
+from fruitlangs.engine.language.relevancy import MIN_WEIGHT, dual_threshold, relevancy
+from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS
+
+
+@pytest.fixture(scope="module")
+def encoder() -> EmbeddedEncoder:
+    network = Network(len(CONCEPTS), widths=(2, 2, 2, 2), depths=(0, 0, 0, 0))
+    return EmbeddedEncoder(network.fuse(), Calibration(), "test")
+
+
+def _feature(colour: str, **concepts: float) -> Tensor:
+    """A unit feature with these concept probabilities, the rest spread over the other concepts."""
+    shares = torch.full((len(CONCEPTS),), (1.0 - sum(concepts.values())) / (len(CONCEPTS) - len(concepts)))
+    for word, share in concepts.items():
+        shares[CONCEPTS.index(word)] = share
+    colours = torch.full((len(COLOURS),), 0.05 / (len(COLOURS) - 1))
+    colours[COLOURS.index(colour)] = 0.95
+    return torch.cat([shares, colours]).mul(0.5).sqrt()
+
+
+def _features(*vectors: Tensor, weight: float = 10.0) -> Features:
+    return Features(torch.stack(vectors), torch.full((len(vectors),), weight), "test")
+
+
+def test_probability_is_that_of_the_feature(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.8), _feature("green", leaf=0.9, apple=0.05))
+    assert torch.allclose(relevancy(features, encoder, ["apple"]), torch.tensor([0.8, 0.05]), atol=1e-4)
+
+
+def test_fruit_is_the_sum_over_the_fruit_words(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.5, peach=0.4, leaf=0.1))
+    assert float(relevancy(features, encoder, ["fruit"])) == pytest.approx(0.9, abs=1e-4)
+
+
+def test_a_colour_and_a_thing_must_both_hold(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.9), _feature("green", apple=0.9), _feature("red", leaf=0.9))
+    red, green, leaf = relevancy(features, encoder, ["red apple"]).tolist()
+    assert red == pytest.approx(0.9 * 0.95, abs=1e-3)
+    assert max(green, leaf) < 0.02
+
+
+def test_any_of_several_prompts_is_enough(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.9), _feature("green", pear=0.9), _feature("green", leaf=0.9))
+    apple, pear, leaf = relevancy(features, encoder, ["apple", "pear"]).tolist()
+    assert min(apple, pear) > 0.89
+    assert leaf < 0.05
+
+
+def test_a_negative_phrase_takes_its_share_away(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.9), _feature("green", apple=0.9))
+    red, green = relevancy(features, encoder, ["apple"], ["green apple"]).tolist()
+    assert red > 0.85
+    assert green < 0.2
+
+
+def test_a_hardly_seen_gaussian_has_probability_zero(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.9), weight=MIN_WEIGHT / 2.0)
+    assert float(relevancy(features, encoder, ["apple"])) == 0.0
+
+
+def test_an_unseen_gaussian_with_a_zero_feature_has_probability_zero(encoder: EmbeddedEncoder):
+    features = Features(torch.zeros(1, encoder.dimension), torch.zeros(1), "test")
+    assert float(relevancy(features, encoder, ["apple"])) == 0.0
+
+
+def test_the_length_of_a_block_does_not_matter(encoder: EmbeddedEncoder):
+    mixed = torch.nn.functional.normalize(_feature("red", apple=0.8) * torch.tensor([0.4] * 16 + [1.0] * 11), dim=0)
+    expected = relevancy(_features(_feature("red", apple=0.8)), encoder, ["red apple"])
+    assert torch.allclose(relevancy(_features(mixed), encoder, ["red apple"]), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(("prompt", "negative"), [("apple", "Apples"), ("red apple", "apple"), ("apple", "fruit")])
+def test_a_prompt_that_a_negative_rules_out_is_refused(encoder: EmbeddedEncoder, prompt: str, negative: str):
+    with pytest.raises(VocabularyError, match="ruled out"):
+        relevancy(_features(_feature("red", apple=0.9)), encoder, [prompt], [negative])
+
+
+def test_an_unknown_negative_is_refused(encoder: EmbeddedEncoder):
+    with pytest.raises(VocabularyError, match="tractor"):
+        relevancy(_features(_feature("red", apple=0.9)), encoder, ["apple"], ["tractor"])
+
+
+def test_no_prompt_is_refused(encoder: EmbeddedEncoder):
+    with pytest.raises(VocabularyError, match="no prompt"):
+        relevancy(_features(_feature("red", apple=0.9)), encoder, [])
+
+
+def test_features_of_another_encoder_are_refused(encoder: EmbeddedEncoder):
+    features = Features(torch.zeros(1, encoder.dimension), torch.ones(1), "another")
+    with pytest.raises(EncoderError, match="another"):
+        relevancy(features, encoder, ["apple"])
+
+
+def test_the_dual_threshold_wants_a_high_positive_and_a_low_negative(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.9), _feature("red", apple=0.5, leaf=0.5), _feature("red", leaf=0.9))
+    chosen = dual_threshold(features, encoder, ["apple"], ["leaf"], tau_positive=0.45, tau_negative=0.4)
+    assert chosen.tolist() == [1.0, 0.0, 0.0]
