@@ -127,16 +127,16 @@ def _blend_tile(
         number = fill(np.float32(entry - begin))
         first, last = _rows_of(records, at, top)
         for y in range(first, last):
+            place = y * TILE_WIDTH
+            if extra > 0:
+                store(weights, place, fill(ZERO))
             if not (alive >> y) & 1:
                 continue
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
-            place = y * TILE_WIDTH
             transmittance = load(scratch, TRANSMITTANCE * PIXELS + place)
             counts = both(at_least(power, FAINTEST), at_least(transmittance, STOP))
             if not anywhere(counts):
-                if extra > 0:
-                    store(weights, place, fill(ZERO))
                 continue
             alpha = select(counts, at_most(exp2(power), MAX_ALPHA), fill(ZERO))
             weight = alpha * transmittance

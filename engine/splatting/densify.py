@@ -20,10 +20,10 @@ SPLIT_SHRINK = 1.6
 class DensifyRules:
     """Bounds of one densification.
 
-    gradient: mean length of the image gradient, in half-images, from which a Gaussian is cloned or split; max_gaussians:
-    never more than this many; small: clone up to this size (scene units), split above; opacity: prune below; oversize:
-    prune when the largest standard deviation exceeds this share of `extent` (scene units), or of the distance to the
-    middle of the cameras where that is larger.
+    gradient: mean length of the image gradient, in half-images, from which a Gaussian is cloned or split;
+    max_gaussians: never more than this many; small: clone up to this size (scene units), split above; opacity: prune
+    below; oversize: prune when the largest standard deviation exceeds this share of `extent` (scene units), or of the
+    distance to the middle of the cameras where that is larger.
     """
 
     gradient: float

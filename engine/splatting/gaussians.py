@@ -63,7 +63,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        return int(round(self.sh.shape[1] ** 0.5)) - 1
+        return round(self.sh.shape[1] ** 0.5) - 1
 
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at `index` (bool mask (N,) or integer indices)."""

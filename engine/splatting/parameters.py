@@ -1,4 +1,4 @@
-"""What training moves: the Gaussians' parameters with the optimiser's moments, kept together as Gaussians come and go."""
+"""What training moves: the Gaussians' parameters and the optimiser's moments, together as Gaussians come and go."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..scene.camera import Camera, Scene
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A photo at one size. camera: of that size; pixels: (H, W, 3) uint8; mask: (H, W) usable pixels or None for all."""
+    """A photo at one size: camera of that size; pixels (H, W, 3) uint8; mask (H, W) usable pixels, None for all."""
 
     camera: Camera
     pixels: NDArray[np.uint8]

@@ -148,7 +148,7 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:  # type: ignore[override]
         *parameters, features, background = ctx.saved_tensors
-        means, log_scales, quats, opacity_logits, sh = parameters
+        means, log_scales, quats, _, sh = parameters
         tiles: _Tiles = ctx.tiles
         color, alpha, depth, extra, _ = grads
         planes = ctx.planes

@@ -214,7 +214,8 @@ def _gradients(
     loss = photometric_loss(rendering.color, picture.pixels, ssim_weight=config.ssim_weight, mask=picture.mask)
     loss.backward()
     gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-    assert offsets.grad is not None and len(gradients) == len(NAMES)
+    assert offsets.grad is not None
+    assert len(gradients) == len(NAMES)
     return gradients, offsets.grad, rendering.radii, loss.item()
 
 

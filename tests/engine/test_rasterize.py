@@ -1,0 +1,149 @@
+"""The rasteriser against its float64 twin, and the laws it must keep."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).parent))
+from splats import random_gaussians, ring_camera
+
+from fruitlangs.engine.errors import SceneError
+from fruitlangs.engine.scene.camera import Camera
+from fruitlangs.engine.splatting.agreement import compare_with_twin
+from fruitlangs.engine.splatting.gaussians import Gaussians
+from fruitlangs.engine.splatting.rasterize import accumulate, render, visible_weights
+from fruitlangs.engine.splatting.reference import blending_weights
+
+
+def doubled(gaussians: Gaussians) -> Gaussians:
+    return Gaussians(**{field.name: getattr(gaussians, field.name).double() for field in fields(gaussians)})
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_values_and_gradients_agree_with_the_twin(degree: int) -> None:
+    errors = compare_with_twin(random_gaussians(60, degree, seed=degree), ring_camera(), seed=degree)
+    assert set(errors) >= {"color", "depth", "alpha", "features", "d means", "d sh", "d quats", "d offsets"}
+    assert max(errors.values()) < 1e-4, errors
+
+
+def test_gaussians_beside_and_behind_the_camera_agree_with_the_twin() -> None:
+    gaussians = random_gaussians(80, 1, seed=4, log_scale=-1.0)
+    gaussians.means[:40, 2] -= 3.5
+    gaussians.means[:20] *= torch.tensor([4.0, 3.0, 1.0])
+    errors = compare_with_twin(gaussians, ring_camera(0.0), seed=4)
+    assert max(errors.values()) < 1e-3, errors
+
+
+def test_opaque_stacks_stop_as_in_the_twin() -> None:
+    gaussians = random_gaussians(300, 0, seed=6, log_scale=-1.5)
+    gaussians.opacity_logits.add_(4.0)
+    camera = ring_camera(width=33, height=21, focal=30.0)
+    assert float(render(gaussians, camera).alpha.max()) > 0.9999
+    errors = compare_with_twin(gaussians, camera, seed=6)
+    assert max(errors.values()) < 1e-3, errors
+
+
+def test_sums_by_blending_weight_agree_with_the_twin() -> None:
+    gaussians, camera = random_gaussians(60, 0, seed=3), ring_camera()
+    target = torch.randn(camera.height, camera.width, 70, generator=torch.Generator().manual_seed(1))
+    lifted = accumulate(gaussians, camera, target)
+    weights, order = blending_weights(doubled(gaussians), camera)
+    expected = torch.zeros(60, 70, dtype=torch.float64)
+    expected[order] = torch.einsum("nhw,hwd->nd", weights, target.double())
+    torch.testing.assert_close(lifted.sums.double(), expected, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(lifted.weights[order].double(), weights.sum((1, 2)), rtol=1e-4, atol=1e-4)
+
+
+def test_weights_add_up_to_alpha() -> None:
+    gaussians, camera = random_gaussians(200, 0, seed=8), ring_camera()
+    total = float(render(gaussians, camera).alpha.double().sum())
+    assert float(visible_weights(gaussians, camera).double().sum()) == pytest.approx(total, rel=1e-5)
+
+
+def test_a_crop_of_the_camera_draws_the_same_pixels() -> None:
+    gaussians, camera = random_gaussians(300, 2, seed=9, log_scale=-3.5), ring_camera(width=100, height=70)
+    whole = render(gaussians, camera).color
+    K = camera.K.copy()
+    K[:2, 2] -= [37, 11]
+    # Only small Gaussians: J's limits move with the crop, and with them the shape of what lies far outside of it.
+    crop = render(gaussians, Camera(K=K, world_to_camera=camera.world_to_camera, width=41, height=29)).color
+    torch.testing.assert_close(crop, whole[11:40, 37:78], rtol=0, atol=1e-4)
+
+
+def test_shuffling_the_gaussians_changes_nothing() -> None:
+    gaussians, camera = random_gaussians(200, 1, seed=10), ring_camera()
+    order = torch.randperm(200, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(render(gaussians.select(order), camera).color, render(gaussians, camera).color)
+
+
+def test_threads_change_no_byte() -> None:
+    camera = ring_camera(width=200, height=120, focal=150.0)
+
+    def everything() -> list[torch.Tensor]:
+        gaussians = random_gaussians(3000, 3, seed=11, log_scale=-3.0)
+        for field in fields(gaussians):
+            getattr(gaussians, field.name).requires_grad_()
+        rendering = render(gaussians, camera)
+        (rendering.color.square().sum() + rendering.depth.sum()).backward()
+        sums = accumulate(gaussians, camera, torch.ones(120, 200, 5)).sums
+        return [rendering.color.detach(), sums, *(getattr(gaussians, field.name).grad for field in fields(gaussians))]
+
+    most = numba.get_num_threads()
+    runs = []
+    for count in (1, most, most):
+        numba.set_num_threads(count)
+        runs.append(everything())
+    numba.set_num_threads(most)
+    for other in runs[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(runs[0], other, strict=True))
+
+
+def test_harmonics_above_the_asked_degree_count_nothing() -> None:
+    gaussians, camera = random_gaussians(50, 2, seed=12), ring_camera()
+    base = replace(gaussians, sh=gaussians.sh[:, :4])
+    assert torch.equal(render(gaussians, camera, sh_degree=1).color, render(base, camera).color)
+
+
+def test_depth_of_an_opaque_sheet_is_its_distance() -> None:
+    sheet = Gaussians(
+        means=torch.tensor([[0.0, 0.0, 0.0]]),
+        log_scales=torch.tensor([[1.0, 1.0, -6.0]]),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        opacity_logits=torch.tensor([6.0]),
+        sh=torch.zeros(1, 1, 3),
+    )
+    camera = ring_camera(0.0)
+    assert float(render(sheet, camera).depth[24, 35]) == pytest.approx(4.0, abs=1e-4)
+
+
+def test_nothing_in_view_draws_the_background() -> None:
+    gaussians = random_gaussians(10, 0)
+    gaussians.means[:, 2] -= 100.0
+    background = torch.tensor([0.25, 0.5, 0.75])
+    rendering = render(gaussians, ring_camera(0.0), background=background)
+    assert torch.equal(rendering.color, background.expand(50, 70, 3))
+    assert float(rendering.alpha.abs().max()) == 0.0
+    assert float(rendering.radii.max()) == 0.0
+
+
+def test_no_gaussians_at_all_draw_the_background() -> None:
+    empty = random_gaussians(1, 0).select(torch.zeros(0, dtype=torch.long))
+    assert float(render(empty, ring_camera()).color.abs().max()) == 0.0
+
+
+def test_distortion_is_refused() -> None:
+    camera = replace(ring_camera(), distortion=np.array([0.1, 0.0, 0.0, 0.0]))
+    with pytest.raises(SceneError, match="undistort"):
+        render(random_gaussians(3, 0), camera)
+
+
+def test_a_target_of_another_size_is_refused() -> None:
+    with pytest.raises(SceneError, match="camera's"):
+        accumulate(random_gaussians(3, 0), ring_camera(), torch.zeros(10, 10, 3))
