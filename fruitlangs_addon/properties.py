@@ -1,5 +1,8 @@
 """The state that a Blender scene keeps: what to count where, the settings of every stage, and the last result."""
 
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
 from __future__ import annotations
 
 from typing import Any

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..operators import count, dependencies, import_scene, jobs
 from . import panels, preferences, properties
 
-CLASSES = (
+CLASSES: tuple[Any, ...] = (
     *properties.CLASSES,
     *jobs.CLASSES,
     *dependencies.CLASSES,

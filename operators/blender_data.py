@@ -67,10 +67,10 @@ def get_attribute(mesh: bpy.types.Mesh, name: str) -> NDArray[Any]:
     return values if width == 1 else values.reshape(-1, width)
 
 
-def linear_from_srgb(srgb: NDArray[Any]) -> NDArray[Any]:
+def linear_from_srgb(srgb: NDArray[Any] | Sequence[float]) -> NDArray[Any]:
     """Blender's attributes and materials hold scene-linear colour; photos and Gaussians hold sRGB."""
-    srgb = np.asarray(srgb, dtype=np.float32)
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    values = np.asarray(srgb, dtype=np.float32)
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def rgba(rgb: NDArray[Any]) -> NDArray[Any]:

@@ -47,11 +47,11 @@ class Piece:
         node.location = (220 * column, -180 * row)
         for name, value in settings.items():
             setattr(node, name, value)
-        for name, value in (inputs or {}).items():
+        for key, value in (inputs or {}).items():
             if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, node.inputs[name])
+                self.tree.links.new(value, node.inputs[key])
             else:
-                node.inputs[name].default_value = value
+                node.inputs[key].default_value = value
         return node
 
     def attribute(self, name: str, data_type: str, column: int, row: int) -> Any:

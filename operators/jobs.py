@@ -134,8 +134,9 @@ class JobOperator:
         global _current
         if bpy.app.background:
             return self.execute(context)
-        if running() is not None:
-            self.report({"WARNING"}, f"{running().title} is still at work; wait or cancel it first")
+        other = running()
+        if other is not None:
+            self.report({"WARNING"}, f"{other.title} is still at work; wait or cancel it first")
             return {"CANCELLED"}
         self.failed(context, "")
         try:
