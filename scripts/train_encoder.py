@@ -70,12 +70,12 @@ def main(options: Options) -> None:
     torch.manual_seed(options.seed)
     photos, val_photos = read_photos(options.photos, "train"), read_photos(options.photos, "val")
     renders, held_out = split_scenes(read_renders(options.renders) if options.renders else [])
-    seeds = scene_seeds(options.renders) if options.renders else []
+    seeds = scene_seeds([*renders, *held_out], options.renders) if options.renders else []
     material = Material(photos, renders, cut_fruit([*photos, *renders]))
     print(f"{len(photos)} photos, {len(renders)} renders to train on, {len(held_out)} held out", flush=True)
     print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
 
-    network = Network(len(CONCEPTS))
+    network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
     steps = train(network, material, options)
     draft = options.out.with_suffix(".draft.safetensors")
     notes = {"seeds": seeds, "steps": steps, "seed": options.seed}

@@ -98,7 +98,7 @@ def inside(box: Box, share: float, shape: tuple[int, ...], *, ellipse: bool = Tr
 
 
 def read_renders(folder: Path) -> list[Picture]:
-    """Every scene below `folder`: images/*.jpg with classes/*.png, instances/*.png and classes.json (index → word).
+    """Every finished scene below `folder`: images/, classes/ and instances/ of like names, classes.json (index → word).
 
     Raises:
         FormatError: a scene lacks a file or names an unknown class.
@@ -137,22 +137,19 @@ def _lookup(table: Path) -> Labels:
     return lookup
 
 
-def scene_seeds(folder: Path) -> list[int]:
-    """Seeds of the rendered scenes, from truth.json or scenes.json.
+def scene_seeds(pictures: Sequence[Picture], folder: Path) -> list[int]:
+    """Seeds of the rendered scenes that `pictures` are from, as their orchard.json records them.
 
     Raises:
         FormatError: a scene's seed is not recorded.
     """
     seeds = []
-    for table in sorted(folder.glob("*/classes.json")):
-        truth = table.parent / "truth.json"
+    for scene in sorted({picture.source for picture in pictures}):
+        record = folder / scene / "orchard.json"
         try:
-            seeds.append(int(json.loads(truth.read_text(encoding="utf-8"))["config"]["seed"]))
-        except (OSError, KeyError, ValueError, TypeError):
-            digits = table.parent.name.rpartition("_")[2]
-            if not digits.isdigit():
-                raise FormatError(f"the seed of {table.parent} is not recorded in its truth.json") from None
-            seeds.append(int(digits))
+            seeds.append(int(json.loads(record.read_text(encoding="utf-8"))["config"]["seed"]))
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise FormatError(f"{record} does not tell the scene's seed ({error}); make the scene again") from error
     return sorted(seeds)
 
 

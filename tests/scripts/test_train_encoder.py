@@ -1,0 +1,166 @@
+"""The training script: labels from boxes and masks, pasting, the loss, and a whole tiny run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import train_encoder
+from encoder.batches import CROP, Material, make_batch
+from encoder.losses import concept_loss
+from encoder.pasting import cut_fruit, paste
+from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, read_renders, scene_seeds
+from PIL import Image
+
+from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.language.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
+
+APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sets of two 64×64 photos with one box each."""
+    root = tmp_path_factory.mktemp("photos")
+    rng = np.random.default_rng(0)
+    for label in ("apple", "pear"):
+        (root / label / "images").mkdir(parents=True)
+        rows = ["image,split,label,xmin,ymin,xmax,ymax"]
+        for split in ("train", "val"):
+            pixels = rng.integers(0, 256, (64, 64, 3), dtype=np.uint8)
+            Image.fromarray(pixels).save(root / label / "images" / f"{split}.png")
+            rows.append(f"images/{split}.png,{split},{label},20,20,44,40")
+        (root / label / "annotations.csv").write_text("\n".join(rows) + "\n")
+    return root
+
+
+@pytest.fixture(scope="module")
+def renders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight scenes of one 64×64 picture: an apple of 24 px on leaves."""
+    root = tmp_path_factory.mktemp("renders")
+    y, x = np.mgrid[:64, :64]
+    apple = (x - 30) ** 2 + (y - 30) ** 2 < 12**2
+    for seed in range(1000, 1008):
+        scene = root / f"scene_{seed}"
+        for folder in ("images", "classes", "instances"):
+            (scene / folder).mkdir(parents=True)
+        colors = np.where(apple[..., None], (180, 30, 30), (60, 110, 40)).astype(np.uint8)
+        Image.fromarray(colors).save(scene / "images" / "001.jpg")
+        Image.fromarray(apple.astype(np.uint8)).save(scene / "classes" / "001.png")
+        Image.fromarray(apple.astype(np.uint16)).save(scene / "instances" / "001.png")
+        (scene / "classes.json").write_text(json.dumps({"0": "leaf", "1": "apple"}))
+        (scene / "orchard.json").write_text(json.dumps({"config": {"seed": seed}}))
+    return root
+
+
+def test_a_box_is_fruit_in_its_centre_unknown_around_it_and_no_fruit_outside():
+    labels = box_labels([Box("apple", 20, 20, 40, 40)], (64, 64))
+    assert labels[30, 30] == APPLE
+    assert labels[21, 21] == IGNORED
+    assert labels[30, 18] == NOT_FRUIT
+    assert np.isclose((labels == APPLE).sum(), np.pi * 6**2, rtol=0.1)
+
+
+def test_photos_are_read_by_split_with_their_set_as_source(photos: Path):
+    pictures = read_photos(photos, "val")
+    assert [picture.source for picture in pictures] == ["apple", "pear"]
+    assert [box.label for box in pictures[1].boxes] == ["pear"]
+
+
+def test_a_folder_without_annotations_is_named(tmp_path: Path):
+    with pytest.raises(FormatError, match=r"no folder with an annotations\.csv"):
+        read_photos(tmp_path, "train")
+
+
+def test_a_broken_row_is_named_by_file_and_line(tmp_path: Path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "annotations.csv").write_text(
+        "image,split,label,xmin,ymin,xmax,ymax\na.jpg,train,apple,1,2,x,4\n"
+    )
+    with pytest.raises(FormatError, match=r"annotations\.csv line 2"):
+        read_photos(tmp_path, "train")
+
+
+def test_masks_of_renders_become_words_and_their_seeds_are_recorded(renders: Path):
+    pictures = read_renders(renders)
+    assert set(np.unique(pictures[0].labels)) == {APPLE, LEAF}
+    assert scene_seeds(pictures, renders) == list(range(1000, 1008))
+
+
+def test_held_out_scenes_are_no_training_scenes(renders: Path):
+    train, held_out = train_encoder.split_scenes(read_renders(renders))
+    assert held_out
+    assert not {picture.source for picture in train} & {picture.source for picture in held_out}
+    assert len(train) + len(held_out) == 8
+
+
+def test_pasted_fruit_brings_its_label(renders: Path):
+    cutout = cut_fruit(read_renders(renders))[APPLE][0]
+    pixels, labels = np.zeros((64, 64, 3), np.uint8), np.full((64, 64), LEAF, np.uint8)
+    box = paste(pixels, labels, cutout, 20, np.random.default_rng(0), occlude=False)
+    assert box is not None
+    assert labels[int(box.top) + 10, int(box.left) + 10] == APPLE
+    assert pixels[int(box.top) + 10, int(box.left) + 10, 0] > 90
+    assert labels[int(box.top) - 1, int(box.left) - 1] == LEAF
+
+
+def test_a_batch_depends_on_its_seed_alone(photos: Path, renders: Path):
+    pictures = read_renders(renders)
+    material = Material(read_photos(photos, "train"), pictures, cut_fruit(pictures))
+    (images, labels), again = (make_batch(material, 3, np.random.default_rng(4)) for _ in range(2))
+    assert torch.equal(images, again[0])
+    assert torch.equal(labels, again[1])
+    assert images.shape == (3, 3, CROP, CROP)
+    assert float(images.min()) >= 0.0
+    assert float(images.max()) <= 1.0
+
+
+def test_few_fruit_pixels_weigh_as_much_as_many():
+    right = torch.zeros(1, len(CONCEPTS), 32, 32)
+    right[:, LEAF] = 6.0
+    few, many = torch.full((1, 32, 32), LEAF), torch.full((1, 32, 32), LEAF)
+    few[:, :2, :2], many[:, :16] = APPLE, APPLE
+    assert float(concept_loss(right, few)) == pytest.approx(float(concept_loss(right, many)), rel=1e-3)
+
+
+def test_no_fruit_is_content_with_any_word_of_the_surroundings():
+    labels = torch.full((1, 8, 8), NOT_FRUIT)
+    for word in CONCEPTS:
+        logits = torch.zeros(1, len(CONCEPTS), 8, 8)
+        logits[:, CONCEPTS.index(word)] = 20.0
+        assert (float(concept_loss(logits, labels)) < 0.01) == (word not in FRUITS)
+
+
+def test_ignored_pixels_teach_nothing():
+    labels = torch.full((1, 8, 8), LEAF)
+    labels[:, 4:] = IGNORED
+    logits = torch.zeros(1, len(CONCEPTS), 8, 8, requires_grad=True)
+    concept_loss(logits, labels).backward()
+    assert logits.grad is not None
+    assert logits.grad[:, :, :4].any()
+    assert not logits.grad[:, :, 4:].any()
+
+
+def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
+    photos: Path, renders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(train_encoder, "WIDTHS", (4, 4, 4, 4))
+    monkeypatch.setattr(train_encoder, "DEPTHS", (0, 0, 0, 0))
+    threads = torch.get_num_threads()
+    for name in ("a", "b"):
+        train_encoder.main(
+            train_encoder.Options(
+                renders=renders, photos=photos, out=tmp_path / name / "w.safetensors", steps=2, batch=2, threads=1
+            )
+        )
+    torch.set_num_threads(threads)
+    assert (tmp_path / "a" / "w.safetensors").read_bytes() == (tmp_path / "b" / "w.safetensors").read_bytes()
+    document = json.loads((tmp_path / "a" / "w.json").read_text())
+    assert document["seeds"] == list(range(1000, 1008))
+    assert set(document["measures"]["photos"]) == {"apple", "pear"}
+    assert "apple" in (tmp_path / "a" / "MODEL_CARD.md").read_text()
+    assert EmbeddedEncoder.open(tmp_path / "a" / "w.safetensors").dimension == 27
