@@ -17,8 +17,8 @@ Verdict = Literal["kept", "split", "dropped"]
 class Fruit:
     """One counted fruit.
 
-    center: (3,) in the scene's frame; diameter, diameter_sd: scene units; volume: cubed scene units; probability that it
-    is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
+    center: (3,) in the scene's frame; diameter, diameter_sd: scene units; volume: cubed scene units; probability that
+    it is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
     kind: single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of.
     """
 

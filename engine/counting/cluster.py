@@ -1,0 +1,204 @@
+"""Fruit among surface points: votes for centres, sphere fits, greedy choice, rejection of what is no fruit."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ..progress import Progress, silent
+from .sample import SurfacePoints, turn_towards
+from .sphere import REACH, Spheres, fit_spheres, neighborhoods, on_sphere
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+VOTE_RADII = (0.7, 1.0, 1.35)
+"""Radii at which points vote, in mean radii."""
+VOTERS = 20_000
+NEIGHBORS = 384
+LINK = 0.15
+"""Points nearer to each other than this, in mean diameters, belong to one cluster."""
+LEAST_THINNESS = 0.15
+LEAST_COVERAGE = 0.10
+LEAST_SHELL = 0.5
+LEAST_SUPPORT = 0.10
+"""A fruit has at least this share of the points of a typical fruit of its size (the upper quartile of all fits)."""
+OVERLAP = 0.65
+"""Two fruit's centres are at least this many sums of their radii apart."""
+LEAST_FREE = 0.5
+"""A fruit keeps at least this share of its points once better fruit have taken theirs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters:
+    """What became of the surface points.
+
+    positions: (P, 3); spheres: the F accepted fruit; owners: (P,) index of the sphere each point belongs to, -1 none;
+    components: (P,) index of the connected cluster a point is in; refusals: why the best sphere of a cluster without
+    fruit was refused, by cluster.
+    """
+
+    positions: FloatArray
+    spheres: Spheres
+    owners: IntArray
+    components: IntArray
+    refusals: Mapping[int, str]
+
+    def refusal(self, component: int) -> str:
+        """Why a cluster holds no fruit."""
+        return self.refusals.get(component, "its points face no common centre")
+
+
+def find_fruit(points: SurfacePoints, diameter: float, spread: float, *, progress: Progress = silent) -> Clusters:
+    """Find the spheres that explain the points.
+
+    diameter: mean fruit diameter in scene units; spread: standard deviation of log diameter between fruit.
+    """
+    radius, prior_sd = diameter / 2.0, float(np.clip(spread, 0.12, 0.35))
+    tree = cKDTree(points.positions)
+    progress(0.0, "finding normals")
+    points = with_local_normals(points, tree, 0.2 * diameter)
+    progress(0.3, "voting for centres")
+    radii = np.array(
+        [factor * radius for factor in VOTE_RADII if abs(np.log(factor)) < 2.2 * prior_sd or factor == 1.0]
+    )
+    starts = [vote(points, each) for each in radii]
+    centers, start_radii = np.concatenate(starts), np.repeat(radii, [len(each) for each in starts])
+    progress(0.5, f"fitting {len(centers)} spheres")
+    near = neighborhoods(tree, centers, REACH * start_radii, NEIGHBORS)
+    spheres = fit_spheres(points, near, centers, np.full(len(centers), radius), prior_sd=prior_sd)
+    progress(0.8, "choosing among the fits")
+    good = spheres.select(plausible(spheres, diameter, prior_sd))
+    chosen, owners = cover(points, tree, good)
+    components = connected(points, tree, LINK * diameter)
+    refusals = refuse(spheres, components[tree.query(spheres.centers)[1]], diameter, prior_sd) if len(spheres) else {}
+    return Clusters(points.positions, chosen, owners, components, refusals)
+
+
+def with_local_normals(points: SurfacePoints, tree: cKDTree, reach: float, neighbors: int = 32) -> SurfacePoints:
+    """Replace each normal by the flat axis of its neighbours' scatter, where that is flat, turned to the cameras."""
+    distance, index = tree.query(points.positions, k=min(neighbors, len(points)), distance_upper_bound=reach)
+    normals = points.normals.copy()
+    padded = np.vstack([points.positions, np.zeros(3)])
+    for rows in (slice(start, start + 20_000) for start in range(0, len(points), 20_000)):
+        weight = np.isfinite(distance[rows]).astype(np.float64)[:, :, None]
+        local = padded[index[rows]]
+        count = weight.sum(axis=1)
+        offset = (local - (local * weight).sum(axis=1, keepdims=True) / count[:, None]) * weight
+        values, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", offset, offset) / count[:, :, None])
+        flat = (count[:, 0] >= 8) & (values[:, 0] < 0.5 * values[:, 1])
+        turned = turn_towards(axes[:, :, 0], points.directions[rows])
+        # The Gaussian's own axis and the scatter's are two measurements of one normal.
+        own = normals[rows]
+        mixed = own + np.where((np.einsum("pi,pi->p", own, turned) > 0)[:, None], turned, turned - own)
+        mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12)
+        normals[rows] = np.where(flat[:, None], mixed, own)
+    return SurfacePoints(points.positions, normals, points.gaussians, points.probabilities, points.directions)
+
+
+def vote(points: SurfacePoints, radius: float) -> FloatArray:
+    """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart."""
+    step = max(1, len(points) // VOTERS)
+    votes = points.positions[::step] - radius * points.normals[::step]
+    tree = cKDTree(votes)
+    density = tree.query_ball_point(votes, 0.25 * radius, return_length=True)
+    taken = np.zeros(len(votes), bool)
+    peaks: list[int] = []
+    for index in np.argsort(-density, kind="stable"):
+        if density[index] < 4:
+            break
+        if not taken[index]:
+            peaks.append(int(index))
+            taken[tree.query_ball_point(votes[index], 0.35 * radius)] = True
+    near = neighborhoods(tree, votes[peaks], np.full(len(peaks), 0.3 * radius), 64)
+    weight = (near >= 0)[:, :, None]
+    return (votes[near] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
+
+
+def plausible(spheres: Spheres, diameter: float, prior_sd: float) -> NDArray[np.bool_]:
+    """(C,) whether each sphere is round, covered, hollow and well supported enough for a fruit."""
+    off_size = np.abs(np.log(2.0 * np.maximum(spheres.radii, 1e-12) / diameter)) / prior_sd
+    shares = support_shares(spheres)
+    return (
+        (spheres.thinness > LEAST_THINNESS)
+        & (spheres.coverage > LEAST_COVERAGE)
+        & (spheres.shell > LEAST_SHELL)
+        & (shares > LEAST_SUPPORT)
+        & (off_size < 3.5)
+    )
+
+
+def support_shares(spheres: Spheres) -> FloatArray:
+    """(C,) points on each sphere for its surface, in those of a typical whole fruit (upper quartile of round fits)."""
+    density = spheres.support / np.maximum(spheres.radii, 1e-12) ** 2
+    round_fits = density[(spheres.shell > LEAST_SHELL) & (spheres.coverage > 0.3)]
+    whole = np.quantile(round_fits, 0.75) if len(round_fits) else density.max(initial=1.0)
+    return density / max(float(whole), 1e-12)
+
+
+def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres) -> tuple[Spheres, IntArray]:
+    """Accept spheres greedily by the points they explain that no better sphere has; (F spheres, (P,) owners)."""
+    owners = np.full(len(points), -1, np.int64)
+    near = neighborhoods(tree, spheres.centers, 1.35 * spheres.radii, 4 * NEIGHBORS)
+    on, error, _, distance = on_sphere(points, near, spheres.centers, spheres.radii)
+    inside = (near >= 0) & (distance < 0.65 * spheres.radii[:, None])
+    value = on * np.clip(1.0 - np.abs(error) / (0.35 * spheres.radii[:, None]), 0.0, 1.0)
+    own = value.sum(axis=1)
+    scale = own * spheres.shell
+    heap = [(-scale[index], index) for index in range(len(spheres))]
+    heapq.heapify(heap)
+    chosen: list[int] = []
+    while heap:
+        score, index = heapq.heappop(heap)
+        free = (owners[near[index]] < 0) & (near[index] >= 0)
+        left = (value[index] * free).sum()
+        if left < LEAST_FREE * own[index]:
+            continue
+        now = -(left * left / max(left + (inside[index] & free).sum(), 1e-9))
+        if now > 0.98 * score and heap and now > heap[0][0]:
+            heapq.heappush(heap, (now, index))
+            continue
+        if chosen:
+            apart = np.linalg.norm(spheres.centers[chosen] - spheres.centers[index], axis=1)
+            if (apart < OVERLAP * (spheres.radii[chosen] + spheres.radii[index])).any():
+                continue
+        members = near[index][free & (on[index] | inside[index])]
+        owners[members] = len(chosen)
+        chosen.append(index)
+    return spheres.select(np.array(chosen, np.int64)), owners
+
+
+def connected(points: SurfacePoints, tree: cKDTree, link: float) -> IntArray:
+    """(P,) index of the connected cluster of each point; points nearer than `link` are linked."""
+    pairs = tree.query_pairs(link, output_type="ndarray")
+    size = (len(points), len(points))
+    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=size)
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def refuse(spheres: Spheres, components: IntArray, diameter: float, prior_sd: float) -> dict[int, str]:
+    """By cluster, what is wrong with its best sphere; components: (C,) the cluster each sphere lies in."""
+    shares = support_shares(spheres)
+    best: dict[int, int] = {}
+    for index in np.argsort(-spheres.support * spheres.shell, kind="stable"):
+        best.setdefault(int(components[index]), int(index))
+    return {component: _refusal(spheres, index, shares[index], diameter) for component, index in best.items()}
+
+
+def _refusal(spheres: Spheres, index: int, share: float, diameter: float) -> str:
+    faults = [
+        (spheres.thinness[index] <= LEAST_THINNESS, f"flat ({spheres.thinness[index]:.2f} radii thick)"),
+        (spheres.coverage[index] <= LEAST_COVERAGE, f"seen on {spheres.coverage[index]:.0%} of its surface only"),
+        (spheres.shell[index] <= LEAST_SHELL, f"not hollow ({spheres.shell[index]:.0%} of its points on the surface)"),
+        (share <= LEAST_SUPPORT, f"thinly supported ({share:.0%} of a whole fruit's points)"),
+    ]
+    told = [text for wrong, text in faults if wrong]
+    size = f"the best sphere, of {2 * spheres.radii[index] / diameter:.2f} mean diameters,"
+    return f"{size} is {', '.join(told)}" if told else f"{size} lies on points of better fruit or is of no fruit's size"

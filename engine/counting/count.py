@@ -1,0 +1,218 @@
+"""Gaussians with probabilities → counted fruit, each with its size, and an account of every cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..config import CountConfig
+from ..errors import CountingError
+from ..progress import Progress, part, silent
+from ..scene.camera import Camera
+from ..splatting.gaussians import Gaussians
+from .account import Account, account_for
+from .cluster import Clusters, find_fruit
+from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
+from .sample import SurfacePoints, sample_surface
+from .size import estimate_diameter
+from .template import split_by_template
+from .visibility import Visibility, see, visible_fractions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LEAST_OPACITY = 0.05
+SIZING_POINTS = 20_000
+LARGEST_SCALE = 0.3
+"""Largest standard deviation, in mean fruit diameters, of a Gaussian that may give points."""
+DEFAULT_SPREAD = 0.2
+"""Deviation of log diameter between fruit where the diameter is given and not estimated."""
+SMALL = 0.6
+"""A fruit below this many mean diameters is of kind "small"."""
+
+
+def count_fruit(
+    gaussians: Gaussians,
+    probability: NDArray | torch.Tensor,
+    cameras: Sequence[Camera],
+    config: CountConfig,
+    *,
+    label: str,
+    visibility: Visibility | None = None,
+    progress: Progress = silent,
+) -> FruitCount:
+    """Count the fruit that the Gaussians with a probability (N,) of at least `config.threshold` make up.
+
+    visibility: how the cameras see the Gaussians, where it is known already; rendered otherwise. Fruit are numbered
+    from 1, from top to bottom as the cameras stand. A prompt that no Gaussian satisfies is a count of 0 with one audit
+    entry that says how near it came.
+
+    Raises:
+        CountingError: a shape does not fit, a value is not finite, or there are no Gaussians or no cameras.
+    """
+    chances = _checked(gaussians, probability, cameras)
+    highest = float(chances.max())
+    opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
+    selected = np.flatnonzero((chances >= config.threshold) & opaque)
+    if len(selected) == 0:
+        return _none(highest, f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
+    progress(0.0, "seeing the Gaussians from each view")
+    if visibility is None:
+        visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
+    seen = selected[visibility.weights[selected] > 0]
+    if len(seen) == 0:
+        return _none(highest, f"no view sees any of the {len(selected)} Gaussians of {label}")
+    sized = _size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
+    if sized is None:
+        return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
+    diameter, spread = sized
+    points = sample_surface(
+        gaussians,
+        chances,
+        visibility,
+        seen,
+        budget=config.sample_budget,
+        seed=config.seed,
+        largest=LARGEST_SCALE * diameter,
+    )
+    if len(points) == 0:
+        return _none(
+            highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {diameter:.3g}"
+        )
+    clusters = _find(points, diameter, spread, config, part(progress, 0.5, 0.8))
+    order = _top_to_bottom(clusters.spheres.centers, cameras)
+    account = account_for(clusters, order)
+    fractions = visible_fractions(
+        gaussians,
+        cameras,
+        clusters.spheres.centers[order],
+        2.0 * clusters.spheres.radii[order],
+        progress=part(progress, 0.8, 1.0),
+    )
+    return _finish(gaussians, chances, seen, points, clusters, order, account, fractions, label, highest)
+
+
+def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
+    """The probabilities as (N,) float64, once everything that goes in has a sound shape and finite values."""
+    if isinstance(probability, torch.Tensor):
+        probability = probability.detach().cpu().numpy()
+    chances = np.asarray(probability, dtype=np.float64)
+    if len(gaussians) == 0:
+        raise CountingError("there are no Gaussians to count in; train the scene first")
+    if len(cameras) == 0:
+        raise CountingError("there are no cameras; counting needs the views that saw the scene")
+    if chances.shape != (len(gaussians),):
+        raise CountingError(
+            f"the probability has shape {chances.shape}; give one value for each of the {len(gaussians)} Gaussians"
+        )
+    if not np.isfinite(chances).all():
+        raise CountingError(f"{(~np.isfinite(chances)).sum()} probabilities are not finite; lift the features again")
+    for name in ("means", "log_scales", "quats", "opacity_logits"):
+        bad = int((~torch.isfinite(getattr(gaussians, name))).sum())
+        if bad:
+            raise CountingError(f"{bad} values of the Gaussians' {name} are not finite; train the scene again")
+    return chances
+
+
+def _size(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    visibility: Visibility,
+    seen: IntArray,
+    config: CountConfig,
+    progress: Progress,
+) -> tuple[float, float] | None:
+    """Mean fruit diameter in scene units and the spread of its logarithm; None when nothing looks round."""
+    if config.diameter is not None:
+        return config.diameter, DEFAULT_SPREAD
+    widths = gaussians.scales.detach().double().cpu().numpy()[seen].max(axis=1)
+    typical = float(np.median(widths))
+    points = sample_surface(
+        gaussians,
+        chances,
+        visibility,
+        seen,
+        budget=min(SIZING_POINTS, config.sample_budget),
+        seed=config.seed,
+        largest=8.0 * typical,
+    )
+    estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
+    return None if estimate is None else (estimate.diameter, estimate.spread)
+
+
+def _find(points: SurfacePoints, diameter: float, spread: float, config: CountConfig, progress: Progress) -> Clusters:
+    if config.method == "template":
+        return split_by_template(points, diameter, seed=config.seed, progress=progress)
+    return find_fruit(points, diameter, spread, progress=progress)
+
+
+def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
+    """Order of the centres (F, 3) by falling height along the mean of the cameras' own upward axes."""
+    up = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+    return np.argsort(-(centers @ up), kind="stable").astype(np.int64)
+
+
+def _finish(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    seen: IntArray,
+    points: SurfacePoints,
+    clusters: Clusters,
+    order: IntArray,
+    account: Account,
+    fractions: FloatArray,
+    label: str,
+    highest: float,
+) -> FruitCount:
+    spheres = clusters.spheres.select(order)
+    numbers = np.append(account.numbers, -1)
+    mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
+    means = gaussians.means.detach().double().cpu().numpy()[seen]
+    owners = _nearest_sphere(means, spheres.centers, spheres.radii)
+    fruits = []
+    for index in range(len(spheres)):
+        diameter = float(2.0 * spheres.radii[index])
+        own = points.probabilities[clusters.owners == order[index]]
+        kind: FruitKind = "compound-part" if account.compound[index] else "single"
+        fruits.append(
+            Fruit(
+                id=index + 1,
+                label=label,
+                center=spheres.centers[index],
+                diameter=diameter,
+                diameter_sd=float(2.0 * spheres.radius_sds[index]),
+                volume=float(np.pi / 6.0 * diameter**3),
+                probability=float(own.mean()) if len(own) else 0.0,
+                visible_fraction=float(fractions[index]) if np.isfinite(fractions[index]) else None,
+                kind="small" if mean and diameter < SMALL * mean else kind,
+                members=seen[owners == index],
+            )
+        )
+    colors = gaussians.base_colors.detach().double().cpu().numpy()[points.gaussians]
+    return FruitCount(
+        fruits=fruits,
+        audit=account.entries,
+        max_probability=highest,
+        mean_diameter=mean,
+        points=points.positions,
+        point_colors=np.round(255.0 * colors).astype(np.uint8),
+        point_fruit_ids=numbers[clusters.owners],
+    )
+
+
+def _nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
+    """(N,) index of the sphere each mean (N, 3) lies in or within 0.3 radii of, the relatively nearest; -1 none."""
+    owners, best = np.full(len(means), -1, np.int64), np.full(len(means), 1.3)
+    for index, (center, radius) in enumerate(zip(centers, radii, strict=True)):
+        relative = np.linalg.norm(means - center, axis=1) / radius
+        closer = relative < best
+        owners[closer], best[closer] = index, relative[closer]
+    return owners
+
+
+def _none(highest: float, reason: str, points: int = 0) -> FruitCount:
+    entry = AuditEntry(cluster=0, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
+    return FruitCount(fruits=[], audit=[entry], max_probability=highest, mean_diameter=None)

@@ -1,0 +1,79 @@
+"""The fruit's diameter from the scene itself: which sphere radius the surface points reproduce best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..progress import Progress, silent
+from .sample import SurfacePoints
+from .sphere import REACH, fit_spheres, neighborhoods
+
+FloatArray = NDArray[np.float64]
+
+SEEDS = 400
+GRID_STEP = 1.18
+NEIGHBORS = 96
+BANDWIDTH = 0.08
+LEAST_THINNESS = 0.12
+"""Flat neighbourhoods reproduce any radius; thinner ones than this (in radii) do not vote."""
+
+
+@dataclass(frozen=True)
+class SizeEstimate:
+    """diameter: scene units; spread: standard deviation of log diameter between fruit; evidence: summed weight of the
+    fits at that diameter, a share of the seeds."""
+
+    diameter: float
+    spread: float
+    evidence: float
+
+
+def estimate_diameter(
+    points: SurfacePoints, smallest: float, *, seed: int, progress: Progress = silent
+) -> SizeEstimate | None:
+    """Mode of the radii that spheres started at p − r·n along a log grid of r keep when they are refined freely.
+
+    `smallest`: least radius tried, scene units (about the size of a Gaussian). A fit counts when it keeps its radius
+    within 0.6 to 1.6 of the start, by its coverage of directions times the share of its points that lie on the shell.
+    None when nothing in the scene looks round.
+    """
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(points))
+    seeds = order[: min(SEEDS, len(points))]
+    largest = 0.5 * float(np.linalg.norm(points.positions.max(axis=0) - points.positions.min(axis=0)))
+    grid = smallest * GRID_STEP ** np.arange(max(1, int(np.log(max(largest / smallest, 1.0)) / np.log(GRID_STEP)) + 1))
+    logs, weights, owners = [], [], []
+    whole = cKDTree(points.positions)
+    for step, radius in enumerate(grid[:40]):
+        progress(step / min(len(grid), 40), f"trying fruit of radius {radius:.3g}")
+        starts = points.positions[seeds] - radius * points.normals[seeds]
+        crowd = whole.query_ball_point(starts[:40], REACH * radius, return_length=True).mean()
+        kept = np.sort(order[: int(np.ceil(len(points) * min(1.0, 3.0 * NEIGHBORS / max(crowd, 1.0))))])
+        thinned = points.select(kept)
+        near = neighborhoods(cKDTree(thinned.positions), starts, np.full(len(seeds), REACH * radius), NEIGHBORS)
+        spheres = fit_spheres(thinned, near, starts, np.full(len(seeds), radius), prior_sd=0.6, rounds=8)
+        kept_radius = (spheres.radii > 0.6 * radius) & (spheres.radii < 1.6 * radius) & (spheres.support >= 8)
+        round_enough = kept_radius & (spheres.thinness > LEAST_THINNESS)
+        logs.append(np.log(spheres.radii))
+        weights.append(np.where(round_enough, spheres.coverage * spheres.shell**2, 0.0))
+        owners.append(np.arange(len(seeds)))
+    return _mode(np.concatenate(logs), np.concatenate(weights), len(seeds))
+
+
+def _mode(logs: FloatArray, weights: FloatArray, seeds: int) -> SizeEstimate | None:
+    if weights.sum() <= 0.0:
+        return None
+    logs, weights = logs[weights > 0], weights[weights > 0]
+    places = np.arange(logs.min() - 0.2, logs.max() + 0.2, 0.02)
+    density = (weights * np.exp(-0.5 * ((places[:, None] - logs) / BANDWIDTH) ** 2)).sum(axis=1)
+    mode = places[density.argmax()]
+    for _ in range(20):
+        local = weights * np.exp(-0.5 * ((logs - mode) / BANDWIDTH) ** 2)
+        mode = float((local * logs).sum() / local.sum())
+    close = np.abs(logs - mode) < 0.5
+    spread = np.sqrt((weights[close] * (logs[close] - mode) ** 2).sum() / weights[close].sum())
+    return SizeEstimate(float(2.0 * np.exp(mode)), float(spread), float(density.max() / seeds))

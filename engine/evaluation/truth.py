@@ -1,0 +1,58 @@
+"""The true fruit of a generated orchard, as `truth.json` lists them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FormatError
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """M true fruit in the frame of the COLMAP model.
+
+    centers: (M, 3); diameters: (M,) scene units; visible: (M,) at least 3 views show 10 % and 12 pixels of it;
+    visible_fractions: (M,) largest over views of its unoccluded share.
+    """
+
+    centers: NDArray[np.float64]
+    diameters: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+    visible_fractions: NDArray[np.float64]
+
+    @property
+    def mean_diameter(self) -> float:
+        """Mean over visible fruit (over all where none is visible), scene units; NaN without any fruit."""
+        chosen = self.diameters[self.visible] if self.visible.any() else self.diameters
+        return float(chosen.mean()) if len(chosen) else float("nan")
+
+
+def read_truth(path: Path, label: str | None = None) -> Truth:
+    """Read `truth.json`; with `label`, only fruit of that label (every label when it is None or "fruit").
+
+    Raises:
+        FormatError: the file is missing, is not JSON, or a fruit lacks a field or holds a number that is not finite.
+    """
+    try:
+        listed = json.loads(Path(path).read_text(encoding="utf-8"))["fruits"]
+        fruits = [fruit for fruit in listed if label in (None, "fruit", fruit["label"])]
+        truth = Truth(
+            centers=np.array([fruit["center"] for fruit in fruits], dtype=np.float64).reshape(-1, 3),
+            diameters=np.array([fruit["diameter"] for fruit in fruits], dtype=np.float64),
+            visible=np.array([fruit["visible"] for fruit in fruits], dtype=bool),
+            visible_fractions=np.array([fruit["visible_fraction"] for fruit in fruits], dtype=np.float64),
+        )
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error
+    except KeyError as error:
+        raise FormatError(f"{path}: field {error} is missing; make the scene again") from error
+    except (ValueError, TypeError) as error:
+        raise FormatError(f"{path}: not a truth.json ({error}); make the scene again") from error
+    if not (np.isfinite(truth.centers).all() and np.isfinite(truth.diameters).all()):
+        raise FormatError(f"{path}: a centre or a diameter is not a finite number; make the scene again")
+    return truth
