@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .body import Body
 from .config import OrchardConfig
 from .species import Species
 from .tree import unit
@@ -62,7 +64,7 @@ def look_at(position: FloatArray, target: FloatArray, roll: float = 0.0) -> Floa
 def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray) -> list[Viewpoint]:
     """Rings of cameras at evenly spread heights, jittered in place and aim. `crown` is (2, 3): low and high corner."""
     size = species.tree_height / 2.3
-    middle = crown.mean(axis=0)
+    middle = crown.mean(axis=0) + [0.0, 0.0, 0.05 * (crown[1, 2] - crown[0, 2])]
     distance = NEAREST * species.tree_height / 2
     focal = config.fruit_pixels * distance / species.diameter
     heights = middle[2] + (crown[1, 2] - crown[0, 2]) * np.linspace(-0.25, 0.55, config.rings)
@@ -88,7 +90,7 @@ def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, crow
 
 
 def close_ups(
-    rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray, centers: FloatArray
+    rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray, fruits: Sequence[Body]
 ) -> list[Viewpoint]:
     """Views from scattered distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length."""
     size = species.tree_height / 2.3
@@ -97,22 +99,35 @@ def close_ups(
     spans = np.geomspace(12.0, 80.0, config.views) * np.exp(rng.normal(0.0, 0.12, config.views))
     views = []
     for i, span in enumerate(spans):
-        target = centers[rng.integers(len(centers))] if len(centers) else middle
+        target = fruits[rng.integers(len(fruits))].center if fruits else middle
         outward = unit(np.array([*(target - middle)[:2], 0.0]) + rng.normal(0.0, 0.25, 3) * [1, 1, 0] * size + 1e-6)
         rise = np.tan(np.radians(rng.uniform(-22, 32)))
         distance = max(focal * species.diameter / span, 2.2 * species.diameter)
         place = target + unit(outward + [0, 0, rise]) * distance
         place[2] = max(place[2], 0.15 * size)
-        views.append(
-            Viewpoint(
-                name=f"{i + 1:03d}.jpg",
-                focal=focal,
-                width=config.width,
-                height=config.height,
-                nearest=0.55 * distance,
-                world_to_camera=look_at(
-                    place, target + rng.normal(0.0, 0.25, 3) * species.diameter, rng.normal(0, 0.06)
-                ),
-            )
+        aim = target + rng.normal(0.0, 0.25, 3) * species.diameter
+        view = Viewpoint(
+            name=f"{i + 1:03d}.jpg",
+            focal=focal,
+            width=config.width,
+            height=config.height,
+            world_to_camera=look_at(place, aim, rng.normal(0, 0.06)),
         )
+        views.append(replace(view, nearest=_cut(view, 0.55 * distance, fruits)))
     return views
+
+
+def _cut(view: Viewpoint, wanted: float, fruits: Sequence[Body]) -> float:
+    """How much before the camera may be cut away, at most `wanted`, so that leaves there do not hide everything.
+
+    Neither the ground nor a fruit is cut open.
+    """
+    corners = np.array([[x, y] for x in (0.0, view.width) for y in (0.0, view.height)])
+    drops = (view.position - view.unproject(corners, np.ones(4)))[:, 2]
+    ground = [0.75 * view.position[2] / drop for drop in drops if drop > 1e-6]
+    nearest = min([wanted, *ground])
+    depths = view.project(np.array([f.center for f in fruits]).reshape(-1, 3))[1]
+    for depth, body in sorted(zip(depths, fruits, strict=True), key=lambda pair: -pair[0]):
+        if abs(depth - nearest) < 1.1 * body.reach:
+            nearest = depth - 1.1 * body.reach
+    return float(max(nearest, 0.02))

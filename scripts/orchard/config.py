@@ -57,7 +57,7 @@ class OrchardConfig:
     bounces: int = 3
     """Light bounces."""
 
-    points: int = 20000
+    points: int = 16000
     """Number of points of the sparse cloud."""
 
     close_ups: bool = False

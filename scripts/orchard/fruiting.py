@@ -116,14 +116,14 @@ class Fruiting:
         chances = np.array(self.species.clump_sizes) / sum(self.species.clump_sizes)
         clump, failures = 0, 0
         while len(self.placed) < count:
-            if failures > 60 * count + 500:
+            if failures > 800 or not len(self.spurs):
                 raise OrchardError(f"only {len(self.placed)} of {count} fruit find room on this tree: ask for fewer")
             spur = self.spurs[self.rng.integers(len(self.spurs))]
             body, diameter = self._hang(spur)
             if not self._clear(body, diameter):
                 failures += 1
                 continue
-            clump += 1
+            clump, failures = clump + 1, 0
             size = min(int(self.rng.choice(sizes, p=chances)), count - len(self.placed))
             members = [self._add(body, diameter, kind="hanging", anchor=spur, clump=clump)]
             for _ in range(12 * size):

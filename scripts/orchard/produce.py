@@ -18,8 +18,9 @@ from .cameras import Viewpoint
 from .config import GENERATOR_VERSION, OrchardConfig
 from .errors import OrchardError
 from .materials import CLASSES
+from .planting import Orchard, plant
 from .render import Passes, picture_pixels, prepare, render_view
-from .stage import Orchard, plant, set_stage
+from .stage import set_stage
 
 Report = Callable[[str], None]
 
@@ -83,8 +84,8 @@ def viewpoints(orchard: Orchard) -> list[Viewpoint]:
     rng = np.random.default_rng([orchard.config.seed, 20])
     if not orchard.config.close_ups:
         return cameras.walk(rng, orchard.config, orchard.species, orchard.crown)
-    centers = np.array([f.body.center for f in orchard.fruits]).reshape(-1, 3)
-    return cameras.close_ups(rng, orchard.config, orchard.species, orchard.crown, centers)
+    bodies = [f.body for f in orchard.fruits]
+    return cameras.close_ups(rng, orchard.config, orchard.species, orchard.crown, bodies)
 
 
 def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes: bool, report: Report) -> list[Passes]:

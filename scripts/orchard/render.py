@@ -127,8 +127,20 @@ def render_view(view: Viewpoint, picture: Path, scratch: Path, ground: Ground, *
     with quiet():
         bpy.ops.render.render(write_still=True)
     passes = _read_passes(next(scratch.glob("passes_*")), view, ground)
+    half_made.write_bytes(without_comments(half_made.read_bytes()))
     os.replace(half_made, picture)
     return passes
+
+
+def without_comments(jpeg: bytes) -> bytes:
+    """A JPEG file less its comment segments: Blender writes render times there, which make equal pictures differ."""
+    kept, at = [jpeg[:2]], 2
+    while jpeg[at : at + 2] != b"\xff\xda":  # until the start of the scan, every segment tells its length
+        end = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+        if jpeg[at + 1] != 0xFE:
+            kept.append(jpeg[at:end])
+        at = end
+    return b"".join([*kept, jpeg[at:]])
 
 
 def _read_passes(path: Path, view: Viewpoint, ground: Ground) -> Passes:

@@ -13,6 +13,9 @@ from .cameras import Viewpoint
 
 FloatArray = NDArray[np.float64]
 
+LONGEST_TRACK = 5
+"""Views that observe a point, on average, where more could: matching never finds a point in every view."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
@@ -35,19 +38,21 @@ def sample_cloud(
 ) -> Cloud:
     """Points on what the views see: pixels drawn at random, unprojected by depth, moved by a few millimetres.
 
-    A point's other observations are views whose own depth at its pixel agrees within 2 %. Points that a single view
+    A point's other observations are views whose own depth at its pixel agrees within 1 %. Points that a single view
     sees are dropped, as structure from motion would. The noise grows with the depth: 0.1 % of it.
     """
     each = int(np.ceil(1.6 * count / len(views)))
     found: list[tuple[FloatArray, NDArray[np.uint8], tuple[int, ...]]] = []
     for number, (view, depth, picture) in enumerate(zip(views, depths, pictures, strict=True)):
-        rows, columns = np.nonzero((depth > 0) & (depth < 6 * np.median(depth[depth > 0])))
+        middle = np.median(depth[depth > 0]) if (depth > 0).any() else 0.0
+        rows, columns = np.nonzero((depth > 0) & (depth < 6 * middle))
         chosen = rng.permutation(len(rows))[:each]
         rows, columns = rows[chosen], columns[chosen]
         pixels = np.stack([columns, rows], axis=1) + 0.5
         z = depth[rows, columns].astype(np.float64)
         points = view.unproject(pixels, z)
         seen = _who_sees(points, views, depths)
+        seen &= rng.uniform(size=seen.shape) < LONGEST_TRACK / np.maximum(seen.sum(axis=1, keepdims=True), 1)
         seen[:, number] = True
         noisy = points + rng.normal(size=points.shape) * (0.001 * z)[:, None]
         for point, color, who in zip(noisy, picture[rows, columns], seen, strict=True):

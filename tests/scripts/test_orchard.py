@@ -1,0 +1,293 @@
+"""The synthetic orchard: its bodies, its truth, its sparse cloud, and a tiny rendered scene."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import struct
+import subprocess
+import sys
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchard.body import Body, gap, signed_distance, smooth_profile, surface_points
+from orchard.cameras import Viewpoint, look_at
+from orchard.check import check
+from orchard.config import FIRST_TRAINING_SEED, OrchardConfig, training_config
+from orchard.errors import OrchardError
+from orchard.fruiting import OVERLAP, Fruiting
+from orchard.meshes import Mesh
+from orchard.planting import plant
+from orchard.png import write_grey
+from orchard.sparse import sample_cloud
+from orchard.species import SPECIES
+from orchard.tree import grow, wood_samples
+from orchard.truth import Visibility, silhouette_pixels, visibilities
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "make_orchard.py"
+TINY = "--fruits 12 --fallen 1 --leaves 200 --views 3 --rings 1 --width 64 --height 48 --samples 1 --points 300"
+HAS_BPY = importlib.util.find_spec("bpy") is not None
+needs_bpy = pytest.mark.skipif(not HAS_BPY, reason="the bpy module is not installed")
+
+
+def make(out: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Run the script in a process of its own: Blender's module and pytest end apart."""
+    command = [sys.executable, str(SCRIPT), "--out", str(out), *TINY.split(), *flags]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """The values of a PNG that `write_grey` wrote, by the specification rather than by our own code."""
+    data = path.read_bytes()
+    width, height, depth = struct.unpack(">IIB", data[16:25])
+    start = data.index(b"IDAT")
+    (length,) = struct.unpack(">I", data[start - 4 : start])
+    raw = zlib.decompress(data[start + 4 : start + 4 + length])
+    rows = np.frombuffer(raw, dtype=np.uint8).reshape(height, 1 + width * depth // 8)[:, 1:]
+    return rows.copy().view(">u2" if depth == 16 else "u1").reshape(height, width)
+
+
+def front_view(width: int = 40, height: int = 30) -> Viewpoint:
+    """A camera at (0, -2, 0) that looks along +y; a pixel spans 0.05 m at distance 2."""
+    pose = look_at(np.array([0.0, -2.0, 0.0]), np.zeros(3))
+    return Viewpoint(name="001.jpg", focal=40.0, width=width, height=height, world_to_camera=pose)
+
+
+def square(half: float) -> Mesh:
+    """A box around the origin, `half` wide to each side, as a closed mesh."""
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    return Mesh(vertices=corners, quads=quads)
+
+
+def ball(center: tuple[float, float, float], radius: float) -> Body:
+    """A sphere as a body of revolution."""
+    turn = np.linspace(0.0, np.pi, 60)
+    profile = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Body(center=np.array(center), axis=np.array([0.0, 0.0, 1.0]), profile=profile)
+
+
+def test_signed_distance_to_a_ball_is_distance_to_its_centre_less_its_radius() -> None:
+    points = np.random.default_rng(0).normal(size=(200, 3))
+    expected = np.linalg.norm(points - [0.1, 0.2, 0.3], axis=1) - 0.5
+    np.testing.assert_allclose(signed_distance(ball((0.1, 0.2, 0.3), 0.5), points), expected, atol=1e-3)
+
+
+def test_gap_between_balls_is_negative_when_they_overlap() -> None:
+    assert gap(ball((0, 0, 0), 0.5), ball((0.9, 0, 0), 0.5)) == pytest.approx(-0.1, abs=5e-3)
+    assert gap(ball((0, 0, 0), 0.5), ball((1.2, 0, 0), 0.5)) == pytest.approx(0.2, abs=5e-3)
+
+
+@pytest.mark.parametrize("name", list(SPECIES))
+def test_a_species_profile_has_the_volume_of_a_unit_sphere(name: str) -> None:
+    profile = smooth_profile(SPECIES[name].profile, 400)
+    height, area = profile[:, 0], np.pi * profile[:, 1] ** 2
+    volume = float((-np.diff(height) * (area[1:] + area[:-1]) / 2).sum())
+    assert volume == pytest.approx(np.pi / 6, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["apple", "pear", "cherry"])
+def test_fruit_touch_in_clumps_and_never_run_into_each_other(name: str) -> None:
+    orchard = plant(OrchardConfig(species=name, seed=3, fruits=30, leaves=50))
+    bodies = [f.body for f in orchard.fruits]
+    mean = float(np.mean([f.diameter for f in orchard.fruits]))
+    gaps = np.array([[gap(a, b) for b in bodies[:i]] + [np.inf] * (31 + 4 - i) for i, a in enumerate(bodies)])
+    assert gaps.min() >= -2 * OVERLAP * mean
+    touching = int((gaps < 0.01 * mean).sum())
+    clumps = np.bincount([f.clump for f in orchard.fruits if f.clump])
+    assert touching >= int(np.maximum(clumps - 1, 0).sum()) > 0
+
+
+def test_fruit_stay_out_of_the_wood() -> None:
+    orchard = plant(OrchardConfig(seed=4, fruits=40, leaves=50))
+    wood = wood_samples(orchard.branches)
+    for fruit in orchard.fruits:
+        assert (signed_distance(fruit.body, wood[:, :3]) - wood[:, 3]).min() >= 0.0
+
+
+def test_surface_points_lie_on_the_body() -> None:
+    body = plant(OrchardConfig(seed=1, fruits=1, fallen=0, leaves=1)).fruits[0].body
+    assert np.abs(signed_distance(body, surface_points(body))).max() < 1e-9
+
+
+def test_the_same_seed_plants_the_same_orchard_and_another_seed_another() -> None:
+    config = OrchardConfig(seed=5, fruits=10, leaves=100)
+    centers = [np.array([f.body.center for f in plant(c).fruits]) for c in (config, config, replace(config, seed=6))]
+    assert np.array_equal(centers[0], centers[1])
+    assert not np.array_equal(centers[0], centers[2])
+
+
+def test_silhouette_of_a_box_covers_the_pixel_centres_inside_it() -> None:
+    # The near face, 0.5 to each side at distance 1.5, spans ±13.33 pixels: 26 centres each way.
+    assert silhouette_pixels(front_view(), square(0.5)) == 26 * 26
+
+
+def test_silhouette_is_cut_at_the_picture() -> None:
+    assert silhouette_pixels(front_view(width=10, height=30), square(0.5)) == 10 * 26
+
+
+def test_visible_needs_three_views_with_enough_share_and_pixels() -> None:
+    enough = Visibility(visible_pixels=(12, 12, 12), whole_pixels=(120, 120, 120))
+    too_few_views = Visibility(visible_pixels=(12, 12, 11), whole_pixels=(100, 100, 100))
+    too_small_a_share = Visibility(visible_pixels=(12, 12, 12), whole_pixels=(120, 120, 121))
+    assert (enough.visible, too_few_views.visible, too_small_a_share.visible) == (True, False, False)
+
+
+def test_visible_fraction_is_the_largest_share_over_views() -> None:
+    shown = Visibility(visible_pixels=(10, 30, 0), whole_pixels=(100, 60, 0))
+    assert shown.visible_fraction == pytest.approx(0.5)
+
+
+def test_visibilities_count_the_mask_of_each_fruit() -> None:
+    mask = np.zeros((30, 40), dtype=np.uint16)
+    mask[2:5, 3:10] = 2
+    (shown,) = visibilities([front_view()], [mask], [2], [square(0.5)])
+    assert shown.visible_pixels == (21,)
+    assert shown.whole_pixels == (676,)
+
+
+def test_the_sparse_cloud_lies_on_what_is_seen_and_not_at_fruit_centres() -> None:
+    # Two cameras see a wall at y = 0; a fruit's centre 0.04 behind the surface must not show up.
+    views = [front_view(), replace(front_view(), name="002.jpg")]
+    depths = [np.full((30, 40), 2.0, dtype=np.float32)] * 2
+    pictures = [np.full((30, 40, 3), 99, dtype=np.uint8)] * 2
+    cloud = sample_cloud(np.random.default_rng(0), views, depths, pictures, 400)
+    assert len(cloud.points) == 400
+    assert np.abs(cloud.points[:, 1]).max() < 0.015
+    assert all(track == (0, 1) for track in cloud.tracks)
+    assert (cloud.colors == 99).all()
+
+
+def test_png_of_16_bits_keeps_its_values(tmp_path: Path) -> None:
+    values = np.array([[0, 1, 65535], [300, 7, 256]], dtype=np.uint16)
+    write_grey(tmp_path / "m.png", values)
+    assert np.array_equal(read_grey(tmp_path / "m.png"), values)
+
+
+def test_training_scenes_take_species_in_turn_and_start_at_their_own_seeds() -> None:
+    configs = [training_config(FIRST_TRAINING_SEED + i) for i in range(24)]
+    assert {c.species for c in configs} == set(SPECIES)
+    assert all(c.seed >= 1000 and c.close_ups for c in configs)
+    assert len({(c.species, c.variant) for c in configs}) > 16
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"), [({"species": "durian"}, "durian"), ({"variant": "blue"}, "blue"), ({"views": 0}, "views")]
+)
+def test_a_setting_that_makes_no_sense_is_named(wrong: dict[str, object], word: str) -> None:
+    with pytest.raises(OrchardError, match=word):
+        check(OrchardConfig(**wrong))  # type: ignore[arg-type]
+
+
+def test_more_fruit_than_the_tree_holds_is_an_error() -> None:
+    rng = np.random.default_rng(0)
+    trunk_and_a_limb = grow(rng, SPECIES["mango"])[:2]
+    fruiting = Fruiting(rng, SPECIES["mango"], trunk_and_a_limb)
+    with pytest.raises(OrchardError, match="ask for fewer"):
+        fruiting.hang(300)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("orchard") / "scene"
+    done = make(out, "--classes")
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+@needs_bpy
+def test_a_scene_has_every_file(scene: Path) -> None:
+    names = {p.relative_to(scene).as_posix() for p in scene.rglob("*") if p.is_file()}
+    for stem in ("001", "002", "003"):
+        assert {f"images/{stem}.jpg", f"instances/{stem}.png", f"classes/{stem}.png"} <= names
+    assert {"truth.json", "classes.json", "orchard.json", "sparse/0/cameras.bin", "sparse/0/points3D.bin"} <= names
+    assert not any(n.startswith("cache/") or n.endswith(".part") for n in names)
+
+
+@needs_bpy
+def test_truth_is_the_same_bytes_for_the_same_seed(scene: Path, tmp_path: Path) -> None:
+    assert make(tmp_path / "again", "--classes").returncode == 0
+    assert (tmp_path / "again" / "truth.json").read_bytes() == (scene / "truth.json").read_bytes()
+    assert (tmp_path / "again" / "images" / "002.jpg").read_bytes() == (scene / "images" / "002.jpg").read_bytes()
+
+
+@needs_bpy
+def test_truth_counts_the_pixels_of_the_instance_masks(scene: Path) -> None:
+    truth = json.loads((scene / "truth.json").read_text())
+    for stem in ("001", "002", "003"):
+        mask = read_grey(scene / "instances" / f"{stem}.png")
+        for fruit in truth["fruits"]:
+            assert fruit["visible_pixels"].get(f"{stem}.jpg", 0) == int((mask == fruit["id"]).sum())
+
+
+@needs_bpy
+def test_the_model_reads_and_reprojects_fruit_onto_their_masks(scene: Path) -> None:
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(scene / "sparse" / "0"))
+    assert model.num_images() == 3
+    fruits = json.loads((scene / "truth.json").read_text())["fruits"]
+    hits = total = 0
+    for image in model.images.values():
+        mask = read_grey(scene / "instances" / f"{Path(image.name).stem}.png")
+        for fruit in fruits:
+            if fruit["visible_pixels"].get(image.name, 0) < 3:
+                continue
+            rows, columns = np.nonzero(mask == fruit["id"])
+            x, y = image.project_point(np.array(fruit["center"]))
+            depth = (image.cam_from_world() * np.array(fruit["center"]))[2]
+            radius = 0.5 * fruit["diameter"] / depth * model.cameras[image.camera_id].focal_length_x
+            hits += bool(np.hypot(columns + 0.5 - x, rows + 0.5 - y).max() < 1.25 * radius + 1.0)
+            total += 1
+    assert total > 5
+    assert hits == total
+
+
+@needs_bpy
+def test_observations_reproject_within_a_few_pixels(scene: Path) -> None:
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(scene / "sparse" / "0"))
+    assert model.num_points3D() > 50
+    for image in model.images.values():
+        for point in image.points2D:
+            if point.has_point3D():
+                seen = image.project_point(model.points3D[point.point3D_id].xyz)
+                assert np.abs(seen - point.xy).max() < 0.5
+
+
+@needs_bpy
+def test_no_point_of_the_cloud_is_at_a_fruit_centre(scene: Path) -> None:
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(scene / "sparse" / "0"))
+    points = np.array([p.xyz for p in model.points3D.values()])
+    for fruit in json.loads((scene / "truth.json").read_text())["fruits"]:
+        nearest = np.linalg.norm(points - fruit["center"], axis=1).min()
+        assert nearest > 0.3 * fruit["diameter"]
+
+
+@needs_bpy
+def test_classes_agree_with_instances(scene: Path) -> None:
+    words = json.loads((scene / "classes.json").read_text())
+    fruit = next(int(i) for i, word in words.items() if word == "apple")
+    for stem in ("001", "002", "003"):
+        mask = read_grey(scene / "instances" / f"{stem}.png")
+        classes = read_grey(scene / "classes" / f"{stem}.png")
+        assert np.array_equal(mask > 0, classes == fruit)
+
+
+@needs_bpy
+def test_a_finished_scene_is_left_alone_and_other_settings_are_refused(scene: Path) -> None:
+    before = (scene / "images" / "001.jpg").stat().st_mtime_ns
+    again = make(scene, "--classes")
+    assert again.returncode == 0
+    assert "already complete" in again.stderr
+    assert (scene / "images" / "001.jpg").stat().st_mtime_ns == before
+    other = make(scene, "--seed", "9")
+    assert other.returncode == 1
+    assert "other settings" in other.stderr
