@@ -2,8 +2,8 @@
 
     python scripts/check_rasterizer.py
 
-Every row is one degree of spherical harmonics; columns are the rendered values and the gradient of each parameter. Exits
-with 1 when any error exceeds 1e-3.
+Every row is one degree of spherical harmonics; columns are the rendered values and the gradient of each parameter.
+Exits with 1 when any error exceeds 1e-3.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 import sys
 
 import _checkout  # noqa: F401
+
 import numpy as np
 
 from fruitlangs.engine.scene.camera import Camera

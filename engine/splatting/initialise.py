@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from ..errors import TrainingError
 from ..scene.camera import Camera, Scene
 from .gaussians import SH_C0, Gaussians
+from .photos import PhotoShelf
 
 FEWEST_POINTS = 2000
 """Below this many sparse points, random ones are added up to it."""
@@ -21,7 +22,7 @@ START_OPACITY = 0.1
 Points = NDArray[np.float64]
 
 
-def first_gaussians(scene: Scene, views: Sequence[int], sh_degree: int, limit: int, seed: int) -> Gaussians:
+def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, limit: int, seed: int) -> Gaussians:
     """At most `limit` isotropic Gaussians to start training from, coloured by the cloud or by the photos of `views`.
 
     Sparse points get the mean distance of their three nearest neighbours as size (3DGS). A scene with fewer than 2,000
@@ -30,26 +31,27 @@ def first_gaussians(scene: Scene, views: Sequence[int], sh_degree: int, limit: i
 
     Raises:
         TrainingError: no camera sees any of the points.
+        SceneError: a photo cannot be read, or its size is not its camera's.
     """
+    scene = shelf.scene
     random = np.random.default_rng([seed, 0x1717])
     points, colors = np.asarray(scene.points, np.float64), scene.colors / 255.0
     finite = np.isfinite(points).all(1)
     points, colors = points[finite], colors[finite]
-    dome = _dome(scene, points)
-    dome_colors, seen = _colors_in_photos(scene, views, dome)
+    dome = _dome(scene, points, min(DOME_POINTS, limit // 4))
+    dome_colors, seen = _colors_in_photos(shelf, views, dome)
     dome, dome_colors = dome[seen], dome_colors[seen]
-    if len(points) < FEWEST_POINTS:
+    room = max(limit - len(dome), 1)
+    if len(points) < min(FEWEST_POINTS, room):
         center, radius = _looked_at(scene.cameras)
-        extra = center + radius * _in_ball(random, FEWEST_POINTS - len(points))
-        extra_colors, seen = _colors_in_photos(scene, views, extra)
+        extra = center + radius * _in_ball(random, min(FEWEST_POINTS, room) - len(points))
+        extra_colors, seen = _colors_in_photos(shelf, views, extra)
         points, colors = np.concatenate([points, extra[seen]]), np.concatenate([colors, extra_colors[seen]])
-    if len(points) == 0:
+    if len(points) + len(dome) == 0:
         raise TrainingError("no camera sees any part of the scene; check the model's poses")
-    room = max(limit - len(dome), limit // 2)
     if len(points) > room:
         kept = np.sort(random.choice(len(points), room, replace=False))
         points, colors = points[kept], colors[kept]
-    dome, dome_colors = dome[: limit - len(points)], dome_colors[: limit - len(points)]
     sizes = np.concatenate([neighbour_distances(points), neighbour_distances(dome)])
     return _isotropic(np.concatenate([points, dome]), sizes, np.concatenate([colors, dome_colors]), sh_degree)
 
@@ -98,25 +100,25 @@ def _in_ball(random: np.random.Generator, n: int) -> Points:
     return directions * random.random((n, 1)) ** (1 / 3)
 
 
-def _dome(scene: Scene, points: Points) -> Points:
-    """Evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
+def _dome(scene: Scene, points: Points, n: int) -> Points:
+    """n evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
     center = np.stack([camera.center for camera in scene.cameras]).mean(0)
     reach = max(scene.extent, 1e-3)
     if len(points) > 0:
         reach = max(reach, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.98)))
-    k = np.arange(DOME_POINTS) + 0.5
-    height = 1.0 - 2.0 * k / DOME_POINTS
+    k = np.arange(n) + 0.5
+    height = 1.0 - 2.0 * k / max(n, 1)
     turn = math.pi * (1.0 + math.sqrt(5.0)) * k
     ring = np.sqrt(1.0 - height**2)
     return center + 4.0 * reach * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
-def _colors_in_photos(scene: Scene, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
+def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
     """(P, 3) mean colour of the pixels that points project to, and (P,) whether any photo has such a pixel."""
     sums = np.zeros((len(points), 3))
     counts = np.zeros(len(points))
     for view in views[:: max(len(views) // 40, 1)]:
-        camera = scene.cameras[view]
+        camera = shelf.scene.cameras[view]
         local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
         ahead = local[:, 2] > 1e-6
         pixel = local @ camera.K.T
@@ -124,7 +126,7 @@ def _colors_in_photos(scene: Scene, views: Sequence[int], points: Points) -> tup
             column, row = (pixel[:, :2] / pixel[:, 2:]).T
         inside = ahead & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         if inside.any():
-            photo = scene.images[view].pixels()
+            photo = shelf.picture(view).pixels
             sums[inside] += photo[row[inside].astype(int), column[inside].astype(int)] / 255.0
             counts[inside] += 1
     return sums / np.maximum(counts, 1)[:, None], counts > 0

@@ -33,7 +33,7 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
         OutputError: the folder cannot be written.
     """
     n = len(gaussians)
-    rest = gaussians.sh[:, 1:].transpose(1, 2).reshape(n, -1)
+    rest = gaussians.sh[:, 1:].transpose(1, 2).flatten(1)
     columns = [
         gaussians.means, torch.zeros(n, 3), gaussians.sh[:, 0], rest,
         gaussians.opacity_logits[:, None], gaussians.log_scales, gaussians.quats,
@@ -64,7 +64,9 @@ def read_ply(path: Path) -> Gaussians:
     sh = np.concatenate(
         [
             _columns(vertices, _BASE)[:, None, :],
-            _columns(vertices, [f"f_rest_{k}" for k in range(rest)]).reshape(-1, 3, rest // 3).transpose(0, 2, 1),
+            _columns(vertices, [f"f_rest_{k}" for k in range(rest)])
+            .reshape(len(vertices), 3, rest // 3)
+            .transpose(0, 2, 1),
         ],
         axis=1,
     )

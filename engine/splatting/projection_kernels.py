@@ -42,6 +42,10 @@ SLACK = np.float32(1e-3)
 ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 MARGIN = np.float32(0.3)
 FLOOR = np.float32(1e-12)
+HUGE = np.float32(1e12)
+LARGEST_LOG_SCALE = np.float32(30)
+WIDEST = np.float32(1e12)
+"""Gaussians wider than 10⁶ px (standard deviation, here squared) are not drawn: the camera is inside them."""
 
 
 @njit
@@ -112,6 +116,23 @@ def tile_columns(record: NDArray[np.float32], tile_row: int, width: int) -> tupl
     return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH + 1
 
 
+@njit(fastmath=False)
+def _usable(
+    i: int,
+    means: NDArray[np.float32],
+    log_scales: NDArray[np.float32],
+    quats: NDArray[np.float32],
+    opacity_logits: NDArray[np.float32],
+) -> bool:
+    """Whether a Gaussian's values are numbers that nothing below overflows with (fast arithmetic cannot tell)."""
+    good = abs(opacity_logits[i]) < HUGE
+    for k in range(3):
+        good = good and abs(means[i, k]) < HUGE and abs(log_scales[i, k]) < LARGEST_LOG_SCALE
+    for k in range(4):
+        good = good and abs(quats[i, k]) < HUGE
+    return good
+
+
 @njit
 def _project_one(
     i: int,
@@ -125,6 +146,8 @@ def _project_one(
     record: NDArray[np.float32],
 ) -> bool:
     """Write a Gaussian's ellipse (all but its colour); False when it cannot be seen."""
+    if not _usable(i, means, log_scales, quats, opacity_logits):
+        return False
     px, py, pz = means[i, 0], means[i, 1], means[i, 2]
     x = camera[0] * px + camera[1] * py + camera[2] * pz + camera[9]
     y = camera[3] * px + camera[4] * py + camera[5] * pz + camera[10]
@@ -153,7 +176,10 @@ def _project_one(
         yy += p1 * p1
     xx += LOW_PASS
     yy += LOW_PASS
-    inverse = ONE / max(xx * yy - xy * xy, FLOOR)
+    if max(xx, yy) > WIDEST:
+        return False
+    # Rounding must not take the determinant of C + 0.3 I below its least value, 0.3 trace(C) + 0.09.
+    inverse = ONE / max(xx * yy - xy * xy, LOW_PASS * (xx + yy) - LOW_PASS * LOW_PASS)
     record[MEAN_X] = fx * x * inverse_z + camera[14] + offsets[i, 0]
     record[MEAN_Y] = fy * y * inverse_z + camera[15] + offsets[i, 1]
     record[CONIC_A] = HALF * LOG2_E * yy * inverse

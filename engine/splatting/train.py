@@ -76,22 +76,21 @@ def train(
     state = _resume(checkpoint, key, progress)
     if state is None:
         progress(0.0, "placing the first Gaussians")
-        gaussians = first_gaussians(scene, views, config.sh_degree, config.max_gaussians, config.seed)
+        gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
         state = TrainingState(Parameters.start(gaussians), Pulls.none(len(gaussians)))
     schedule = Schedule(config, scene)
     while state.step < config.steps:
         loss = _step(state, shelf, views, schedule)
         done = state.step
         if not math.isfinite(loss):
-            raise TrainingError(
-                f"training broke down at step {done}: the loss is {loss}; look for broken photos or wrong camera poses,"
-                " or lower --train.steps"
-            )
+            raise _breakdown(done, f"the loss is {loss}")
         if done % 20 == 0 or done == config.steps:
+            if not len(finite(state.parameters.gaussians())):
+                raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
         if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(checkpoint, state, key)
-    gaussians = Gaussians(**{name: value.clone() for name, value in state.parameters.values.items()})
+    gaussians = finite(state.parameters.gaussians())
     progress(0.96, "measuring the photos kept aside")
     scores = tuple(_score(gaussians, shelf.picture(view), scene.images[view].name) for view in sorted(kept_aside))
     return Training(
@@ -101,6 +100,19 @@ def train(
         ssim=float(np.mean([score.ssim for score in scores])) if scores else None,
         steps=state.step,
         seconds=time.perf_counter() - begin,
+    )
+
+
+def finite(gaussians: Gaussians) -> Gaussians:
+    """A copy without the Gaussians that hold NaN or infinity."""
+    rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in NAMES]
+    return gaussians.select(torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1))
+
+
+def _breakdown(step: int, reason: str) -> TrainingError:
+    return TrainingError(
+        f"training broke down at step {step}: {reason}; look for broken photos and wrong camera poses, or lower the"
+        " learning rates"
     )
 
 

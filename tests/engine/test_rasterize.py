@@ -138,6 +138,20 @@ def test_no_gaussians_at_all_draw_the_background() -> None:
     assert float(render(empty, ring_camera()).color.abs().max()) == 0.0
 
 
+def test_broken_and_boundless_gaussians_are_not_drawn() -> None:
+    gaussians, camera = random_gaussians(60, 1, seed=13), ring_camera()
+    good = render(gaussians.select(torch.arange(20, 60)), camera).color
+    for k, value in enumerate((float("nan"), float("inf"), -float("inf"), 1e30)):
+        gaussians.means[k] = value
+        gaussians.log_scales[4 + k, 1] = value
+        gaussians.quats[8 + k, 2] = value
+        gaussians.opacity_logits[12 + k] = -value
+    gaussians.opacity_logits[15] = float("nan")
+    gaussians.log_scales[16] = 28.0
+    gaussians.opacity_logits[17:20] = -30.0
+    assert torch.equal(render(gaussians, camera).color, good)
+
+
 def test_distortion_is_refused() -> None:
     camera = replace(ring_camera(), distortion=np.array([0.1, 0.0, 0.0, 0.0]))
     with pytest.raises(SceneError, match="undistort"):

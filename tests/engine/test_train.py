@@ -1,0 +1,217 @@
+"""Training learns, ends the same however often it is interrupted, and says what is wrong."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).parent))
+from splats import drawn_scene
+
+from fruitlangs.engine.config import TrainConfig
+from fruitlangs.engine.errors import Cancelled, OutputError, SceneError, TrainingError
+from fruitlangs.engine.scene.camera import ArrayPhoto, Scene
+from fruitlangs.engine.splatting.gaussians import Gaussians
+from fruitlangs.engine.splatting.train import Training, held_out_views, train, view_at
+
+QUICK = TrainConfig(
+    steps=60,
+    max_gaussians=900,
+    sh_degree=1,
+    holdout_every=4,
+    densify_every=10,
+    checkpoint_every=7,
+    reset_opacity_every=25,
+)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return drawn_scene()
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(scene: Scene) -> Training:
+    return train(scene, QUICK)
+
+
+def same(a: Gaussians, b: Gaussians) -> bool:
+    return all(torch.equal(getattr(a, field.name), getattr(b, field.name)) for field in fields(a))
+
+
+class StopAt:
+    """A progress that cancels at a step."""
+
+    def __init__(self, step: int) -> None:
+        self.step = step
+
+    def __call__(self, fraction: float, message: str) -> None:
+        if message.startswith(f"step {self.step}/"):
+            raise Cancelled
+
+
+def test_training_learns_photos_it_never_saw() -> None:
+    scene = drawn_scene(views=24)
+    grey = replace(scene, colors=np.full_like(scene.colors, 128))
+    config = replace(QUICK, max_gaussians=3000, reset_opacity_every=0)
+    barely = train(grey, replace(config, steps=1))
+    longer = train(grey, replace(config, steps=150))
+    assert barely.psnr is not None
+    assert longer.psnr is not None
+    assert longer.psnr > barely.psnr + 3.0
+    assert [score.name for score in longer.held_out] == [f"{view:03d}.png" for view in range(0, 24, 4)]
+    assert longer.steps == 150
+
+
+def test_two_runs_give_the_same_bytes(scene: Scene, uninterrupted: Training) -> None:
+    assert same(train(scene, QUICK).gaussians, uninterrupted.gaussians)
+
+
+def test_another_seed_gives_others(scene: Scene, uninterrupted: Training) -> None:
+    assert not same(train(scene, replace(QUICK, seed=1)).gaussians, uninterrupted.gaussians)
+
+
+@pytest.mark.parametrize("stop", [20, 40])
+def test_a_resumed_run_equals_the_uninterrupted_one(
+    scene: Scene, uninterrupted: Training, tmp_path: Path, stop: int
+) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(Cancelled):
+        train(scene, QUICK, checkpoint=checkpoint, progress=StopAt(stop))
+    assert checkpoint.is_file()
+    resumed = train(scene, QUICK, checkpoint=checkpoint)
+    assert resumed.steps == 60
+    assert same(resumed.gaussians, uninterrupted.gaussians)
+
+
+def test_a_resumed_run_starts_where_the_checkpoint_was(scene: Scene, tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(Cancelled):
+        train(scene, QUICK, checkpoint=checkpoint, progress=StopAt(40))
+    messages: list[str] = []
+    train(scene, QUICK, checkpoint=checkpoint, progress=lambda fraction, message: messages.append(message))
+    assert not any(message.startswith(("step 20/", "placing")) for message in messages)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
+def test_a_damaged_checkpoint_is_passed_over_with_a_message(
+    scene: Scene, uninterrupted: Training, tmp_path: Path, kept: float
+) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(Cancelled):
+        train(scene, QUICK, checkpoint=checkpoint, progress=StopAt(40))
+    content = checkpoint.read_bytes()
+    checkpoint.write_bytes(content[: int(len(content) * kept)])
+    messages: list[str] = []
+    again = train(scene, QUICK, checkpoint=checkpoint, progress=lambda fraction, message: messages.append(message))
+    assert any("starting anew" in message and "c.safetensors" in message for message in messages)
+    assert same(again.gaussians, uninterrupted.gaussians)
+
+
+def test_a_checkpoint_of_other_settings_is_passed_over(scene: Scene, tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(Cancelled):
+        train(scene, QUICK, checkpoint=checkpoint, progress=StopAt(40))
+    other = replace(QUICK, seed=3, steps=30)
+    assert same(train(scene, other, checkpoint=checkpoint).gaussians, train(scene, other).gaussians)
+
+
+KILLED = """
+import sys
+sys.path[:0] = [{scripts!r}, {tests!r}]
+import _checkout
+from pathlib import Path
+from splats import drawn_scene
+from fruitlangs.engine.config import TrainConfig
+from fruitlangs.engine.splatting.train import train
+config = TrainConfig(steps=100000, max_gaussians=900, sh_degree=1, checkpoint_every=1)
+train(drawn_scene(), config, checkpoint=Path(sys.argv[1]))
+"""
+
+
+def test_a_kill_leaves_a_whole_checkpoint(scene: Scene, tmp_path: Path) -> None:
+    from fruitlangs.engine.splatting.checkpoint import read_checkpoint, training_key
+
+    root = Path(__file__).resolve().parents[2]
+    script = KILLED.format(scripts=str(root / "scripts"), tests=str(root / "tests" / "engine"))
+    checkpoint = tmp_path / "c.safetensors"
+    config = TrainConfig(steps=100000, max_gaussians=900, sh_degree=1, checkpoint_every=1)
+    for delay in (0.0, 0.05, 0.11):
+        process = subprocess.Popen([sys.executable, "-c", script, str(checkpoint)])
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        limit = time.monotonic() + 120
+        while (not checkpoint.exists() or checkpoint.stat().st_mtime_ns == before) and time.monotonic() < limit:
+            time.sleep(0.01)
+        time.sleep(delay)
+        process.kill()
+        process.wait()
+        assert read_checkpoint(checkpoint, training_key(scene, config)).step > 0
+
+
+def test_a_checkpoint_that_cannot_be_written_is_named(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        train(scene, QUICK, checkpoint=tmp_path / "file" / "c.safetensors")
+
+
+def test_cancel_passes_through(scene: Scene) -> None:
+    with pytest.raises(Cancelled):
+        train(scene, QUICK, progress=StopAt(20))
+
+
+def test_progress_never_goes_back_and_ends_near_one(scene: Scene) -> None:
+    fractions: list[float] = []
+    train(scene, QUICK, progress=lambda fraction, message: fractions.append(fraction))
+    assert fractions == sorted(fractions)
+    assert 0.9 < fractions[-1] <= 1.0
+
+
+def test_a_scene_without_points_is_trained_from_random_ones(scene: Scene) -> None:
+    bare = replace(scene, points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
+    training = train(bare, replace(QUICK, steps=200, max_gaussians=3000, reset_opacity_every=0))
+    assert training.psnr is not None
+    assert training.psnr > 18.0
+
+
+def test_photos_of_mixed_sizes_and_masks_are_trained(scene: Scene) -> None:
+    from fruitlangs.engine.splatting.photos import Picture, halved
+
+    small = halved(Picture(scene.cameras[1], scene.images[1].pixels(), None))
+    cameras, images = list(scene.cameras), list(scene.images)
+    cameras[1], images[1] = small.camera, ArrayPhoto("001.png", small.pixels)
+    images[2] = ArrayPhoto("002.png", images[2].pixels(), np.zeros((48, 64), bool))
+    training = train(replace(scene, cameras=cameras, images=images), QUICK)
+    assert all(math.isfinite(score.psnr) for score in training.held_out)
+
+
+def test_a_photo_of_another_size_than_its_camera_is_named(scene: Scene) -> None:
+    images = list(scene.images)
+    images[3] = ArrayPhoto("wrong.png", np.zeros((10, 10, 3), np.uint8))
+    with pytest.raises(SceneError, match=r"wrong\.png"):
+        train(replace(scene, images=images), QUICK)
+
+
+def test_a_loss_that_is_no_number_is_an_error(scene: Scene) -> None:
+    with pytest.raises(TrainingError, match="broke down"):
+        train(scene, replace(QUICK, means_rate=float("nan")))
+
+
+def test_every_round_shows_every_photo_once() -> None:
+    views = [1, 2, 3, 5, 6, 7]
+    for lap in range(3):
+        assert sorted(view_at(step, views, 0) for step in range(lap * 6, lap * 6 + 6)) == views
+    assert [view_at(k, views, 0) for k in range(6)] != [view_at(k, views, 1) for k in range(6)]
+
+
+def test_nothing_is_held_out_of_a_single_photo_or_when_not_asked(scene: Scene) -> None:
+    assert held_out_views(scene, 0) == frozenset()
+    assert held_out_views(scene, 3) == {0, 3, 6}
+    assert held_out_views(replace(scene, cameras=scene.cameras[:1]), 8) == frozenset()
