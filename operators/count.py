@@ -10,7 +10,7 @@ from .blender_data import owned_object
 from .jobs import JobOperator, Work, running
 from .settings import read_config, read_prompts, read_words, result_folder, source_folder, stored_path
 from .target import Target
-from .viewport import look_at_scene, show_colors
+from .viewport import look_at_scene, show_colors, shown_screens
 from .write import SET_ID, write_result
 
 
@@ -51,9 +51,9 @@ class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
         write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count)
         bpy_scene[SET_ID] = result.set_id
         keep_result(bpy_scene.fruitlangs, result)
-        show_colors(context)
+        show_colors(shown_screens(context))
         if first:
-            look_at_scene(context, bpy_scene)
+            look_at_scene(shown_screens(context), bpy_scene)
         self.report({"INFO"}, f"{count_text(bpy_scene.fruitlangs.result)}; files are in {result.out}")
 
     def failed(self, context: bpy.types.Context, message: str) -> None:

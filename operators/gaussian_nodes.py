@@ -125,6 +125,8 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     _input(group, "Size", number, 1.5, 0.0, 5.0, "Half axes of an ellipsoid, in standard deviations")
     _input(group, "Lowest Probability", number, 0.0, 0.0, 1.0, "Hide Gaussians less likely than this")
     _input(group, "Lowest Opacity", number, 0.1, 0.0, 1.0, "Hide Gaussians more transparent than this")
+    _input(group, "Reach", number, 1e9, 0.0, 1e9, "Hide Gaussians farther than this from the centre, as of the sky")
+    _input(group, "Centre", "NodeSocketVector", (0.0, 0.0, 0.0), -1e9, 1e9, "What the cameras look at")
     _input(
         group, "Ellipsoids up to", whole, ELLIPSOID_LIMIT, 0, 10_000_000, "Draw points when there are more than this"
     )
@@ -134,7 +136,11 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     scale = piece.attribute("scale", "FLOAT_VECTOR", 0, 2)
     likely = piece.at_least(piece.attribute("probability", "FLOAT", 0, 3), given["Lowest Probability"], 1, 2)
     solid = piece.at_least(piece.attribute("opacity", "FLOAT", 0, 4), given["Lowest Opacity"], 1, 3)
-    shown = piece.node("FunctionNodeBooleanMath", 2, 2, {0: likely, 1: solid}, operation="AND").outputs[0]
+    position = piece.node("GeometryNodeInputPosition", 0, 5).outputs[0]
+    away = piece.node("ShaderNodeVectorMath", 1, 4, {0: position, 1: given["Centre"]}, operation="DISTANCE").outputs[1]
+    near = piece.at_least(given["Reach"], away, 2, 4)
+    both = piece.node("FunctionNodeBooleanMath", 2, 2, {0: likely, 1: solid}, operation="AND").outputs[0]
+    shown = piece.node("FunctionNodeBooleanMath", 3, 2, {0: both, 1: near}, operation="AND").outputs[0]
     axes = piece.node("ShaderNodeVectorMath", 2, 3, {0: scale, "Scale": given["Size"]}, operation="SCALE").outputs[0]
     radius = piece.node("ShaderNodeVectorMath", 3, 3, {0: axes, 1: (1 / 3,) * 3}, operation="DOT_PRODUCT").outputs[1]
     points = piece.node(

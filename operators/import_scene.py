@@ -13,7 +13,7 @@ import bpy
 from .jobs import JobOperator, Work, running
 from .settings import read_config, source_folder, stored_path
 from .target import Target
-from .viewport import look_at_scene, show_colors
+from .viewport import look_at_scene, show_colors, shown_screens
 from .write_cameras import write_cameras
 from .write_points import write_points
 from .write_root import write_root
@@ -58,8 +58,8 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         root = write_root(bpy_scene, result)
         write_points(bpy_scene, result, root)
         write_cameras(bpy_scene, result, root)
-        show_colors(context)
-        look_at_scene(context, bpy_scene)
+        show_colors(shown_screens(context))
+        look_at_scene(shown_screens(context), bpy_scene)
         shown = bpy_scene.fruitlangs.result
         shown.photos, shown.points = len(result.images), len(result.points)
         self.report({"INFO"}, f"{len(result.images)} photos and {len(result.points)} points imported")

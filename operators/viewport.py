@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import bpy
@@ -11,19 +11,24 @@ from mathutils import Vector
 from .blender_data import owned_object, owned_objects
 
 
-def show_colors(context: bpy.types.Context) -> None:
-    """Turn this window's solid viewports to material shading (Solid shows no colour of an instance or a point).
+def shown_screens(context: bpy.types.Context) -> list[bpy.types.Screen]:
+    """The screen a person looks at; none in background mode."""
+    return [] if bpy.app.background or context.screen is None else [context.screen]
+
+
+def show_colors(screens: Iterable[bpy.types.Screen]) -> None:
+    """Turn solid viewports to material shading (Solid shows no colour of an instance or a point).
 
     The dashed lines from every camera and fruit to the root are switched off.
     """
-    for space in _viewports(context):
+    for space in _viewports(screens):
         if space.shading.type in {"SOLID", "WIREFRAME"}:
             space.shading.type = "MATERIAL"
         space.overlay.show_relationship_lines = False
 
 
-def look_at_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> None:
-    """Turn this window's viewports to what the cameras look at, from as far as they stand."""
+def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scene) -> None:
+    """Turn viewports to what the photos' cameras look at, from as far as they stand."""
     root = owned_object(bpy_scene, "root")
     cameras = owned_objects(bpy_scene, "camera")
     if root is None or not cameras:
@@ -31,18 +36,17 @@ def look_at_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> Non
     places = [root.matrix_basis @ item.matrix_basis.translation for item in cameras]
     middle = sum(places, Vector()) / len(places)
     distance = max(place.xy.length for place in places)
-    for space in _viewports(context):
+    for space in _viewports(screens):
         view = space.region_3d
         if view.view_perspective == "CAMERA":
             view.view_perspective = "PERSP"
-        view.view_location = (0.0, 0.0, middle.z)
+        view.view_location = (0.0, 0.0, 0.8 * middle.z)
         view.view_distance = 1.3 * distance
         space.clip_end = max(space.clip_end, 20.0 * distance)
 
 
-def _viewports(context: bpy.types.Context) -> Iterator[Any]:
-    if context.screen is None or bpy.app.background:
-        return
-    for area in context.screen.areas:
-        if area.type == "VIEW_3D":
-            yield area.spaces.active
+def _viewports(screens: Iterable[bpy.types.Screen]) -> Iterator[Any]:
+    for screen in screens:
+        for area in screen.areas:
+            if area.type == "VIEW_3D":
+                yield area.spaces.active

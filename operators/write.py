@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..engine.errors import OutputError
 from ..engine.files import replacing
 from .blender_data import OWNER, new_object, owned_collection
+from .viewport import look_at_scene, show_colors
 from .write_cameras import write_cameras
 from .write_fruits import write_fruits
 from .write_gaussians import write_gaussians
@@ -44,7 +45,7 @@ def write_result(
     the input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian.
     """
     root = write_root(bpy_scene, scene)
-    write_gaussians(bpy_scene, gaussians, probability, fruit_count.fruits, root)
+    write_gaussians(bpy_scene, scene, gaussians, probability, fruit_count.fruits, root)
     write_fruits(bpy_scene, fruit_count, root, metres_per_unit=scene.metres_per_unit)
     write_cameras(bpy_scene, scene, root)
     return root
@@ -76,6 +77,8 @@ def write_blend(
     bpy_scene = bpy.context.scene
     root = write_result(bpy_scene, scene, gaussians, probability, fruit_count)
     light_scene(bpy_scene, root)
+    show_colors(bpy.data.screens)
+    look_at_scene(bpy.data.screens, bpy_scene)
     if set_id:
         bpy_scene[SET_ID] = set_id
     save_blend(path)

@@ -25,29 +25,42 @@ from .blender_data import (
     rgba,
     set_attribute,
 )
-from .gaussian_nodes import gaussian_node_group
+from .gaussian_nodes import gaussian_node_group, set_input
+from .write_root import looked_at
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from ..engine.counting.fruit import Fruit
+    from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
+
+REACH = 1.2
+"""How far from the centre Gaussians are shown, in extents of the scene (about the cameras' distance)."""
 
 
 def write_gaussians(
     bpy_scene: bpy.types.Scene,
+    scene: Scene,
     gaussians: Gaussians,
     probability: Tensor | NDArray[Any] | None,  # (N,) of the prompt
     fruits: Sequence[Fruit],
     root: bpy.types.Object,
 ) -> bpy.types.Object:
-    """Replace this Blender scene's Gaussian object."""
+    """Replace this Blender scene's Gaussian object.
+
+    Gaussians outside the cameras' ring (sky, far background) are hidden by the modifier's Reach, not left out.
+    """
     remove_objects(owned_objects(bpy_scene, "gaussians"))
     mesh = gaussian_mesh(gaussians, probability, fruits)
     collection = owned_collection(bpy_scene, "scene", "FruitLangs")
     item = new_object("Gaussians", mesh, "gaussians", collection, root)
     modifier = item.modifiers.new("Gaussians", "NODES")
     modifier.node_group = gaussian_node_group()
+    set_input(modifier, "Centre", looked_at(scene).tolist())
+    if len(scene.cameras):
+        set_input(modifier, "Reach", REACH * scene.extent)
+    item.visible_shadow = False  # what they show is light already; the fruit among them need theirs
     return item
 
 

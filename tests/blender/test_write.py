@@ -210,6 +210,28 @@ def test_a_saved_result_reloads_equal(counted, tmp_path):
     assert [item.type for item in bpy.data.objects].count("LIGHT") == 1
 
 
+def test_a_saved_result_opens_in_colour_and_facing_the_tree(counted, tmp_path):
+    write_blend(tmp_path / "scene.blend", *counted.parts())
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    areas = [area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
+    assert areas
+    assert {area.spaces.active.shading.type for area in areas} == {"MATERIAL"}
+    assert areas[0].spaces.active.region_3d.view_distance == pytest.approx(1.3 * 4.0, rel=1e-3)
+
+
+def test_gaussians_of_the_sky_are_hidden_and_kept(counted):
+    import dataclasses
+
+    far = counted.gaussians.means.clone()
+    far[0] = 1000.0
+    counted = dataclasses.replace(counted, gaussians=dataclasses.replace(counted.gaussians, means=far))
+    written(counted)
+    evaluated = bpy.context.evaluated_depsgraph_get()
+    places = [np.array(one.matrix_world.translation) for one in evaluated.object_instances if one.is_instance]
+    assert np.linalg.norm(places, axis=1).max() < 100
+    assert len(bpy.data.objects["Gaussians"].data.vertices) == 20
+
+
 def test_an_unwritable_place_is_an_error_and_leaves_the_old_file(counted, tmp_path):
     blocked = tmp_path / "scene.blend"
     blocked.mkdir()
