@@ -27,6 +27,7 @@ from numba import prange
 __all__ = ["CACHE_FOLDER", "kernel", "njit", "prange", "threads"]
 
 _ENGINE = Path(__file__).resolve().parent
+_config: Any = numba.config  # its attributes appear at run time
 
 
 def _user_cache() -> Path:
@@ -71,24 +72,24 @@ CACHE_FOLDER: Path | None = _cache_folder()
 @contextmanager
 def _cached_in_our_folder() -> Iterator[None]:
     """Point Numba at our folder while a function is declared; other users of Numba in the process keep theirs."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(CACHE_FOLDER) if CACHE_FOLDER is not None else before
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(CACHE_FOLDER) if CACHE_FOLDER is not None else before
     try:
         yield
     finally:
-        numba.config.CACHE_DIR = before
+        _config.CACHE_DIR = before
 
 
 def _prefer_safe_threads() -> None:
     """Ask for OpenMP or TBB unless the user asked for a layer or one runs already."""
-    if numba.config.THREADING_LAYER != "default":
+    if _config.THREADING_LAYER != "default":
         return
     for layer, module in (("omp", "omppool"), ("tbb", "tbbpool")):
         try:
             __import__(f"numba.np.ufunc.{module}")
         except ImportError:
             continue
-        numba.config.THREADING_LAYER = layer
+        _config.THREADING_LAYER = layer
         return
 
 

@@ -7,4 +7,4 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
 
-import _checkout  # noqa: E402, F401
+import _checkout  # noqa: F401

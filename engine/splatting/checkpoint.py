@@ -73,8 +73,10 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         if about["schema"] != SCHEMA or about["key"] != key:
             raise TrainingError(f"{path} belongs to another scene or other settings")
-        groups = ({name: tensors[f"{group}.{name}"] for name in NAMES} for group in ("values", "first", "second"))
-        parameters = Parameters(*groups, step=int(about["step"]))
+        values, first, second = (
+            {name: tensors[f"{group}.{name}"] for name in NAMES} for group in ("values", "first", "second")
+        )
+        parameters = Parameters(values, first, second, step=int(about["step"]))
         pulls = Pulls(tensors["pulls.sums"], tensors["pulls.counts"])
     except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
         raise TrainingError(f"{path} is not a whole checkpoint ({error}); delete it to start anew") from error
