@@ -10,7 +10,7 @@ import numpy as np
 
 from .species import SPECIES
 
-GENERATOR_VERSION = "1"
+GENERATOR_VERSION = "2"
 """Raised whenever the same configuration would give another scene."""
 
 

@@ -55,9 +55,11 @@ class Ground:
     soil: tuple[FloatArray, FloatArray]
 
     def soil_share(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """How much soil shows at a place, from 0 to 1; soil also lies bare under the tree."""
-        bare = 0.9 * np.exp(-((np.hypot(x, y) / 0.55) ** 2))
-        return np.clip((self.patches(x, y) + bare - self.soil_level) / 0.35 + 0.5, 0.0, 1.0)
+        """How much soil shows at a place, from 0 to 1; it also lies bare under the tree, and hardly shows from afar."""
+        away = np.hypot(x, y)
+        bare = 0.9 * np.exp(-((away / 0.55) ** 2))
+        near = np.clip((6.0 - away) / 3.5, 0.15, 1.0)
+        return near * np.clip((self.patches(x, y) + bare - self.soil_level) / 0.35 + 0.5, 0.0, 1.0)
 
 
 GRASSES = (("#4c6426", "#84964a"), ("#4f6f2a", "#86a04c"), ("#66702f", "#9d9c54"), ("#3f6126", "#7aa043"))
@@ -86,7 +88,7 @@ def lay_ground(rng: np.random.Generator, *, size: float) -> Ground:
 
 def _tufts(rng: np.random.Generator, ground: Ground, size: float) -> tuple[Tuft, ...]:
     tufts = []
-    for _ in range(int(rng.integers(200, 420))):
+    for _ in range(int(rng.integers(300, 600))):
         away, turn = size * 3.2 * np.sqrt(rng.uniform(0.01, 1.0)), rng.uniform(0, 2 * np.pi)
         x, y = float(away * np.cos(turn)), float(away * np.sin(turn))
         scale, shade, spin = rng.uniform(0.6, 1.3), rng.uniform(), rng.uniform(0, 2 * np.pi)

@@ -19,7 +19,7 @@ from orchard.cameras import Viewpoint, look_at
 from orchard.check import check
 from orchard.config import FIRST_TRAINING_SEED, OrchardConfig, training_config
 from orchard.errors import OrchardError
-from orchard.fruiting import OVERLAP, Fruiting
+from orchard.fruiting import Fruiting
 from orchard.meshes import Mesh
 from orchard.planting import plant
 from orchard.png import write_grey
@@ -96,7 +96,7 @@ def test_fruit_touch_in_clumps_and_never_run_into_each_other(name: str) -> None:
     bodies = [f.body for f in orchard.fruits]
     mean = float(np.mean([f.diameter for f in orchard.fruits]))
     gaps = np.array([[gap(a, b) for b in bodies[:i]] + [np.inf] * (31 + 4 - i) for i, a in enumerate(bodies)])
-    assert gaps.min() >= -2 * OVERLAP * mean
+    assert gaps.min() >= -0.02 * mean
     touching = int((gaps < 0.01 * mean).sum())
     clumps = np.bincount([f.clump for f in orchard.fruits if f.clump])
     assert touching >= int(np.maximum(clumps - 1, 0).sum()) > 0
