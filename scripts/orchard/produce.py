@@ -94,7 +94,7 @@ def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes:
     missing = [v for v in views if not ((out / "images" / v.name).exists() and _cached(out, v).exists())]
     if missing:
         set_stage(orchard)
-        prepare(orchard.config, scratch)
+        prepare(orchard.config, scratch, report)
     start = time.monotonic()
     for done, view in enumerate(missing, start=1):
         seed = orchard.config.seed * 1000 + int(Path(view.name).stem)

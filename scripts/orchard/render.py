@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,9 @@ from .cameras import Viewpoint
 from .config import OrchardConfig
 from .ground import Ground
 from .materials import CLASSES
+
+WITHOUT_DENOISER = 6
+"""How many times the samples where Blender cannot denoise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +50,7 @@ def quiet() -> Iterator[None]:
         os.close(nowhere)
 
 
-def prepare(config: OrchardConfig, scratch: Path) -> None:
+def prepare(config: OrchardConfig, scratch: Path, report: Callable[[str], None]) -> None:
     """Cycles settings and the compositor node that writes ids and depth, untouched, into one float picture."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -61,9 +64,7 @@ def prepare(config: OrchardConfig, scratch: Path) -> None:
     cycles.device = "CPU"
     cycles.samples = config.samples
     cycles.use_adaptive_sampling = False
-    cycles.use_denoising = config.samples > 2
-    cycles.denoiser = "OPENIMAGEDENOISE"
-    cycles.denoising_prefilter = "FAST"
+    _denoise(cycles, config, report)
     # A box of one pixel keeps the first sample, which fills the id and depth passes, inside its own pixel.
     cycles.pixel_filter_type = "BOX"
     cycles.max_bounces = config.bounces
@@ -77,6 +78,17 @@ def prepare(config: OrchardConfig, scratch: Path) -> None:
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.use_pass_object_index = layer.use_pass_material_index = True
     _compositor(scene, scratch)
+
+
+def _denoise(cycles: Any, config: OrchardConfig, report: Callable[[str], None]) -> None:
+    cycles.use_denoising = config.samples > 2
+    try:
+        cycles.denoiser = "OPENIMAGEDENOISE"
+        cycles.denoising_prefilter = "FAST"
+    except TypeError:  # some distributions build Blender without it
+        cycles.use_denoising = False
+        cycles.samples = WITHOUT_DENOISER * config.samples
+        report(f"this Blender has no denoiser: {cycles.samples} samples a pixel instead of {config.samples}")
 
 
 def _compositor(scene: Any, scratch: Path) -> None:
