@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import NoReturn
 
 from fruitlangs.engine.errors import Cancelled, FruitLangsError
 from fruitlangs.engine.progress import Progress, silent
@@ -36,11 +37,16 @@ def run(main: Callable[[], None]) -> None:
     try:
         main()
     except FruitLangsError as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        sys.exit(1)
+        _leave(f"error: {' '.join(str(error).split())}", 1)
     except (Cancelled, KeyboardInterrupt):
-        print("cancelled; earlier results are as they were", file=sys.stderr, flush=True)
-        sys.exit(130)
+        _leave("cancelled; earlier results are as they were", 130)
+
+
+def _leave(line: str, code: int) -> NoReturn:
+    """Exit with one line on stderr, in place of a progress bar that stands there."""
+    clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+    print(f"{clear}{line}", file=sys.stderr, flush=True)
+    sys.exit(code)
 
 
 def terminal_progress() -> Progress:
@@ -49,7 +55,8 @@ def terminal_progress() -> Progress:
         return silent
     from tqdm import tqdm
 
-    bar = tqdm(total=1.0, bar_format="{percentage:3.0f}% |{bar}| {elapsed}<{remaining} {desc}", file=sys.stderr)
+    layout = "{percentage:3.0f}% |{bar}| {elapsed}<{remaining} {desc}"
+    bar = tqdm(total=1.0, bar_format=layout, file=sys.stderr, miniters=0)
 
     def show(fraction: float, message: str) -> None:
         bar.set_description_str(message, refresh=False)
