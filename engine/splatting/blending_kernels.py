@@ -367,14 +367,16 @@ def blend_backward(
 
 
 @kernel
-def sum_pairs(starts: NDArray[np.int64], values: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+def sum_pairs(
+    starts: NDArray[np.int64], counts: NDArray[np.int32], values: NDArray[np.float32], out: NDArray[np.float32]
+) -> None:
     """out (N, C): sums of values (P, C) over each Gaussian's pairs, in their order."""
     n, channels = out.shape
     for block in prange((n + 511) // 512):
         for i in range(block * 512, min((block + 1) * 512, n)):
             for channel in range(channels):
                 out[i, channel] = ZERO
-            for pair in range(starts[i], starts[i + 1]):
+            for pair in range(starts[i], starts[i] + counts[i]):
                 for channel in range(channels):
                     out[i, channel] += values[pair, channel]
 

@@ -12,6 +12,8 @@ from torch import Tensor
 from .adam_kernels import BETA_1, BETA_2, adam_step
 from .gaussians import Gaussians
 
+RUN = 2048
+"""About how many parameters a thread updates before it asks for more."""
 NAMES = tuple(field.name for field in fields(Gaussians))
 
 
@@ -78,16 +80,13 @@ class Parameters:
     def update(self, gradients: Mapping[str, Tensor], rates: Rates, sh_degree: int) -> None:
         """One step of Adam; harmonics above `sh_degree` stay as they are."""
         self.step += 1
-        first_correction = 1.0 - float(BETA_1) ** self.step
         correction = np.float32((1.0 - float(BETA_2) ** self.step) ** -0.5)
         for name in NAMES:
-            n = len(self)
-            tables = [table[name].reshape(n, -1).numpy() for table in (self.values, gradients, self.first, self.second)]
-            width = tables[0].shape[1]
-            head, used = (3, 3 * (sh_degree + 1) ** 2) if name == "sh" else (width, width)
-            rate = getattr(rates, name)
-            tail_rate = rates.sh_rest if name == "sh" else rate
-            adam_step(
-                *tables, head, min(used, width),
-                np.float32(rate / first_correction), np.float32(tail_rate / first_correction), correction,
-            )  # fmt: skip
+            tables = [table[name].reshape(-1).numpy() for table in (self.values, gradients, self.first, self.second)]
+            width = self.values[name][0].numel() if len(self) > 0 else 1
+            columns = np.full(width, getattr(rates, name), np.float32)
+            if name == "sh":
+                columns[3:] = rates.sh_rest
+                columns[3 * (sh_degree + 1) ** 2 :] = 0.0
+            columns /= np.float32(1.0 - float(BETA_1) ** self.step)
+            adam_step(*tables, np.tile(columns, -(-RUN // width)), correction)

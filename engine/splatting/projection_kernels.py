@@ -72,8 +72,7 @@ def _limits(camera: NDArray[np.float32]) -> tuple[float, ...]:
 def _band(record: NDArray[np.float32], top: float, bottom: float) -> tuple[float, float]:
     """Leftmost and rightmost x at which the ellipse α = 1/255 meets the band top ≤ y ≤ bottom.
 
-    Without fast arithmetic, as `tile_rows` and `tile_columns`: tiles are counted in one kernel and filled in another,
-    and both must come to the same number.
+    Without fast arithmetic, as all that ends in a tile's number: it would assume that nothing is NaN.
     """
     a, b, c, reach = record[CONIC_A], record[CONIC_B], record[CONIC_C], record[REACH]
     low, high = top - record[MEAN_Y], bottom - record[MEAN_Y]
@@ -94,7 +93,7 @@ def tile_rows(record: NDArray[np.float32], height: int) -> tuple[int, int]:
     """First and last + 1 row of tiles that the ellipse meets."""
     first = max(math.ceil(record[MEAN_Y] - record[HALF_HEIGHT] - HALF - SLACK), 0)
     last = min(math.floor(record[MEAN_Y] + record[HALF_HEIGHT] - HALF + SLACK), height - 1)
-    if first > last:
+    if not first <= last:
         return 0, 0
     return int(first) // TILE_HEIGHT, int(last) // TILE_HEIGHT + 1
 
@@ -111,7 +110,7 @@ def tile_columns(record: NDArray[np.float32], tile_row: int, width: int) -> tupl
     left, right = _band(record, top, bottom)
     first = max(math.ceil(left - HALF), 0)
     last = min(math.floor(right - HALF), width - 1)
-    if first > last:
+    if not first <= last:
         return 0, 0
     return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH + 1
 
@@ -131,6 +130,17 @@ def _usable(
     for k in range(4):
         good = good and abs(quats[i, k]) < HUGE
     return good
+
+
+@njit(fastmath=False)
+def box_tiles(record: NDArray[np.float32], width: int, height: int) -> int:
+    """How many tiles the box around the ellipse meets: at least as many as the ellipse."""
+    left = max(math.ceil(record[MEAN_X] - record[HALF_WIDTH] - HALF - SLACK), 0)
+    right = min(math.floor(record[MEAN_X] + record[HALF_WIDTH] - HALF + SLACK), width - 1)
+    first, last = tile_rows(record, height)
+    if not left <= right:
+        return 0
+    return (last - first) * (int(right) // TILE_WIDTH - int(left) // TILE_WIDTH + 1)
 
 
 @njit
@@ -218,9 +228,9 @@ def project(
     offsets: NDArray[np.float32],
     camera: NDArray[np.float32],
     records: NDArray[np.float32],
-    counts: NDArray[np.int32],
+    room: NDArray[np.int32],
 ) -> None:
-    """Fill records (N, RECORD) and counts (N,): how many tiles each Gaussian meets, 0 for those not drawn.
+    """Fill records (N, RECORD) and room (N,): how many tiles each Gaussian's box meets, 0 for those not drawn.
 
     offsets: (N, 2) px added to the projected means; camera: (21,) see `rasterize.camera_values`.
     """
@@ -233,16 +243,11 @@ def project(
         r = np.empty(14, np.float32)
         for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
             record = records[i]
-            counts[i] = 0
+            room[i] = 0
             if not _project_one(i, means, log_scales, quats, opacity_logits, offsets, camera, r, record):
                 continue
-            count = 0
-            first, last = tile_rows(record, height)
-            for row in range(first, last):
-                begin, end = tile_columns(record, row, width)
-                count += end - begin
-            counts[i] = count
-            if count == 0:
+            room[i] = box_tiles(record, width, height)
+            if room[i] == 0:
                 continue
             x, y, z, _ = _direction(means, i, camera)
             basis(degree, x, y, z, values)
@@ -383,6 +388,7 @@ def project_backward(
     camera: NDArray[np.float32],
     records: NDArray[np.float32],
     starts: NDArray[np.int64],
+    counts: NDArray[np.int32],
     moments: NDArray[np.float32],
     d_means: NDArray[np.float32],
     d_log_scales: NDArray[np.float32],
@@ -393,7 +399,8 @@ def project_backward(
 ) -> None:
     """Add up each Gaussian's pairs, in the order of its tiles, and pull the sums back to its parameters.
 
-    starts: (N + 1,) where each Gaussian's pairs begin in moments (P, MOMENT). Gradients of what is not drawn are 0.
+    starts, counts: (N,) where each Gaussian's pairs begin in moments (P, MOMENT) and how many they are.
+    Gradients of what is not drawn are 0.
     """
     n = means.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
@@ -404,7 +411,7 @@ def project_backward(
         turned = np.empty(9, np.float32)
         for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
             d_sh[i] = ZERO
-            if starts[i] == starts[i + 1]:
+            if counts[i] == 0:
                 d_means[i] = ZERO
                 d_log_scales[i] = ZERO
                 d_quats[i] = ZERO
@@ -413,7 +420,7 @@ def project_backward(
                 continue
             record = records[i]
             g[:] = ZERO
-            for pair in range(starts[i], starts[i + 1]):
+            for pair in range(starts[i], starts[i] + counts[i]):
                 for k in range(MOMENT):
                     g[k] += moments[pair, k]
             opacity = np.float32(2) ** record[LOG2_OPACITY]

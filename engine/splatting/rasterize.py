@@ -27,7 +27,7 @@ from .projection_kernels import (
     project,
     project_backward,
 )
-from .tiling_kernels import depth_order, fill_tiles, pair_starts
+from .tiling_kernels import depth_order, fill_tiles, list_pairs, pair_starts
 
 LIFTED_AT_ONCE = 64
 """Channels of a target that `accumulate` sums in one go over the image."""
@@ -67,7 +67,8 @@ class _Tiles:
     """One view's projected Gaussians and the lists of its tiles."""
 
     records: NDArray[np.float32]  # (N, RECORD)
-    starts: NDArray[np.int64]  # (N + 1,)
+    starts: NDArray[np.int64]  # (N + 1,) where each Gaussian's pairs begin
+    counts: NDArray[np.int32]  # (N,) how many they are
     columns: int
     tile_starts: NDArray[np.int64]
     gaussian_of: NDArray[np.int32]
@@ -76,7 +77,8 @@ class _Tiles:
 
     @property
     def pairs(self) -> int:
-        return len(self.gaussian_of)
+        """Room for pairs; a few at the end of a Gaussian's part may be unused."""
+        return len(self.pair_of)
 
 
 def camera_values(camera: Camera) -> NDArray[np.float32]:
@@ -94,21 +96,21 @@ def _tile(parameters: Sequence[Tensor], offsets: Tensor, degree: int, camera: Ca
     means, log_scales, quats, opacity_logits, sh = (_flat(parameter) for parameter in parameters)
     n = len(means)
     records = np.empty((n, RECORD), np.float32)
-    counts = np.empty(n, np.int32)
+    room = np.empty(n, np.int32)
     values = camera_values(camera)
-    project(means, log_scales, quats, opacity_logits, sh, degree, _flat(offsets), values, records, counts)
-    order = depth_order(records, counts)
-    starts = pair_starts(counts)
+    project(means, log_scales, quats, opacity_logits, sh, degree, _flat(offsets), values, records, room)
+    starts = pair_starts(room)
     columns = -(-camera.width // TILE_WIDTH)
     rows = -(-camera.height // TILE_HEIGHT)
+    tile_of = np.empty(starts[-1], np.int32)
+    counts = np.empty(n, np.int32)
+    list_pairs(records, starts, camera.width, camera.height, columns, tile_of, counts)
     tile_starts = np.empty(columns * rows + 1, np.int64)
     gaussian_of = np.empty(starts[-1], np.int32)
     pair_of = np.empty(starts[-1], np.int32)
-    fill_tiles(
-        records, order, starts, camera.width, camera.height, columns, rows, tile_starts, gaussian_of, pair_of
-    )  # fmt: skip
+    fill_tiles(depth_order(records, counts), starts, counts, tile_of, tile_starts, gaussian_of, pair_of)
     radii = np.where(counts > 0, np.maximum(records[:, HALF_WIDTH], records[:, HALF_HEIGHT]), np.float32(0))
-    return _Tiles(records, starts, columns, tile_starts, gaussian_of, pair_of, radii)
+    return _Tiles(records, starts, counts, columns, tile_starts, gaussian_of, pair_of, radii)
 
 
 class _Render(torch.autograd.Function):
@@ -164,11 +166,11 @@ class _Render(torch.autograd.Function):
         pulled = [np.empty(parameter.shape, np.float32) for parameter in (*parameters, torch.empty(len(means), 2))]
         project_backward(
             _flat(means), _flat(log_scales), _flat(quats), _flat(sh), ctx.degree, camera_values(ctx.camera),
-            tiles.records, tiles.starts, moments, *pulled,
+            tiles.records, tiles.starts, tiles.counts, moments, *pulled,
         )  # fmt: skip
         d_features = np.zeros(features.shape, np.float32)
         if features.shape[1] > 0:
-            sum_pairs(tiles.starts, feature_moments, d_features)
+            sum_pairs(tiles.starts, tiles.counts, feature_moments, d_features)
         d_background = None
         if ctx.needs_input_grad[6] and color is not None:
             d_background = (color * torch.from_numpy(planes[TRANSMITTANCE])).sum((1, 2))
@@ -247,7 +249,7 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
             tiles.gaussian_of, tiles.pair_of, part, pairs,
         )  # fmt: skip
         summed = np.empty((n, padded + 1), np.float32)
-        sum_pairs(tiles.starts, pairs, summed)
+        sum_pairs(tiles.starts, tiles.counts, pairs, summed)
         sums[:, begin : begin + columns] = summed[:, :columns]
         weights[:] = summed[:, padded]
     return Accumulated(torch.from_numpy(sums), torch.from_numpy(weights))

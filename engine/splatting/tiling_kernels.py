@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .projection_kernels import DEPTH, tile_columns, tile_rows
+from .projection_kernels import BLOCK, DEPTH, tile_columns, tile_rows
 
 _BITS = 11
 _BUCKETS = 1 << _BITS
@@ -53,48 +53,68 @@ def depth_order(records: NDArray[np.float32], counts: NDArray[np.int32]) -> NDAr
 
 
 @njit
-def pair_starts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(N + 1,) where each Gaussian's pairs begin."""
-    starts = np.empty(counts.shape[0] + 1, np.int64)
+def pair_starts(room: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(N + 1,) where each Gaussian's pairs begin, and how many fit in all."""
+    starts = np.empty(room.shape[0] + 1, np.int64)
     starts[0] = 0
-    for i in range(counts.shape[0]):
-        starts[i + 1] = starts[i] + counts[i]
+    for i in range(room.shape[0]):
+        starts[i + 1] = starts[i] + room[i]
     return starts
 
 
-CHUNKS = 16
-"""Parts of the depth order that are scattered at once; fixed, so that threads change nothing."""
-
-
 @kernel
-def fill_tiles(
+def list_pairs(
     records: NDArray[np.float32],
-    order: NDArray[np.int32],
     starts: NDArray[np.int64],
     width: int,
     height: int,
     columns: int,
-    rows: int,
+    tile_of: NDArray[np.int32],
+    counts: NDArray[np.int32],
+) -> None:
+    """Write the tiles that each Gaussian's ellipse meets, row by row, into its part of tile_of; counts (N,) of them."""
+    n = counts.shape[0]
+    for block in prange((n + BLOCK - 1) // BLOCK):
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+            pair = starts[i]
+            end = starts[i + 1]
+            if pair < end:
+                first, last = tile_rows(records[i], height)
+                for row in range(first, last):
+                    begin, stop = tile_columns(records[i], row, width)
+                    for column in range(begin, stop):
+                        if pair < end:
+                            tile_of[pair] = row * columns + column
+                            pair += 1
+            counts[i] = pair - starts[i]
+
+
+CHUNKS = 16
+"""Parts of the depth order that are sorted into tiles at once; fixed, so that threads change nothing."""
+
+
+@kernel
+def fill_tiles(
+    order: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    counts: NDArray[np.int32],
+    tile_of: NDArray[np.int32],
     tile_starts: NDArray[np.int64],
     gaussian_of: NDArray[np.int32],
     pair_of: NDArray[np.int32],
 ) -> None:
-    """Write tile_starts (columns·rows + 1,) and, for each entry of each tile's list, its Gaussian and its pair.
+    """Write tile_starts (tiles + 1,) and, for each entry of each tile's list, nearest first, its Gaussian and its pair.
 
-    Pairs are numbered by Gaussian, then by tile, so that a Gaussian's gradients lie side by side.
+    Pairs stay numbered by Gaussian, so that a Gaussian's gradients lie side by side.
     """
-    tiles = columns * rows
+    tiles = tile_starts.shape[0] - 1
     n = order.shape[0]
     size = (n + CHUNKS - 1) // CHUNKS
     places = np.zeros((CHUNKS, tiles), np.int64)
     for chunk in prange(CHUNKS):
         for k in range(chunk * size, min((chunk + 1) * size, n)):
-            record = records[order[k]]
-            first, last = tile_rows(record, height)
-            for row in range(first, last):
-                begin, end = tile_columns(record, row, width)
-                for column in range(begin, end):
-                    places[chunk, row * columns + column] += 1
+            for pair in range(starts[order[k]], starts[order[k]] + counts[order[k]]):
+                places[chunk, tile_of[pair]] += 1
     place = 0
     for tile in range(tiles):
         tile_starts[tile] = place
@@ -105,14 +125,8 @@ def fill_tiles(
     tile_starts[tiles] = place
     for chunk in prange(CHUNKS):
         for k in range(chunk * size, min((chunk + 1) * size, n)):
-            record = records[order[k]]
-            pair = starts[order[k]]
-            first, last = tile_rows(record, height)
-            for row in range(first, last):
-                begin, end = tile_columns(record, row, width)
-                for column in range(begin, end):
-                    entry = places[chunk, row * columns + column]
-                    places[chunk, row * columns + column] = entry + 1
-                    gaussian_of[entry] = order[k]
-                    pair_of[entry] = pair
-                    pair += 1
+            for pair in range(starts[order[k]], starts[order[k]] + counts[order[k]]):
+                entry = places[chunk, tile_of[pair]]
+                places[chunk, tile_of[pair]] = entry + 1
+                gaussian_of[entry] = order[k]
+                pair_of[entry] = pair
