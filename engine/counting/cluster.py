@@ -32,6 +32,8 @@ LEAST_SUPPORT = 0.10
 """A fruit has at least this share of the points of a typical fruit of its size (the upper quartile of all fits)."""
 OVERLAP = 0.65
 """Two fruit's centres are at least this many sums of their radii apart."""
+FIT_SD = 0.1
+"""Deviation of log radius of single free fits to fruit of one size."""
 LEAST_FREE = 0.5
 """A fruit keeps at least this share of its points once better fruit have taken theirs."""
 
@@ -61,7 +63,7 @@ def find_fruit(points: SurfacePoints, diameter: float, spread: float, *, progres
 
     diameter: mean fruit diameter in scene units; spread: standard deviation of log diameter between fruit.
     """
-    radius, prior_sd = diameter / 2.0, float(np.clip(spread, 0.12, 0.35))
+    radius, prior_sd = diameter / 2.0, size_sd(spread)
     tree = cKDTree(points.positions)
     progress(0.0, "finding normals")
     points = with_local_normals(points, tree, 0.2 * diameter)
@@ -76,10 +78,15 @@ def find_fruit(points: SurfacePoints, diameter: float, spread: float, *, progres
     spheres = fit_spheres(points, near, centers, np.full(len(centers), radius), prior_sd=prior_sd)
     progress(0.8, "choosing among the fits")
     good = spheres.select(plausible(spheres, diameter, prior_sd))
-    chosen, owners = cover(points, tree, good)
+    chosen, owners = cover(points, tree, good, diameter, prior_sd)
     components = connected(points, tree, LINK * diameter)
     refusals = refuse(spheres, components[tree.query(spheres.centers)[1]], diameter, prior_sd) if len(spheres) else {}
     return Clusters(points.positions, chosen, owners, components, refusals)
+
+
+def size_sd(spread: float) -> float:
+    """Deviation of log diameter between fruit, from that between single fits, which also err."""
+    return float(np.clip(np.sqrt(max(spread**2 - FIT_SD**2, 0.0)), 0.1, 0.35))
 
 
 def with_local_normals(points: SurfacePoints, tree: cKDTree, reach: float, neighbors: int = 32) -> SurfacePoints:
@@ -109,10 +116,11 @@ def vote(points: SurfacePoints, radius: float) -> FloatArray:
     votes = points.positions[::step] - radius * points.normals[::step]
     tree = cKDTree(votes)
     density = tree.query_ball_point(votes, 0.25 * radius, return_length=True)
+    least = max(4.0, 0.05 * float(np.quantile(density, 0.9)))
     taken = np.zeros(len(votes), bool)
     peaks: list[int] = []
     for index in np.argsort(-density, kind="stable"):
-        if density[index] < 4:
+        if density[index] < least:
             break
         if not taken[index]:
             peaks.append(int(index))
@@ -143,7 +151,9 @@ def support_shares(spheres: Spheres) -> FloatArray:
     return density / max(float(whole), 1e-12)
 
 
-def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres) -> tuple[Spheres, IntArray]:
+def cover(
+    points: SurfacePoints, tree: cKDTree, spheres: Spheres, diameter: float, prior_sd: float
+) -> tuple[Spheres, IntArray]:
     """Accept spheres greedily by the points they explain that no better sphere has; (F spheres, (P,) owners)."""
     owners = np.full(len(points), -1, np.int64)
     near = neighborhoods(tree, spheres.centers, 1.35 * spheres.radii, 4 * NEIGHBORS)
@@ -151,8 +161,9 @@ def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres) -> tuple[Spher
     inside = (near >= 0) & (distance < 0.65 * spheres.radii[:, None])
     value = on * np.clip(1.0 - np.abs(error) / (0.35 * spheres.radii[:, None]), 0.0, 1.0)
     own = value.sum(axis=1)
-    scale = own * spheres.shell
-    heap = [(-scale[index], index) for index in range(len(spheres))]
+    # A sphere over two fruit explains more points than one of them, but is of an unlikely size.
+    likely = np.exp(-0.5 * (np.log(2.0 * spheres.radii / diameter) / prior_sd) ** 2)
+    heap = [(-own[index] * spheres.shell[index] * likely[index], index) for index in range(len(spheres))]
     heapq.heapify(heap)
     chosen: list[int] = []
     while heap:
@@ -161,7 +172,7 @@ def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres) -> tuple[Spher
         left = (value[index] * free).sum()
         if left < LEAST_FREE * own[index]:
             continue
-        now = -(left * left / max(left + (inside[index] & free).sum(), 1e-9))
+        now = -(left * left / max(left + (inside[index] & free).sum(), 1e-9)) * likely[index]
         if now > 0.98 * score and heap and now > heap[0][0]:
             heapq.heappush(heap, (now, index))
             continue

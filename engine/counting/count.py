@@ -16,7 +16,7 @@ from ..splatting.gaussians import Gaussians
 from .account import Account, account_for
 from .cluster import Clusters, find_fruit
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
-from .sample import SurfacePoints, sample_surface
+from .sample import SurfacePoints, sample_skin, sample_volume
 from .size import estimate_diameter
 from .template import split_by_template
 from .visibility import Visibility, see, visible_fractions
@@ -69,7 +69,8 @@ def count_fruit(
     if sized is None:
         return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
     diameter, spread = sized
-    points = sample_surface(
+    sample = sample_volume if config.method == "template" else sample_skin
+    points = sample(
         gaussians,
         chances,
         visibility,
@@ -130,7 +131,7 @@ def _size(
         return config.diameter, DEFAULT_SPREAD
     widths = gaussians.scales.detach().double().cpu().numpy()[seen].max(axis=1)
     typical = float(np.median(widths))
-    points = sample_surface(
+    points = sample_skin(
         gaussians,
         chances,
         visibility,

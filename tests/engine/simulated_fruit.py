@@ -87,7 +87,8 @@ def simulate(setting: Setting, seed: int) -> Simulation:
 
 
 def _as_gaussians(rng, setting, truth, cameras, eyes, spots, normals, sizes, seen, probability) -> Simulation:
-    spots = spots + rng.normal(0, setting.noise, spots.shape)
+    # Trained Gaussians lie below the surface that they draw.
+    spots = spots - 1.5 * 0.25 * sizes[:, None] * normals + rng.normal(0, setting.noise, spots.shape)
     tilted = normals + rng.normal(0, 0.25, normals.shape)
     count, unit = len(spots), setting.unit
     scales = np.stack([sizes * rng.uniform(0.6, 1.3, count), sizes * rng.uniform(0.6, 1.3, count), 0.25 * sizes], 1)
