@@ -57,7 +57,9 @@ def basis(degree: int, x: float, y: float, z: float, out: NDArray[np.float32]) -
 
 
 @njit
-def pull_direction(degree: int, x: float, y: float, z: float, g: NDArray[np.float32]) -> tuple[float, float, float]:
+def pull_direction(
+    degree: int, x: float, y: float, z: float, g: NDArray[np.float32]
+) -> tuple[np.float32, np.float32, np.float32]:
     """Gradient with respect to (x, y, z) of Σ g[k]·basis[k], each basis function read as a polynomial."""
     dx = np.float32(0)
     dy = np.float32(0)

@@ -12,8 +12,9 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
+from numba import extending
 from numba.core import cgutils, types
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import models, overload, register_model
 
 LANES = 16 if llvm.get_host_cpu_features().get("avx512f") else 8
 """Pixels that are computed together; also the width of a tile."""
@@ -22,6 +23,9 @@ _FLOAT = ir.VectorType(ir.FloatType(), LANES)
 _BOOL = ir.VectorType(ir.IntType(1), LANES)
 _INT = ir.VectorType(ir.IntType(32), LANES)
 _FAST = ("fast",)
+
+intrinsic: Any = extending.intrinsic
+"""Numba's, whose callers pass no typing context: more than a type checker can follow."""
 
 
 class LanesType(types.Type):

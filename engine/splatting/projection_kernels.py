@@ -8,6 +8,7 @@ powers of two: α(d) = 2^(log2 opacity - (A dx² + B dx dy + C dy²)).
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,7 +211,7 @@ def _project_one(
 
 
 @njit
-def _direction(means: NDArray[np.float32], i: int, camera: NDArray[np.float32]) -> tuple[float, float, float, float]:
+def _direction(means: NDArray[np.float32], i: int, camera: NDArray[np.float32]) -> tuple[Any, Any, Any, Any]:
     """Unit direction from the camera to a Gaussian, and one over its distance."""
     x, y, z = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
     inverse = ONE / math.sqrt(max(x * x + y * y + z * z, FLOOR))
