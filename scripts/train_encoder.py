@@ -101,7 +101,7 @@ def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]
         scenes = by_fruit.setdefault(kind, [])
         if not any(picture.source in names for names in by_fruit.values()):
             scenes.append(picture.source)
-    held = {name for scenes in by_fruit.values() for name in scenes[HELD_OUT_EVERY // 2 :: HELD_OUT_EVERY]}
+    held = {name for scenes in by_fruit.values() for name in scenes[2::HELD_OUT_EVERY]}
     return [p for p in pictures if p.source not in held], [p for p in pictures if p.source in held]
 
 
