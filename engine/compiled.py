@@ -107,7 +107,10 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         "cache": CACHE_FOLDER is not None,
     }
     with _cached_in_our_folder():
-        return numba.njit(**(defaults | options))(function)
+        try:
+            return numba.njit(**(defaults | options))(function)
+        except RuntimeError:  # Numba finds no file behind the function: it came from a zip or a console
+            return numba.njit(**(defaults | options | {"cache": False}))(function)
 
 
 _one_at_a_time = threading.RLock()

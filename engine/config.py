@@ -62,6 +62,8 @@ class TrainConfig:
     """Steps between two densifications."""
     densify_gradient: float = 2e-4
     """Mean gradient of a projected position, in half-images, from which a Gaussian is cloned or split."""
+    split_size: float = 0.01
+    """Gaussians whose standard deviation exceeds this share of the scene's extent are split, others cloned."""
     prune_opacity: float = 0.005
     """Gaussians fainter than this are removed when densifying."""
     reset_opacity_every: int = 0
@@ -69,7 +71,9 @@ class TrainConfig:
     opacity_weight: float = 0.0
     """Weight of the mean opacity in the loss: what no photo needs fades."""
     scale_weight: float = 0.0
-    """Weight of the mean size (scene units) in the loss."""
+    """Weight of the mean size (in extents of the scene) in the loss."""
+    flatness_weight: float = 0.0
+    """Weight of the mean shortest axis (in extents of the scene) in the loss: Gaussians become discs on surfaces."""
     random_background: bool = False
     """Draw each step over another colour, so that surfaces become opaque."""
     checkpoint_every: int = 500

@@ -170,7 +170,7 @@ class Schedule:
         return DensifyRules(
             gradient=self.config.densify_gradient,
             max_gaussians=self.config.max_gaussians,
-            small=0.01 * self.extent,
+            small=self.config.split_size * self.extent,
             opacity=self.config.prune_opacity,
             oversize=0.1,
             extent=self.extent,
@@ -199,7 +199,7 @@ def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedul
     picture = shelf.picture(view_at(step, views, config.seed), schedule.halvings(step))
     degree = schedule.sh_degree(step)
     gradients, pulled, radii, loss = _gradients(state.parameters.gaussians(), picture, config, degree, step)
-    _regularise(state.parameters, gradients, radii, config)
+    _regularise(state.parameters, gradients, radii, schedule)
     state.parameters.update(gradients, schedule.rates(step), degree)
     state.pulls.add(pulled, radii, picture.camera.width, picture.camera.height)
     done = state.step
@@ -231,17 +231,23 @@ def _gradients(
     return gradients, offsets.grad, rendering.radii, loss.item()
 
 
-def _regularise(parameters: Parameters, gradients: dict[str, Tensor], radii: Tensor, config: TrainConfig) -> None:
-    """Add the gradients of weight · mean(opacity) and weight · mean(scale) over the Gaussians that were drawn.
+def _regularise(parameters: Parameters, gradients: dict[str, Tensor], radii: Tensor, schedule: Schedule) -> None:
+    """Add the gradients of three means over the Gaussians that were drawn, sizes in extents of the scene.
 
-    A Gaussian that no photo needs fades and is pruned (3DGS-MCMC, Kheradmand et al. 2024, section 3.4).
+    Opacity: what no photo needs fades and is pruned (3DGS-MCMC, Kheradmand et al. 2024, section 3.4). Size: the same
+    for the mean of the three axes. Flatness: the shortest axis alone, so that Gaussians become discs, which fit only
+    on surfaces (PGSR, Chen et al. 2024, section 3.1).
     """
+    config = schedule.config
     drawn = (radii > 0).float() / max(len(radii), 1)
     if config.opacity_weight > 0.0:
         opacities = parameters.values["opacity_logits"].sigmoid()
         gradients["opacity_logits"] += config.opacity_weight * drawn * opacities * (1.0 - opacities)
-    if config.scale_weight > 0.0:
-        gradients["log_scales"] += config.scale_weight / 3.0 * drawn[:, None] * parameters.values["log_scales"].exp()
+    if config.scale_weight > 0.0 or config.flatness_weight > 0.0:
+        log_scales = parameters.values["log_scales"]
+        sizes = log_scales.exp() * (drawn / schedule.extent)[:, None]
+        shortest = torch.zeros_like(sizes).scatter_(1, log_scales.argmin(1, keepdim=True), 1.0)
+        gradients["log_scales"] += sizes * (config.scale_weight / 3.0 + config.flatness_weight * shortest)
 
 
 def _score(gaussians: Gaussians, picture: Picture, name: str) -> ViewScore:

@@ -1,0 +1,82 @@
+"""Compiled kernels work wherever the user's cache is, and from several Python threads at once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = f"""
+import sys
+sys.path.insert(0, {str(ROOT / "scripts")!r})
+import _checkout
+import threading
+import numpy as np
+from fruitlangs.engine import compiled
+
+def add(values):
+    for k in compiled.prange(len(values)):
+        values[k] += 1.0
+"""
+CALL = """
+run = compiled.kernel(add)
+values = np.zeros(1000)
+run(values)
+print(compiled.CACHE_FOLDER, values.sum())
+"""
+FROM_THREADS = """
+run = compiled.kernel(add)
+arrays = [np.zeros(20_000) for _ in range(4)]
+def work(values):
+    for _ in range(200):
+        run(values)
+threads = [threading.Thread(target=work, args=(values,)) for values in arrays]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+print(all((values == 200).all() for values in arrays))
+"""
+
+
+def python(folder: Path, program: str, **environment: str) -> str:
+    """What a program that declares a kernel prints."""
+    (folder / "program.py").write_text(PROGRAM + program)
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    done = subprocess.run(
+        [sys.executable, str(folder / "program.py")],
+        env=kept | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_machine_code_goes_to_a_folder_named_after_the_sources(tmp_path: Path) -> None:
+    folder, _ = python(tmp_path, CALL, XDG_CACHE_HOME=str(tmp_path), LOCALAPPDATA=str(tmp_path)).rsplit(" ", 1)
+    if sys.platform != "darwin":
+        assert Path(folder).parent == tmp_path / "fruitlangs"
+    assert Path(folder).name.startswith("kernels-")
+
+
+def test_without_a_writable_cache_kernels_still_run(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    assert python(tmp_path, CALL, NUMBA_CACHE_DIR=str(tmp_path / "file")) == "None 1000.0"
+
+
+@pytest.mark.parametrize("layer", ["default", "workqueue"])
+def test_kernels_may_be_called_from_several_threads(tmp_path: Path, layer: str) -> None:
+    assert python(tmp_path, FROM_THREADS, NUMBA_THREADING_LAYER=layer, NUMBA_NUM_THREADS="2") == "True"
+
+
+def test_a_function_without_a_file_is_compiled_without_cache(tmp_path: Path) -> None:
+    assert python(tmp_path, "f = eval('lambda x: x + 1')\nprint(compiled.njit(f)(1))") == "2"
+
+
+def test_other_users_of_numba_keep_their_cache_folder(tmp_path: Path) -> None:
+    program = "import numba\nbefore = numba.config.CACHE_DIR\ncompiled.njit(lambda x: x)\n"
+    assert python(tmp_path, program + "print(numba.config.CACHE_DIR == before)") == "True"
