@@ -192,4 +192,4 @@ def _light(orchard: Orchard, rng: np.random.Generator) -> None:
     )
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.look = "AgX - Medium High Contrast"
-    scene.view_settings.exposure = float(0.55 + v * rng.uniform(-0.8, 0.7))
+    scene.view_settings.exposure = float((1.2 if overcast else 0.55) + v * rng.uniform(-0.8, 0.7))
