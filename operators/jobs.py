@@ -175,6 +175,7 @@ class JobOperator:
             return self._report_failure(context, job.error)
         try:
             self.finish(context, job.result)
+            self.failed(context, "")  # an undo meanwhile may have brought an old message back
         except Exception as error:
             return self._report_failure(context, error)
         return {"FINISHED"}

@@ -40,7 +40,7 @@ def parse() -> argparse.Namespace:
     return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])
 
 
-def steps(arguments: argparse.Namespace) -> Iterator[float]:
+def visit(arguments: argparse.Namespace) -> Iterator[float]:
     """What a person would do; each yield gives the window so many seconds."""
     from fruitlangs.operators import jobs
 
@@ -85,7 +85,7 @@ def take_picture(path: Path) -> None:
 
 def main() -> None:
     bpy.context.preferences.view.show_splash = False
-    actions = steps(parse())
+    actions = visit(parse())
 
     def tick() -> float | None:
         try:
