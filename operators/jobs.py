@@ -53,6 +53,11 @@ class Job:
         return not self._thread.is_alive()
 
     @property
+    def shown(self) -> tuple[int, str, int, bool]:
+        """What a panel shows of it: a redraw is due when this changes."""
+        return int(100 * self.fraction), self.message, int(self.seconds), self.cancelling
+
+    @property
     def seconds(self) -> float:
         """Since the start."""
         return time.monotonic() - self.started
@@ -143,6 +148,7 @@ class JobOperator:
             self._job = Job(self.title, self.prepare(context))
         except Exception as error:
             return self._report_failure(context, error)
+        self._shown: Any = None
         _current = self._job
         self._job.start()
         self._timer = context.window_manager.event_timer_add(REDRAW_SECONDS, window=context.window)
@@ -155,9 +161,12 @@ class JobOperator:
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        redraw_sidebars(context)
         if not self._job.ended:
+            if self._job.shown != self._shown:
+                self._shown = self._job.shown
+                redraw_sidebars(context)
             return {"PASS_THROUGH"}
+        redraw_sidebars(context)
         context.window_manager.event_timer_remove(self._timer)
         return self._conclude(context)
 
