@@ -57,7 +57,7 @@ LOG2_MAX_ALPHA = np.float32(math.log2(0.99))
 STOP = np.float32(1e-4)
 AHEAD = 6
 """Entries of a tile's list between asking the memory for a record and reading it."""
-ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 ALL_ROWS = (1 << TILE_HEIGHT) - 1
 
 
@@ -264,7 +264,8 @@ def _blend_tile_backward(
         c, my = records[at + CONIC_C], records[at + MEAN_Y] - top - HALF
         red, green, blue, depth = records[at + RED], records[at + GREEN], records[at + BLUE], records[at + DEPTH]
         number = np.float32(entry - begin)
-        m0 = m1 = m2 = sum_red = sum_green = sum_blue = sum_depth = fill(ZERO)
+        b, steep = records[at + CONIC_B], dx * (TWO * records[at + CONIC_A])
+        m0 = m1 = m2 = sum_x = sum_y = sum_red = sum_green = sum_blue = sum_depth = fill(ZERO)
         first, last = _rows_of(records, at, top)
         for y in range(first, last):
             dy = np.float32(y) - my
@@ -289,6 +290,9 @@ def _blend_tile_backward(
             store(scratch, 6 * PIXELS + place, behind + alpha * change)
             v = select(at_least(power, LOG2_MAX_ALPHA), fill(ZERO), weight * change)
             m0 = m0 + v
+            pull_x, pull_y = v * (steep + b * dy), v * (slope + TWO * c * dy)
+            sum_x = sum_x + select(at_least(pull_x, ZERO), pull_x, ZERO - pull_x)
+            sum_y = sum_y + select(at_least(pull_y, ZERO), pull_y, ZERO - pull_y)
             v = v * dy
             m1 = m1 + v
             m2 = m2 + v * dy
@@ -303,6 +307,7 @@ def _blend_tile_backward(
         m0 = m0 * dx
         pair[1], pair[3], pair[4] = total(m0), total(m0 * dx), total(m1 * dx)
         pair[6], pair[7], pair[8], pair[9] = total(sum_red), total(sum_green), total(sum_blue), total(sum_depth)
+        pair[10], pair[11] = total(sum_x), total(sum_y)
         for channel in range(extra):
             collected = fill(ZERO)
             for y in range(first, last):

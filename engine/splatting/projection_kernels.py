@@ -24,8 +24,9 @@ MEAN_X, MEAN_Y, CONIC_A, CONIC_B, CONIC_C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH
 )
 
 MOMENT = 16
-"""float32 values of one pair's gradients; the first ten are used: Σv, Σv·dx, Σv·dy, Σv·dx², Σv·dx·dy, Σv·dy², where v
-is the gradient of a pixel's exponent, then red, green, blue, depth."""
+USED_MOMENTS = 12
+"""float32 values of one pair's gradients; twelve are used: Σv, Σv·dx, Σv·dy, Σv·dx², Σv·dx·dy, Σv·dy², where v is the
+gradient of a pixel's exponent, then red, green, blue, depth, then Σ|·| of the gradients of the mean (x log2 e)."""
 
 TILE_WIDTH = LANES
 TILE_HEIGHT = 16
@@ -397,11 +398,12 @@ def project_backward(
     d_opacity_logits: NDArray[np.float32],
     d_sh: NDArray[np.float32],
     d_offsets: NDArray[np.float32],
+    pulls: NDArray[np.float32],
 ) -> None:
     """Add up each Gaussian's pairs, in the order of its tiles, and pull the sums back to its parameters.
 
     starts, counts: (N,) where each Gaussian's pairs begin in moments (P, MOMENT) and how many they are.
-    Gradients of what is not drawn are 0.
+    pulls: (N, 2) sums over pixels of the absolute gradients of the projected means. What is not drawn gets 0.
     """
     n = means.shape[0]
     for block in prange((n + BLOCK - 1) // BLOCK):
@@ -418,14 +420,17 @@ def project_backward(
                 d_quats[i] = ZERO
                 d_opacity_logits[i] = ZERO
                 d_offsets[i] = ZERO
+                pulls[i] = ZERO
                 continue
             record = records[i]
             g[:] = ZERO
             for pair in range(starts[i], starts[i] + counts[i]):
-                for k in range(MOMENT):
+                for k in range(USED_MOMENTS):
                     g[k] += moments[pair, k]
             opacity = np.float32(2) ** record[LOG2_OPACITY]
             d_opacity_logits[i] = g[0] * (ONE - opacity)
+            pulls[i, 0] = g[10] / LOG2_E
+            pulls[i, 1] = g[11] / LOG2_E
             x, y, z = _pull_geometry(
                 i, means, log_scales, quats, camera, record, g, r, turned, d_log_scales, d_quats, d_offsets
             )

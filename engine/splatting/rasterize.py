@@ -129,6 +129,7 @@ class _Render(torch.autograd.Function):
         offsets: Tensor,
         degree: int,
         camera: Camera,
+        pulls: Tensor | None,
     ) -> tuple[Tensor, ...]:
         parameters = (means, log_scales, quats, opacity_logits, sh)
         tiles = _tile(parameters, offsets, degree, camera)
@@ -138,7 +139,7 @@ class _Render(torch.autograd.Function):
             tiles.tile_starts, tiles.gaussian_of, planes,
         )  # fmt: skip
         ctx.save_for_backward(*parameters, features, background)
-        ctx.tiles, ctx.planes, ctx.degree, ctx.camera = tiles, planes, degree, camera
+        ctx.tiles, ctx.planes, ctx.degree, ctx.camera, ctx.pulls = tiles, planes, degree, camera, pulls
         ctx.set_materialize_grads(False)
         out = torch.from_numpy(planes)
         left = out[TRANSMITTANCE]
@@ -167,6 +168,7 @@ class _Render(torch.autograd.Function):
         project_backward(
             _flat(means), _flat(log_scales), _flat(quats), _flat(sh), ctx.degree, camera_values(ctx.camera),
             tiles.records, tiles.starts, tiles.counts, moments, *pulled,
+            np.empty((len(means), 2), np.float32) if ctx.pulls is None else ctx.pulls.numpy(),
         )  # fmt: skip
         d_features = np.zeros(features.shape, np.float32)
         if features.shape[1] > 0:
@@ -175,7 +177,7 @@ class _Render(torch.autograd.Function):
         if ctx.needs_input_grad[6] and color is not None:
             d_background = (color * torch.from_numpy(planes[TRANSMITTANCE])).sum((1, 2))
         *d_parameters, d_offsets = (torch.from_numpy(gradient) for gradient in pulled)
-        return (*d_parameters, torch.from_numpy(d_features), d_background, d_offsets, None, None)
+        return (*d_parameters, torch.from_numpy(d_features), d_background, d_offsets, None, None, None)
 
 
 def render(
@@ -186,12 +188,15 @@ def render(
     background: Tensor | None = None,
     sh_degree: int | None = None,
     screen_offsets: Tensor | None = None,
+    screen_pulls: Tensor | None = None,
 ) -> Rendering:
     """Draw Gaussians, with gradients to all their parameters, the features, the background and the offsets.
 
     features: (N, C) further channels, blended as the colour is; background: (3,) sRGB behind everything, black when
     not given; sh_degree: evaluate the harmonics up to this degree only; screen_offsets: (N, 2) px added to the
-    projected means: zeros that require a gradient receive that of the projected means (3DGS densifies by it).
+    projected means: zeros that require a gradient receive that of the projected means (3DGS densifies by it);
+    screen_pulls: (N, 2) float32, filled by the backward pass with the sums over pixels of that gradient's absolute
+    values, which do not cancel (AbsGS, Ye et al. 2024).
 
     Pixel centres lie at +0.5. The camera must have no distortion. A splat is drawn where its α ≥ 1/255 with 3DGS's
     low-pass of 0.3 px²; a pixel stops at a transmittance of 1e-4. The bytes do not depend on the number of threads.
@@ -208,7 +213,9 @@ def render(
     offsets = torch.zeros(n, 2) if screen_offsets is None else screen_offsets
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     parameters = (gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.sh)
-    color, alpha, depth, blended, radii = _Render.apply(*parameters, extra, behind, offsets, degree, camera)
+    color, alpha, depth, blended, radii = _Render.apply(
+        *parameters, extra, behind, offsets, degree, camera, screen_pulls
+    )
     return Rendering(
         color=color.permute(1, 2, 0),
         alpha=alpha,

@@ -214,21 +214,20 @@ def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedul
 def _gradients(
     gaussians: Gaussians, picture: Picture, config: TrainConfig, sh_degree: int, step: int
 ) -> tuple[dict[str, Tensor], Tensor, Tensor, float]:
-    """Gradients by parameter and of the projected means, the radii, and the loss."""
+    """Gradients by parameter, absolute ones of the projected means, the radii, and the loss."""
     leaves = {name: getattr(gaussians, name).detach().requires_grad_() for name in NAMES}
-    offsets = torch.zeros(len(gaussians), 2, requires_grad=True)
+    pulls = torch.zeros(len(gaussians), 2)
     background = None
     if config.random_background:
         background = torch.from_numpy(np.random.default_rng([config.seed, step, 7]).random(3)).float()
     rendering = render(
-        Gaussians(**leaves), picture.camera, background=background, sh_degree=sh_degree, screen_offsets=offsets
+        Gaussians(**leaves), picture.camera, background=background, sh_degree=sh_degree, screen_pulls=pulls
     )
     loss = photometric_loss(rendering.color, picture.pixels, ssim_weight=config.ssim_weight, mask=picture.mask)
     loss.backward()
     gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-    assert offsets.grad is not None
     assert len(gradients) == len(NAMES)
-    return gradients, offsets.grad, rendering.radii, loss.item()
+    return gradients, pulls, rendering.radii, loss.item()
 
 
 def _regularise(parameters: Parameters, gradients: dict[str, Tensor], radii: Tensor, schedule: Schedule) -> None:

@@ -161,3 +161,18 @@ def test_distortion_is_refused() -> None:
 def test_a_target_of_another_size_is_refused() -> None:
     with pytest.raises(SceneError, match="camera's"):
         accumulate(random_gaussians(3, 0), ring_camera(), torch.zeros(10, 10, 3))
+
+
+def test_screen_pulls_are_sums_of_absolute_gradients_of_the_pixels() -> None:
+    gaussians, camera = random_gaussians(3, 0, seed=3, log_scale=-1.5), ring_camera(width=20, height=18, focal=20.0)
+    weights = torch.randn(18, 20, 3, generator=torch.Generator().manual_seed(2))
+    pulls, expected = torch.zeros(3, 2), torch.zeros(3, 2)
+    gaussians.means.requires_grad_()
+    (render(gaussians, camera, screen_pulls=pulls).color * weights).sum().backward()
+    for y in range(18):
+        for x in range(20):
+            offsets = torch.zeros(3, 2, requires_grad=True)
+            (render(gaussians, camera, screen_offsets=offsets).color * weights)[y, x].sum().backward()
+            assert offsets.grad is not None
+            expected += offsets.grad.abs()
+    torch.testing.assert_close(pulls, expected, rtol=1e-4, atol=1e-4)
