@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from ..progress import Progress, silent
 from .sample import SurfacePoints, turn_towards
 from .sphere import REACH, Spheres, fit_spheres, neighborhoods, on_sphere
+from .visibility import Looks, Picture, look_at
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,6 +31,13 @@ LEAST_COVERAGE = 0.10
 LEAST_SHELL = 0.5
 LEAST_SUPPORT = 0.10
 """A fruit has at least this share of the points of a typical fruit of its size (the upper quartile of all fits)."""
+SHEET_THINNESS = 0.2
+SHEET_RESIDUAL = 1.12
+"""A fit thinner than the one and with more than the other times the usual residual is a curled leaf, not a cap."""
+LEAST_SOLIDITY = 0.4
+"""A fruit stops at least this share of the looks at its disc that nothing in front stops."""
+LEAST_PROBABILITY = 0.25
+"""Least mean probability of what the views show of a fruit; its neighbours' leaves bleed into small ones."""
 OVERLAP = 0.65
 """Two fruit's centres are at least this many sums of their radii apart."""
 FIT_SD = 0.1
@@ -58,8 +66,15 @@ class Clusters:
         return self.refusals.get(component, "its points face no common centre")
 
 
-def find_fruit(points: SurfacePoints, diameter: float, spread: float, *, progress: Progress = silent) -> Clusters:
-    """Find the spheres that explain the points.
+def find_fruit(
+    points: SurfacePoints,
+    diameter: float,
+    spread: float,
+    pictures: Sequence[Picture],
+    *,
+    progress: Progress = silent,
+) -> Clusters:
+    """Find the spheres that explain the points and that the views do not see through.
 
     diameter: mean fruit diameter in scene units; spread: standard deviation of log diameter between fruit.
     """
@@ -77,10 +92,12 @@ def find_fruit(points: SurfacePoints, diameter: float, spread: float, *, progres
     near = neighborhoods(tree, centers, REACH * start_radii, NEIGHBORS)
     spheres = fit_spheres(points, near, centers, np.full(len(centers), radius), prior_sd=prior_sd)
     progress(0.8, "choosing among the fits")
-    good = spheres.select(plausible(spheres, diameter, prior_sd))
-    chosen, owners = cover(points, tree, good, diameter, prior_sd)
+    looks = look_at(pictures, spheres.centers, spheres.radii)
+    passed = plausible(spheres, looks, diameter, prior_sd)
+    merit = merits(spheres, looks, diameter, prior_sd)
+    chosen, owners = cover(points, tree, spheres.select(passed), merit[passed])
     components = connected(points, tree, LINK * diameter)
-    refusals = refuse(spheres, components[tree.query(spheres.centers)[1]], diameter, prior_sd) if len(spheres) else {}
+    refusals = refuse(spheres, looks, components[tree.query(spheres.centers)[1]], diameter) if len(spheres) else {}
     return Clusters(points.positions, chosen, owners, components, refusals)
 
 
@@ -130,8 +147,8 @@ def vote(points: SurfacePoints, radius: float) -> FloatArray:
     return (votes[near] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
 
 
-def plausible(spheres: Spheres, diameter: float, prior_sd: float) -> NDArray[np.bool_]:
-    """(C,) whether each sphere is round, covered, hollow and well supported enough for a fruit."""
+def plausible(spheres: Spheres, looks: Looks, diameter: float, prior_sd: float) -> NDArray[np.bool_]:
+    """(C,) whether each sphere is round, covered, hollow, opaque and well supported enough for a fruit."""
     off_size = np.abs(np.log(2.0 * np.maximum(spheres.radii, 1e-12) / diameter)) / prior_sd
     shares = support_shares(spheres)
     return (
@@ -140,7 +157,27 @@ def plausible(spheres: Spheres, diameter: float, prior_sd: float) -> NDArray[np.
         & (spheres.shell > LEAST_SHELL)
         & (shares > LEAST_SUPPORT)
         & (off_size < 3.5)
+        & (looks.solidity > LEAST_SOLIDITY)
+        & (looks.probabilities > LEAST_PROBABILITY)
+        & ~sheets(spheres)
     )
+
+
+def merits(spheres: Spheres, looks: Looks, diameter: float, prior_sd: float) -> FloatArray:
+    """(C,) how good each sphere is beside the number of points it explains.
+
+    A sphere over two fruit explains more points than one of them, but is of an unlikely size; one in the gap between
+    fruit is seen through.
+    """
+    likely = np.exp(-0.5 * (np.log(2.0 * spheres.radii / diameter) / prior_sd) ** 2)
+    return likely * looks.solidity * looks.probabilities
+
+
+def sheets(spheres: Spheres) -> NDArray[np.bool_]:
+    """(C,) whether each sphere lies on a sheet: thin, and off the surface by more than well covered spheres are."""
+    well = spheres.residual[(spheres.coverage > 0.5) & (spheres.shell > LEAST_SHELL)]
+    usual = float(np.median(well)) if len(well) else np.inf
+    return (spheres.thinness < SHEET_THINNESS) & (spheres.residual > SHEET_RESIDUAL * usual)
 
 
 def support_shares(spheres: Spheres) -> FloatArray:
@@ -151,19 +188,15 @@ def support_shares(spheres: Spheres) -> FloatArray:
     return density / max(float(whole), 1e-12)
 
 
-def cover(
-    points: SurfacePoints, tree: cKDTree, spheres: Spheres, diameter: float, prior_sd: float
-) -> tuple[Spheres, IntArray]:
-    """Accept spheres greedily by the points they explain that no better sphere has; (F spheres, (P,) owners)."""
+def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres, merit: FloatArray) -> tuple[Spheres, IntArray]:
+    """Accept spheres greedily by merit (C,) times the points that no better sphere has: (F spheres, (P,) owners)."""
     owners = np.full(len(points), -1, np.int64)
     near = neighborhoods(tree, spheres.centers, 1.35 * spheres.radii, 4 * NEIGHBORS)
     on, error, _, distance = on_sphere(points, near, spheres.centers, spheres.radii)
     inside = (near >= 0) & (distance < 0.65 * spheres.radii[:, None])
     value = on * np.clip(1.0 - np.abs(error) / (0.35 * spheres.radii[:, None]), 0.0, 1.0)
     own = value.sum(axis=1)
-    # A sphere over two fruit explains more points than one of them, but is of an unlikely size.
-    likely = np.exp(-0.5 * (np.log(2.0 * spheres.radii / diameter) / prior_sd) ** 2)
-    heap = [(-own[index] * spheres.shell[index] * likely[index], index) for index in range(len(spheres))]
+    heap = [(-own[index] * spheres.shell[index] * merit[index], index) for index in range(len(spheres))]
     heapq.heapify(heap)
     chosen: list[int] = []
     while heap:
@@ -172,7 +205,7 @@ def cover(
         left = (value[index] * free).sum()
         if left < LEAST_FREE * own[index]:
             continue
-        now = -(left * left / max(left + (inside[index] & free).sum(), 1e-9)) * likely[index]
+        now = -(left * left / max(left + (inside[index] & free).sum(), 1e-9)) * merit[index]
         if now > 0.98 * score and heap and now > heap[0][0]:
             heapq.heappush(heap, (now, index))
             continue
@@ -194,22 +227,35 @@ def connected(points: SurfacePoints, tree: cKDTree, link: float) -> IntArray:
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def refuse(spheres: Spheres, components: IntArray, diameter: float, prior_sd: float) -> dict[int, str]:
+def refuse(spheres: Spheres, looks: Looks, components: IntArray, diameter: float) -> dict[int, str]:
     """By cluster, what is wrong with its best sphere; components: (C,) the cluster each sphere lies in."""
-    shares = support_shares(spheres)
     best: dict[int, int] = {}
     for index in np.argsort(-spheres.support * spheres.shell, kind="stable"):
         best.setdefault(int(components[index]), int(index))
-    return {component: _refusal(spheres, index, shares[index], diameter) for component, index in best.items()}
+    told = _faults(spheres, looks)
+    relative = 2.0 * spheres.radii / diameter
+    return {
+        component: f"the best sphere, of {relative[index]:.2f} mean diameters, is "
+        + (", ".join(told[index]) or "on points of better fruit or of no fruit's size")
+        for component, index in best.items()
+    }
 
 
-def _refusal(spheres: Spheres, index: int, share: float, diameter: float) -> str:
-    faults = [
-        (spheres.thinness[index] <= LEAST_THINNESS, f"flat ({spheres.thinness[index]:.2f} radii thick)"),
-        (spheres.coverage[index] <= LEAST_COVERAGE, f"seen on {spheres.coverage[index]:.0%} of its surface only"),
-        (spheres.shell[index] <= LEAST_SHELL, f"not hollow ({spheres.shell[index]:.0%} of its points on the surface)"),
-        (share <= LEAST_SUPPORT, f"thinly supported ({share:.0%} of a whole fruit's points)"),
+def _faults(spheres: Spheres, looks: Looks) -> list[list[str]]:
+    """What each sphere fails by, with its number."""
+    tests = [
+        (spheres.thinness <= LEAST_THINNESS, spheres.thinness, "flat ({:.2f} radii thick)"),
+        (sheets(spheres), spheres.residual, "a sheet ({:.2f} radii off the sphere)"),
+        (spheres.coverage <= LEAST_COVERAGE, spheres.coverage, "covered on {:.0%} of its surface only"),
+        (spheres.shell <= LEAST_SHELL, spheres.shell, "not hollow ({:.0%} of its points on the surface)"),
+        (
+            support_shares(spheres) <= LEAST_SUPPORT,
+            support_shares(spheres),
+            "thin of points ({:.0%} of a whole fruit's)",
+        ),
+        (looks.solidity <= LEAST_SOLIDITY, looks.solidity, "seen through ({:.0%} of its disc is opaque)"),
+        (looks.probabilities <= LEAST_PROBABILITY, looks.probabilities, "not of the prompt ({:.2f} probable as seen)"),
     ]
-    told = [text for wrong, text in faults if wrong]
-    size = f"the best sphere, of {2 * spheres.radii[index] / diameter:.2f} mean diameters,"
-    return f"{size} is {', '.join(told)}" if told else f"{size} lies on points of better fruit or is of no fruit's size"
+    return [
+        [text.format(values[index]) for fails, values, text in tests if fails[index]] for index in range(len(spheres))
+    ]

@@ -19,15 +19,17 @@ from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
 from .sample import SurfacePoints, sample_skin, sample_volume
 from .size import estimate_diameter
 from .template import split_by_template
-from .visibility import Visibility, see, visible_fractions
+from .visibility import Picture, Visibility, draw, look_at, see
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAST_OPACITY = 0.05
 SIZING_POINTS = 20_000
-LARGEST_SCALE = 0.3
+LARGEST_SCALE = 0.5
 """Largest standard deviation, in mean fruit diameters, of a Gaussian that may give points."""
+LEAST_EVIDENCE = 0.3
+"""Below this summed weight a seed of the sphere fits behind a diameter, the selection is sheets and scatter."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
 SMALL = 0.6
@@ -83,16 +85,12 @@ def count_fruit(
         return _none(
             highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {diameter:.3g}"
         )
-    clusters = _find(points, diameter, spread, config, part(progress, 0.5, 0.8))
+    pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
+    clusters = _find(points, diameter, spread, pictures, config, part(progress, 0.7, 1.0))
     order = _top_to_bottom(clusters.spheres.centers, cameras)
     account = account_for(clusters, order)
-    fractions = visible_fractions(
-        gaussians,
-        cameras,
-        clusters.spheres.centers[order],
-        2.0 * clusters.spheres.radii[order],
-        progress=part(progress, 0.8, 1.0),
-    )
+    spheres = clusters.spheres.select(order)
+    fractions = look_at(pictures, spheres.centers, spheres.radii).visible_fractions
     return _finish(gaussians, chances, seen, points, clusters, order, account, fractions, label, highest)
 
 
@@ -141,13 +139,20 @@ def _size(
         largest=8.0 * typical,
     )
     estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
-    return None if estimate is None else (estimate.diameter, estimate.spread)
+    return None if estimate is None or estimate.evidence < LEAST_EVIDENCE else (estimate.diameter, estimate.spread)
 
 
-def _find(points: SurfacePoints, diameter: float, spread: float, config: CountConfig, progress: Progress) -> Clusters:
+def _find(
+    points: SurfacePoints,
+    diameter: float,
+    spread: float,
+    pictures: Sequence[Picture],
+    config: CountConfig,
+    progress: Progress,
+) -> Clusters:
     if config.method == "template":
         return split_by_template(points, diameter, seed=config.seed, progress=progress)
-    return find_fruit(points, diameter, spread, progress=progress)
+    return find_fruit(points, diameter, spread, pictures, progress=progress)
 
 
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:

@@ -1,9 +1,9 @@
-"""Which cameras saw each Gaussian, and how much of each fruit: by the blending weights and depths of rendered views."""
+"""What the cameras see: of each Gaussian by its blending weights, of each fruit by the depths of rendered views."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,6 +18,25 @@ FloatArray = NDArray[np.float64]
 
 SEEN_WEIGHT = 0.3
 """Summed blending weight in pixels from which a view counts as seeing a Gaussian."""
+MOST_PIXELS = 40_000_000
+"""Pixels of all pictures together; larger views are drawn smaller."""
+SPOTS = 48
+"""Pixels looked up on each sphere's disc in each view."""
+RIM = 0.8
+"""Only the disc within this many radii tells what lies behind a sphere: a fit is a little off at its rim."""
+TOLERANCE = 0.5
+"""Radii in front of a sphere's surface from which something is an occluder."""
+BATCH = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A view drawn from the Gaussians. depth: (H, W) scene units, inf where nothing opaque is; fruit: (H, W) blended
+    probability Σ α T p."""
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    fruit: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +53,30 @@ class Visibility:
     directions: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """How C spheres look in the views.
+
+    visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
+    of it; solidity: of all the disc's spots with nothing in front, the share that does not show what is behind the
+    sphere; probabilities: mean blended probability on the spots that show the sphere; spots: how many these are.
+    """
+
+    visible_fractions: FloatArray
+    solidity: FloatArray
+    probabilities: FloatArray
+    spots: FloatArray
+
+
 def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
     """Sum every view's blending weights α·T into the Gaussians that drew its pixels."""
     means = gaussians.means.detach().double().cpu().numpy()
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
     directions = np.zeros((len(means), 3))
-    for index, camera in enumerate(cameras):
+    for index, camera in enumerate(_at_drawing_size(cameras)):
         progress(index / len(cameras), f"seeing from view {index + 1} of {len(cameras)}")
-        ones = torch.ones(camera.height, camera.width, 1)
-        drawn = accumulate(gaussians, camera, ones).weights.detach().double().cpu().numpy()
+        nothing = torch.zeros(camera.height, camera.width, 0)
+        drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
         towards = camera.center - means
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
         weights += drawn
@@ -51,53 +85,74 @@ def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress =
     return Visibility(weights, views, directions / np.maximum(weights, 1e-12)[:, None])
 
 
-def visible_fractions(
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    centers: FloatArray,
-    diameters: FloatArray,
-    *,
-    progress: Progress = silent,
-) -> FloatArray:
-    """Largest share over views of each sphere's disc that has nothing in front of it.
+def draw(
+    gaussians: Gaussians, probability: FloatArray, cameras: Sequence[Camera], *, progress: Progress = silent
+) -> list[Picture]:
+    """Depth and blended probability (N,) in every view."""
+    chances = torch.from_numpy(probability).float()[:, None]
+    pictures = []
+    for index, camera in enumerate(_at_drawing_size(cameras)):
+        progress(index / len(cameras), f"drawing view {index + 1} of {len(cameras)}")
+        with torch.no_grad():
+            drawn = render(gaussians, camera, features=chances, sh_degree=0)
+        assert drawn.features is not None
+        depth = torch.where(drawn.alpha > 0.5, drawn.depth, torch.inf).float().cpu().numpy()
+        pictures.append(Picture(camera, depth, drawn.features[:, :, 0].float().cpu().numpy()))
+    return pictures
 
-    centers: (F, 3), diameters: (F,) scene units. Returns (F,) in [0, 1]; NaN for a sphere that no view frames whole.
-    """
+
+def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> Looks:
+    """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
+    parts = [
+        _look_at_some(pictures, centers[start : start + BATCH], radii[start : start + BATCH])
+        for start in range(0, max(len(centers), 1), BATCH)
+    ]
+    return Looks(*(np.concatenate([getattr(part, name) for part in parts]) for name in Looks.__dataclass_fields__))
+
+
+def _look_at_some(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> Looks:
     best = np.full(len(centers), np.nan)
-    if len(centers) == 0:
-        return best
-    for index, camera in enumerate(cameras):
-        progress(index / len(cameras), f"measuring what view {index + 1} of {len(cameras)} sees of the fruit")
-        rendered = render(gaussians, camera)
-        depth = rendered.depth.detach().double().cpu().numpy()
-        alpha = rendered.alpha.detach().double().cpu().numpy()
-        best = np.fmax(best, disc_shares(camera, depth.reshape(alpha.shape[:2]), centers, diameters))
-    return best
+    stopped, free, chance = np.zeros(len(centers)), np.zeros(len(centers)), np.zeros(len(centers))
+    across, down = _disc(SPOTS)
+    inner = across**2 + down**2 < RIM**2
+    chord = np.sqrt(1.0 - across**2 - down**2)
+    for picture in pictures:
+        camera = picture.camera
+        x, y, z = (centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
+        ahead = z > 2.0 * radii
+        z = np.where(ahead, z, 1.0)
+        columns = np.floor(camera.K[0, 0] * (x[:, None] + radii[:, None] * across) / z[:, None] + camera.K[0, 2])
+        rows = np.floor(camera.K[1, 1] * (y[:, None] + radii[:, None] * down) / z[:, None] + camera.K[1, 2])
+        inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height) & ahead[:, None]
+        where = (np.where(inside, rows, 0).astype(int), np.where(inside, columns, 0).astype(int))
+        behind_center = (picture.depth[where] - z[:, None]) / radii[:, None]
+        open_ = inside & (behind_center > -chord - TOLERANCE)
+        share = np.where(inside.mean(axis=1) >= 0.5, open_.mean(axis=1), np.nan)
+        best = np.fmax(best, share)
+        shows = open_ & inner & (behind_center < chord)
+        stopped += shows.sum(axis=1)
+        free += (open_ & inner).sum(axis=1)
+        chance += (picture.fruit[where] * shows).sum(axis=1)
+    return Looks(best, stopped / np.maximum(free, 1.0), chance / np.maximum(stopped, 1.0), stopped)
 
 
-def disc_shares(camera: Camera, depth: FloatArray, centers: FloatArray, diameters: FloatArray) -> FloatArray:
-    """(F,) share of each sphere's disc in one view where `depth` (H, W) does not lie in front of the sphere.
+def _disc(count: int) -> tuple[FloatArray, FloatArray]:
+    """(count,) and (count,) coordinates of spots spread evenly over the unit disc (Vogel's spiral)."""
+    index = np.arange(count) + 0.5
+    radius, turn = np.sqrt(index / count), np.pi * (3.0 - 5.0**0.5) * index
+    return radius * np.cos(turn), radius * np.sin(turn)
 
-    A pixel is free when its depth is behind the sphere's front less half a radius. NaN for spheres behind the camera or
-    less than half in the picture.
-    """
-    local = centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    shares = np.full(len(centers), np.nan)
-    for index in np.flatnonzero(local[:, 2] > diameters):
-        x, y, z = local[index]
-        radius = diameters[index] / 2.0
-        u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
-        reach_u, reach_v = camera.K[0, 0] * radius / z, camera.K[1, 1] * radius / z
-        columns = np.arange(int(np.floor(u - reach_u)), int(np.ceil(u + reach_u)) + 1)
-        rows = np.arange(int(np.floor(v - reach_v)), int(np.ceil(v + reach_v)) + 1)
-        off = ((columns[None, :] + 0.5 - u) / reach_u) ** 2 + ((rows[:, None] + 0.5 - v) / reach_v) ** 2
-        disc = off < 1.0
-        framed = (columns >= 0) & (columns < camera.width)
-        inside = disc & framed[None, :] & ((rows >= 0) & (rows < camera.height))[:, None]
-        if inside.sum() < 0.5 * max(disc.sum(), 1):
-            continue
-        front = z - radius * np.sqrt(np.maximum(1.0 - off, 0.0))
-        row, column = np.nonzero(inside)
-        free = depth[rows[row], columns[column]] > front[row, column] - 0.5 * radius
-        shares[index] = free.sum() / disc.sum()
-    return shares
+
+def _at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras, all shrunk by one factor where their pixels together are too many to keep."""
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return [shrunk(camera, min(1.0, (MOST_PIXELS / pixels) ** 0.5)) for camera in cameras]
+
+
+def shrunk(camera: Camera, factor: float) -> Camera:
+    """The same camera with its picture `factor` times as wide and high, in whole pixels."""
+    if factor == 1.0:
+        return camera
+    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
+    return replace(camera, K=K, width=width, height=height)

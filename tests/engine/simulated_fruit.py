@@ -74,6 +74,8 @@ def simulate(setting: Setting, seed: int) -> Simulation:
     keep = seen.any(axis=1)
     size_of = radii[owner] * np.sqrt(4.0 / setting.patches)
     parts = [(surface[keep], normals[keep], size_of[keep], seen[keep], rng.uniform(0.7, 1.0, keep.sum()))]
+    everywhere = np.ones((len(leaves), len(eyes)), bool)
+    parts.append((leaves, leaf_normals, np.full(len(leaves), 0.25), everywhere, np.full(len(leaves), 0.05)))
     for _ in range(setting.sheets):
         parts.append(_sheet(rng, centers, eyes))
     if setting.floaters:
@@ -88,7 +90,7 @@ def simulate(setting: Setting, seed: int) -> Simulation:
 
 def _as_gaussians(rng, setting, truth, cameras, eyes, spots, normals, sizes, seen, probability) -> Simulation:
     # Trained Gaussians lie below the surface that they draw.
-    spots = spots - 1.5 * 0.25 * sizes[:, None] * normals + rng.normal(0, setting.noise, spots.shape)
+    spots = spots - 1.75 * 0.25 * sizes[:, None] * normals + rng.normal(0, setting.noise, spots.shape)
     tilted = normals + rng.normal(0, 0.25, normals.shape)
     count, unit = len(spots), setting.unit
     scales = np.stack([sizes * rng.uniform(0.6, 1.3, count), sizes * rng.uniform(0.6, 1.3, count), 0.25 * sizes], 1)
