@@ -62,7 +62,7 @@ class TrainConfig:
     """Steps between two densifications."""
     densify_gradient: float = 2e-4
     """Mean gradient of a projected position, in half-images, from which a Gaussian is cloned or split."""
-    split_size: float = 0.01
+    split_size: float = 0.003
     """Gaussians whose standard deviation exceeds this share of the scene's extent are split, others cloned."""
     prune_opacity: float = 0.005
     """Gaussians fainter than this are removed when densifying."""
