@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,8 @@ from encoder.losses import concept_loss
 from encoder.measures import Measures, calibrate, measure, sample
 from encoder.pasting import cut_fruit
 from encoder.pictures import Picture, read_photos, read_renders, scene_seeds
+from safetensors import safe_open
+from safetensors.torch import load_file
 
 from fruitlangs.engine.errors import FruitLangsError
 from fruitlangs.engine.language.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
@@ -47,6 +50,8 @@ class Options:
     """Folder of rendered training scenes."""
     photos: Path
     """Folder of photo sets with annotations.csv."""
+    start: Path | None = None
+    """Weights of an earlier run to go on from; without it the network starts at random."""
     out: Path = WEIGHTS
     """Weights to write; OUT with suffix .json and MODEL_CARD.md are written beside it."""
     steps: int = 6000
@@ -76,9 +81,10 @@ def main(options: Options) -> None:
     print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
 
     network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
+    earlier = resume(network, options.start) if options.start else []
     steps = train(network, material, options)
     draft = options.out.with_suffix(".draft.safetensors")
-    notes = {"seeds": seeds, "steps": steps, "seed": options.seed}
+    notes = {"seeds": seeds, "steps": [*earlier, steps], "seed": options.seed}
 
     def opened(calibration: Calibration) -> EmbeddedEncoder:
         save_weights(draft, network, calibration, widths=WIDTHS, depths=DEPTHS, **notes)
@@ -90,6 +96,16 @@ def main(options: Options) -> None:
     measures = measure(opened(calibration), val_photos, photo_sample, render_sample)
     draft.replace(options.out)
     report(options, measures, calibration, notes, [len(photos), len(renders), len(held_out)])
+
+
+def resume(network: Network, start: Path) -> list[int]:
+    """Load earlier weights into `network`; returns the steps of the runs that made them."""
+    EmbeddedEncoder.open(start)  # says what is wrong with them
+    with safe_open(start, framework="pt") as file:
+        header = json.loads(file.metadata()["fruitlangs"])
+    network.load_state_dict({name: tensor.float() for name, tensor in load_file(start).items()})
+    steps = header["steps"]
+    return list(steps) if isinstance(steps, list) else [steps]
 
 
 def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]:
@@ -107,7 +123,8 @@ def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]
 
 def train(network: Network, material: Material, options: Options) -> int:
     """Adam with a one-cycle learning rate; leaves the averaged weights in `network`. Returns the steps taken."""
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng([options.seed, 1])
+    batches = ahead(material, options)
     network.to(memory_format=torch.channels_last).train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=1e-3, fused=True)
     average = torch.optim.swa_utils.AveragedModel(network, avg_fn=_moving_average, use_buffers=True)
@@ -116,7 +133,7 @@ def train(network: Network, material: Material, options: Options) -> int:
     step = 0
     for done in _fractions(options):
         optimiser.param_groups[0]["lr"] = options.rate * min(1.0, done / 0.03 + 0.01) * 0.5 * (1 + np.cos(np.pi * done))
-        images, labels = make_batch(material, options.batch, rng)
+        images, labels = next(batches)
         with autocast:
             logits = network(normalise(images).contiguous(memory_format=torch.channels_last))
         down, right = rng.integers(0, 2, size=2)  # the network answers for 2×2 pixels: ask it about each in turn
@@ -133,6 +150,17 @@ def train(network: Network, material: Material, options: Options) -> int:
     network.load_state_dict(average.module.state_dict())
     network.eval()
     return step
+
+
+def ahead(material: Material, options: Options) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """Batches without end, each made while the network learns from the one before."""
+    rng = np.random.default_rng(options.seed)
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(make_batch, material, options.batch, rng)
+        while True:
+            batch = coming.result()
+            coming = pool.submit(make_batch, material, options.batch, rng)
+            yield batch
 
 
 def _moving_average(average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:

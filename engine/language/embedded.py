@@ -26,7 +26,7 @@ from ..errors import EncoderError
 from .colours import colour_words
 from .encoders import Question
 from .network import Network, logits_at
-from .vocabulary import COLOURS, CONCEPTS, Phrase, parse
+from .vocabulary import COLOURS, CONCEPTS, FRUITS, Phrase, parse
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-1"
@@ -136,6 +136,9 @@ class EmbeddedEncoder:
                 )
             )
         return asked
+
+    def kinds(self) -> Tensor:
+        return _basis(FRUITS, CONCEPTS)
 
     def excludes(self, prompt: str, negative: str) -> bool:
         return parse(prompt).within(parse(negative))

@@ -55,6 +55,10 @@ class Encoder(Protocol):
         """What to ask so that the product of the answers is the probability of `prompt`."""
         ...
 
+    def kinds(self) -> Tensor:
+        """(K, D) orthonormal text vectors of kinds of fruit, of which a scene tends to hold one; K may be 0."""
+        ...
+
     def excludes(self, prompt: str, negative: str) -> bool:
         """Whether nothing could satisfy `prompt` without satisfying `negative`."""
         ...

@@ -10,6 +10,7 @@ from torch import Tensor
 from ..errors import EncoderError, VocabularyError
 from .encoders import Encoder, Question
 from .lift import Features
+from .prior import in_scene
 
 MIN_WEIGHT = 0.3
 """A Gaussian that drew less than this many pixels, summed over all views, has no say: its probability is 0."""
@@ -25,19 +26,21 @@ def relevancy(
 
     Each prompt is answered by the encoder's questions (see `Question`), which put it against every other word that
     makes sense for it; so `negatives` are needed only for what the vocabulary does not already set against the prompt,
-    for example "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)).
+    for example "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)), where kinds of fruit
+    have been weighed by how much of the scene's fruit they are (see `prior`).
 
     Raises:
         EncoderError: the features were made by another encoder.
         VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.
     """
     _check(features, encoder, prompts, negatives)
+    vectors = in_scene(features.vectors, features.weights, encoder.kinds())
     missed = torch.ones(len(features.weights))
     for prompt in prompts:
-        missed *= 1.0 - answer(features.vectors, encoder.questions(prompt))
+        missed *= 1.0 - answer(vectors, encoder.questions(prompt))
     found = 1.0 - missed
     for negative in negatives:
-        found *= 1.0 - answer(features.vectors, encoder.questions(negative))
+        found *= 1.0 - answer(vectors, encoder.questions(negative))
     return torch.where(features.weights >= MIN_WEIGHT, found, torch.zeros(()))
 
 

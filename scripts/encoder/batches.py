@@ -28,18 +28,18 @@ class Material:
 
 
 def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """(B, 3, CROP, CROP) in [0, 1] and (B, CROP, CROP) labels: about half renders, a third photos, the rest plain."""
+    """(B, 3, CROP, CROP) in [0, 1] and (B, CROP, CROP) labels: mostly renders, a quarter photos, some plain."""
     images, labels = [], []
     for _ in range(size):
         kind = rng.random()
-        if kind < 0.1:
+        if kind < 0.12:
             crop = _plain(material, rng)
-        elif kind < 0.45 or not material.renders:
+        elif kind < 0.37 or not material.renders:
             crop = _crop(material.photos[rng.integers(len(material.photos))], rng, (0.3, 1.6))
             _paste_some(crop, material, rng, chance=0.5, sizes=(12, 100))
         else:
             crop = _crop(material.renders[rng.integers(len(material.renders))], rng, (0.8, 3.5))
-            _paste_some(crop, material, rng, chance=0.35, sizes=(12, 120))
+            _paste_some(crop, material, rng, chance=0.25, sizes=(12, 120))
         images.append(changed_light(torch.from_numpy(crop[0]).permute(2, 0, 1).float() / 255.0, rng))
         labels.append(torch.from_numpy(crop[1]))
     return torch.stack(images), torch.stack(labels).long()

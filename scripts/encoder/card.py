@@ -32,9 +32,9 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
 - Calibration on held-out renders: expected calibration error {ece:.3f} (pixels with P ≥ 0.05); temperature
   {temperature:.3f}, bias {bias:.3f}.
 
-Trained in {steps} steps (seed {seed}) on {photos} photos and {renders} renders; {held_out} renders were held out.
-Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they start at
-1000, and the sample orchard and the test scenes are not among them.
+Trained in {steps} steps (seed {seed}; a later run goes on from the weights of the earlier one) on {photos} photos and
+{renders} renders; {held_out} renders were held out. Seeds of the rendered scenes are listed in the JSON file beside the
+weights and in the weights' header; they start at 1000, and the sample orchard and the test scenes are not among them.
 
 ## Data and credits
 
@@ -82,7 +82,7 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
         ece=document["measures"]["calibration_error"] or 0.0,
         temperature=document["calibration"]["temperature"],
         bias=document["calibration"]["bias"],
-        steps=document["steps"],
+        steps=" + ".join(str(steps) for steps in document["steps"]),
         seed=document["seed"],
         photos=pictures["photos"],
         renders=pictures["renders"],
