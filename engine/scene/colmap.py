@@ -14,6 +14,7 @@ from ..config import SceneConfig
 from ..errors import SceneError
 from ..progress import Progress, silent
 from .camera import FloatArray, Scene
+from .colmap_library import colmap_library
 from .layout import ModelFiles, find_model, mask_paths, photo_paths
 from .lens import Lens
 from .photo import PosedPhoto, make_scene, posed_photos
@@ -110,7 +111,7 @@ def _open_model(path: Path, images: Path | None, masks: Path | None, progress: P
 
 
 def _read(files: ModelFiles) -> Any:
-    import pycolmap
+    pycolmap = colmap_library()
 
     reconstruction = pycolmap.Reconstruction()
     try:

@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from ..errors import SceneError
 from .camera import FloatArray
+from .colmap_library import colmap_library
 
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 _PANORAMA = "EQUIRECTANGULAR"
@@ -74,7 +75,7 @@ class Lens:
 
     def _colmap(self) -> Any:
         """The `pycolmap.Camera`; pycolmap is imported when first needed."""
-        import pycolmap
+        pycolmap = colmap_library()
 
         known = [name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"]
         if self.model not in known:

@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from ..errors import SceneError
+from .colmap_library import colmap_library
 
 _QUATERNION = struct.Struct("<4d")
 _COUNT = struct.Struct("<Q")
@@ -71,7 +72,7 @@ def _walk_cameras(content: bytes, count: int, path: Path) -> int:
 @cache
 def _parameter_counts() -> dict[int | str, int]:
     """Number of parameters of every camera model pycolmap knows, by id and by name."""
-    import pycolmap
+    pycolmap = colmap_library()
 
     counts: dict[int | str, int] = {}
     for name, model in pycolmap.CameraModelId.__members__.items():

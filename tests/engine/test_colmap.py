@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -271,3 +272,18 @@ def test_a_million_points_are_checked_in_one_walk(tmp_path: Path) -> None:
     (folder / "points3D.bin").write_bytes(struct.pack("<Q", 1_000_000) + record.tobytes()[:-1])
     with pytest.raises(SceneError, match="cut short"):
         read_colmap(tmp_path)
+
+
+def test_reading_a_model_leaves_sigterm_to_the_program() -> None:
+    script = f"""
+import os, signal, sys
+sys.path.insert(0, {str(Path(__file__).resolve().parents[2] / "scripts")!r})
+import _checkout
+from fruitlangs.engine.scene.colmap_library import colmap_library
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))
+colmap_library()
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert done.stderr == ""
