@@ -1,0 +1,116 @@
+"""The whole chain on a small copy of the sample orchard: no stage faked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.errors import Cancelled, ConfigError, OutputError, VocabularyError
+from fruitlangs.engine.pipeline import Result, count_scene
+
+SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
+SMALL = Config(scene=SceneConfig(downscale=4.0), train=TrainConfig(steps=60, max_gaussians=8000))
+CONTRACT = ["gaussians.ply", "features.safetensors", "fruits.json", "fruits.csv", "fruits.glb", "fruits.ply"]
+
+
+@pytest.fixture(scope="module")
+def counted(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return count_scene(SAMPLE, ["apple"], tmp_path_factory.mktemp("counted"), config=SMALL)
+
+
+def document(out: Path) -> dict:
+    return json.loads((out / "fruits.json").read_text(encoding="utf-8"))
+
+
+def without_times(out: Path) -> dict:
+    content = document(out)
+    del content["provenance"]["date"], content["provenance"]["seconds"]
+    return content
+
+
+def test_a_run_writes_every_file_of_the_contract_and_nothing_half_made(counted: Result) -> None:
+    assert all((counted.out / name).is_file() for name in CONTRACT)
+    assert len(list((counted.out / "pictures").glob("view_*.png"))) == 4
+    assert not list(counted.out.rglob("*.part*"))
+    assert not list((counted.out / "cache").glob("publish-*"))
+
+
+def test_the_files_agree_on_the_count(counted: Result) -> None:
+    rows = (counted.out / "fruits.csv").read_text().splitlines()[1:]
+    assert document(counted.out)["count"] == len(rows) == counted.fruit_count.count > 0
+
+
+def test_two_runs_differ_in_date_and_seconds_only(counted: Result, tmp_path: Path) -> None:
+    again = count_scene(SAMPLE, ["apple"], tmp_path, config=SMALL)
+    assert without_times(again.out) == without_times(counted.out)
+    assert (again.out / "gaussians.ply").read_bytes() == (counted.out / "gaussians.ply").read_bytes()
+
+
+def test_a_second_prompt_reuses_training_and_features(counted: Result, tmp_path: Path) -> None:
+    shutil.copytree(counted.out, tmp_path / "out")
+    second = count_scene(SAMPLE, ["leaf"], tmp_path / "out", config=SMALL)
+    assert second.reused == ["train", "embed"]
+    assert document(second.out)["provenance"]["prompts"] == ["leaf"]
+    assert (second.out / "gaussians.ply").read_bytes() == (counted.out / "gaussians.ply").read_bytes()
+
+
+def test_a_result_folder_answers_without_its_photos_as_with_them(counted: Result, tmp_path: Path) -> None:
+    shutil.copytree(counted.out, tmp_path / "moved", ignore=shutil.ignore_patterns("cache"))
+    content = document(tmp_path / "moved")
+    content["provenance"]["source"] = str(tmp_path / "gone")
+    (tmp_path / "moved" / "fruits.json").write_text(json.dumps(content))
+    again = count_scene(tmp_path / "moved", ["apple"], tmp_path / "again", config=SMALL)
+    assert document(again.out)["fruits"] == document(counted.out)["fruits"]
+    assert list((again.out / "pictures").iterdir()) == []
+
+
+def test_a_torn_result_folder_is_refused(counted: Result, tmp_path: Path) -> None:
+    shutil.copytree(counted.out, tmp_path / "torn", ignore=shutil.ignore_patterns("cache"))
+    (tmp_path / "torn" / "gaussians.ply").write_bytes(b"ply\n")
+    with pytest.raises(OutputError, match=r"gaussians\.ply"):
+        count_scene(tmp_path / "torn", ["apple"], tmp_path / "out")
+
+
+def test_a_result_folder_refuses_other_training_settings(counted: Result, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="train settings"):
+        count_scene(counted.out, ["apple"], tmp_path, config=Config(train=TrainConfig(steps=7)))
+
+
+def test_an_unknown_word_is_refused_before_anything_is_trained(tmp_path: Path) -> None:
+    with pytest.raises(VocabularyError, match="apple"):
+        count_scene(SAMPLE, ["aple"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_known_word_that_nothing_satisfies_is_a_counted_zero(counted: Result, tmp_path: Path) -> None:
+    config = Config(scene=SMALL.scene, train=SMALL.train, count=CountConfig(threshold=0.999999))
+    nothing = count_scene(counted.out, ["purple mango"], tmp_path, config=config)
+    content = document(nothing.out)
+    assert content["count"] == 0
+    assert 0.0 <= content["audit"]["max_probability"] < 0.999999
+    assert content["audit"]["clusters"][0]["reason"]
+
+
+def test_a_cancel_leaves_the_earlier_result_as_it_was(counted: Result, tmp_path: Path) -> None:
+    shutil.copytree(counted.out, tmp_path / "out")
+    before = {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")}
+
+    def stop(fraction: float, message: str) -> None:
+        if fraction > 0.95:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        count_scene(tmp_path / "out", ["leaf"], tmp_path / "out", progress=stop)
+    assert {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")} == before
+
+
+def test_progress_never_goes_back_and_ends_at_one(counted: Result, tmp_path: Path) -> None:
+    fractions: list[float] = []
+    count_scene(counted.out, ["apple"], tmp_path, progress=lambda fraction, message: fractions.append(fraction))
+    assert np.all(np.diff(fractions) >= 0)
+    assert fractions[-1] == 1.0
