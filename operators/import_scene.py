@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -18,11 +18,16 @@ from .write_cameras import write_cameras
 from .write_points import write_points
 from .write_root import write_root
 
+if TYPE_CHECKING:
+    from ..engine.config import SceneConfig
+    from ..engine.progress import Progress
+    from ..engine.scene.camera import Scene
+
 
 class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.import_scene"
     bl_label = "Import Scene"
-    bl_description = "Show the cameras and the sparse points of a COLMAP model; its photos must be there too"
+    bl_description = "Show the cameras and the sparse points of a COLMAP model with its photos, or of an earlier result"
     bl_options = {"UNDO"}
 
     title = "Import"
@@ -43,29 +48,39 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         return super().invoke(context, event)
 
     def prepare(self, context: bpy.types.Context) -> Work:
-        from ..engine.scene.read import read_scene
-
         settings = context.scene.fruitlangs
         if self.directory:
             settings.source = stored_path(Path(bpy.path.abspath(self.directory)))
         source = source_folder(settings)
         config = read_config(settings).scene
         self._target = Target(context.scene)
-        return lambda progress: read_scene(source, config, progress=progress)
+        return lambda progress: read_any(source, config, progress)
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)
         root = write_root(bpy_scene, result)
-        write_points(bpy_scene, result, root)
+        if len(result.points):
+            write_points(bpy_scene, result, root)
         write_cameras(bpy_scene, result, root)
         show_colors(shown_screens(context))
         look_at_scene(shown_screens(context), bpy_scene)
         shown = bpy_scene.fruitlangs.result
-        shown.photos, shown.points = len(result.images), len(result.points)
-        self.report({"INFO"}, f"{len(result.images)} photos and {len(result.points)} points imported")
+        shown.photos, shown.points = len(result.cameras), len(result.points)
+        self.report({"INFO"}, f"{len(result.cameras)} cameras and {len(result.points)} points imported")
 
     def failed(self, context: bpy.types.Context, message: str) -> None:
         context.scene.fruitlangs.error = message
+
+
+def read_any(source: Path, config: SceneConfig, progress: Progress) -> Scene:
+    """The scene at `source`: photos with a camera model, or the cameras that an earlier result keeps of them."""
+    if (source / "fruits.json").is_file():
+        from ..engine.scene.stored import read_cameras
+
+        return read_cameras(source / "cameras.json")
+    from ..engine.scene.read import read_scene
+
+    return read_scene(source, config, progress=progress)
 
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:

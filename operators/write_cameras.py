@@ -31,13 +31,15 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
     collection = owned_collection(bpy_scene, "cameras", "Cameras")
     size = 0.04 * scene.extent if len(scene.cameras) else 1.0
     objects = []
-    for camera, photo in zip(scene.cameras, scene.images, strict=True):
-        data = bpy.data.cameras.new(PurePath(photo.name).name)
+    # A scene read back from a result whose photos are gone has cameras only.
+    names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
+    for camera, name in zip(scene.cameras, names, strict=True):
+        data = bpy.data.cameras.new(PurePath(name).name)
         set_intrinsics(data, camera)
         data.display_size = size
         data.clip_start, data.clip_end = 0.01 * size, 1000.0 * max(size, 1.0)
-        item = new_object(PurePath(photo.name).stem, data, "camera", collection, root)
-        item["photo"] = photo.name
+        item = new_object(PurePath(name).stem, data, "camera", collection, root)
+        item["photo"] = name if scene.images else ""
         item.matrix_basis = Matrix(blender_pose(camera).tolist())
         objects.append(item)
     if objects and was_ours:

@@ -56,6 +56,16 @@ def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_p
     assert Path(bpy.context.scene.fruitlangs.source) == tmp_path
 
 
+def test_an_earlier_result_is_imported_by_the_cameras_it_keeps(engine, extension, counted, tmp_path):
+    from fruitlangs.engine.scene.stored import dump_cameras
+
+    (tmp_path / "fruits.json").write_text("{}")
+    (tmp_path / "cameras.json").write_text(dump_cameras(counted.scene))
+    assert bpy.ops.fruitlangs.import_scene(directory=str(tmp_path)) == {"FINISHED"}
+    assert len(bpy.data.collections["Cameras"].objects) == 6
+    assert engine.read == []
+
+
 def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings, tmp_path):
     settings.prompt, settings.negative, settings.config.train.steps = "apple, pear", "leaf", 9
     assert bpy.ops.fruitlangs.count() == {"FINISHED"}

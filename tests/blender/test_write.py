@@ -154,6 +154,13 @@ def test_cameras_are_named_after_their_photos_and_one_is_active(counted):
     assert bpy.context.scene.camera in list(cameras)
 
 
+def test_cameras_without_photos_are_written_too(counted):
+    import dataclasses
+
+    written(dataclasses.replace(counted, scene=dataclasses.replace(counted.scene, images=[])))
+    assert bpy.data.collections["Cameras"].objects.keys() == [f"view 00{index}" for index in range(1, 7)]
+
+
 def test_the_users_own_camera_stays_active(counted):
     own = bpy.data.objects.new("Mine", bpy.data.cameras.new("Mine"))
     bpy.context.scene.collection.objects.link(own)
