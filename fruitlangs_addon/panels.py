@@ -40,8 +40,8 @@ class FRUITLANGS_PT_count(SidebarPanel, bpy.types.Panel):
         column.prop(settings, "source")
         column.operator(FRUITLANGS_OT_import_scene.bl_idname, icon="IMPORT")
         result = settings.result
-        if result.photos:
-            column.label(text=f"{result.photos} cameras, {result.points} points", icon="CAMERA_DATA")
+        if result.cameras:
+            column.label(text=f"{result.cameras} cameras, {result.points} points", icon="CAMERA_DATA")
         column.separator()
         column.prop(settings, "prompt")
         column.prop(settings, "negative")

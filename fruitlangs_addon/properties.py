@@ -39,7 +39,7 @@ FRUITLANGS_PG_config = _group(
 class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     """What the panel shows of the last import and the last count."""
 
-    photos: IntProperty(name="Photos", min=0)
+    cameras: IntProperty(name="Cameras", min=0)
     points: IntProperty(name="Points", min=0)
     count: IntProperty(name="Count", default=-1, min=-1, description="Fruit counted; -1 before there was a count")
     label: StringProperty(name="Label", description="What was counted")

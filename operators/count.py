@@ -68,7 +68,7 @@ def keep_result(settings: Any, result: Any) -> None:
     shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * (metres_per_unit or 1.0)
     shown.unit = "m" if metres_per_unit else "scene units"
     shown.max_probability = fruit_count.max_probability
-    shown.photos, shown.points = len(result.scene.cameras), len(result.scene.points)
+    shown.cameras, shown.points = len(result.scene.cameras), len(result.scene.points)
     shown.folder = stored_path(result.out)
 
 

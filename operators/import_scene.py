@@ -65,7 +65,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         show_colors(shown_screens(context))
         look_at_scene(shown_screens(context), bpy_scene)
         shown = bpy_scene.fruitlangs.result
-        shown.photos, shown.points = len(result.cameras), len(result.points)
+        shown.cameras, shown.points = len(result.cameras), len(result.points)
         self.report({"INFO"}, f"{len(result.cameras)} cameras and {len(result.points)} points imported")
 
     def failed(self, context: bpy.types.Context, message: str) -> None:

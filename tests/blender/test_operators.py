@@ -48,7 +48,7 @@ def test_import_shows_cameras_and_points(engine, settings, tmp_path):
     assert engine.read[0][0] == tmp_path / "tree"
     assert len(bpy.data.collections["Cameras"].objects) == 6
     assert len(bpy.data.objects["Sparse points"].data.vertices) == 200
-    assert (settings.result.photos, settings.result.points) == (6, 200)
+    assert (settings.result.cameras, settings.result.points) == (6, 200)
 
 
 def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_path):
