@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import _checkout  # noqa: F401
@@ -55,7 +55,7 @@ class Options:
     out: Path = WEIGHTS
     """Weights to write; OUT with suffix .json and MODEL_CARD.md are written beside it."""
     steps: int = 6000
-    """Optimiser steps."""
+    """Optimiser steps; 0 only calibrates and measures the weights of --start anew."""
     minutes: float | None = None
     """Stop after this many minutes instead, with the learning rate ended by then; not reproducible to the byte."""
     batch: int = 8
@@ -84,7 +84,7 @@ def main(options: Options) -> None:
     earlier = resume(network, options.start) if options.start else []
     steps = train(network, material, options)
     draft = options.out.with_suffix(".draft.safetensors")
-    notes = {"seeds": seeds, "steps": [*earlier, steps], "seed": options.seed}
+    notes = {"seeds": seeds, "steps": [*earlier, steps] if steps else earlier, "seed": options.seed}
 
     def opened(calibration: Calibration) -> EmbeddedEncoder:
         save_weights(draft, network, calibration, widths=WIDTHS, depths=DEPTHS, **notes)
@@ -132,7 +132,8 @@ def train(network: Network, material: Material, options: Options) -> int:
     losses: list[float] = []
     step = 0
     for done in _fractions(options):
-        optimiser.param_groups[0]["lr"] = options.rate * min(1.0, done / 0.03 + 0.01) * 0.5 * (1 + np.cos(np.pi * done))
+        rise = min(1.0, done / 0.03 + 0.01)
+        optimiser.param_groups[0]["lr"] = options.rate * rise * 0.5 * (1 + np.cos(np.pi * done))
         images, labels = next(batches)
         with autocast:
             logits = network(normalise(images).contiguous(memory_format=torch.channels_last))
@@ -186,7 +187,7 @@ def report(
     document = {
         **notes,
         "pictures": dict(zip(("photos", "renders", "held_out_renders"), pictures, strict=True)),
-        "calibration": {"temperature": calibration.temperature, "bias": calibration.bias},
+        "calibration": asdict(calibration),
         "measures": measures.document(),
     }
     options.out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")

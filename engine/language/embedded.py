@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,24 +26,25 @@ from ..errors import EncoderError
 from .colours import colour_words
 from .encoders import Question
 from .network import Network, logits_at
-from .vocabulary import COLOURS, CONCEPTS, FRUITS, Phrase, parse
+from .vocabulary import COLOURS, CONCEPTS, FRUITS, SURROUNDINGS, Phrase, parse
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-1"
-SCALES = (1.0, 2.0)
-"""Sizes, relative to the photo, at which the network sees it; their logits are averaged."""
+SEEN_SIDE = 960
+"""Longest side of a photo as the network sees it, pixels; small photos are enlarged, at most twice."""
 MAX_SIDE = 1600
-"""Longest side shown to the network, pixels."""
+"""Longest side of the features; larger photos are shrunk first."""
 COLOUR_BLUR = 2
 """Colours are averaged over (2·this + 1)² pixels before they are named."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Temperature and bias of the margin, fitted on held-out renders and photos."""
+    """Fitted on held-out renders and photos: temperature and bias of "is it fruit", temperature of "which kind"."""
 
     temperature: float = 1.0
     bias: float = 0.0
+    kind_temperature: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +109,11 @@ class EmbeddedEncoder:
         return torch.cat([concepts.permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
 
     @torch.inference_mode()
-    def concept_logits(self, pixels: Tensor, scales: Sequence[float] = SCALES) -> Tensor:
+    def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
         """(3, H, W) in [0, 1] → (K, H, W): the network's logits, averaged over the scales it is shown."""
         _, height, width = pixels.shape
         total = torch.zeros(len(CONCEPTS), height, width)
-        used = sorted({min(scale, MAX_SIDE / max(height, width)) for scale in scales})
+        used = scales or seen_scales(height, width)
         for scale in used:
             logits = logits_at(self.network, pixels, max(1, round(height * scale)), max(1, round(width * scale)))
             if logits.shape[-2:] != (height, width):
@@ -121,20 +122,20 @@ class EmbeddedEncoder:
         return total
 
     def questions(self, prompt: str) -> Sequence[Question]:
-        """Is it this thing rather than any other; is it this colour rather than any other."""
+        """For a fruit: is it fruit rather than surroundings, and is it this kind rather than another.
+
+        For another thing: is it this rather than anything else. For a colour: is it this rather than another.
+        """
+        phrase, fit = parse(prompt), self.calibration
         asked = []
-        for words, block in _parts(parse(prompt)):
-            others = tuple(word for word in block if word not in words)
-            calibration = self.calibration if block is CONCEPTS else Calibration()
-            asked.append(
-                Question(
-                    positives=_basis(words, block),
-                    negatives=_basis(others, block),
-                    score="posterior",
-                    temperature=calibration.temperature,
-                    bias=calibration.bias,
-                )
-            )
+        if phrase.concepts and set(phrase.concepts) <= set(FRUITS):
+            asked.append(_question(FRUITS, SURROUNDINGS, CONCEPTS, fit.temperature, fit.bias))
+            if phrase.concepts != FRUITS:
+                asked.append(_question(phrase.concepts, FRUITS, CONCEPTS, fit.kind_temperature))
+        elif phrase.concepts:
+            asked.append(_question(phrase.concepts, CONCEPTS, CONCEPTS))
+        if phrase.colours:
+            asked.append(_question(phrase.colours, COLOURS, COLOURS))
         return asked
 
     def kinds(self) -> Tensor:
@@ -142,6 +143,16 @@ class EmbeddedEncoder:
 
     def excludes(self, prompt: str, negative: str) -> bool:
         return parse(prompt).within(parse(negative))
+
+
+def seen_scales(height: int, width: int) -> tuple[float, ...]:
+    """At which sizes, relative to the photo, the network sees it.
+
+    A photo so small that it is enlarged twice is seen once: its fruit is small. Larger ones are also seen at half size,
+    where fruit that fills much of the photo is still taken in at a glance.
+    """
+    fine = SEEN_SIDE / max(height, width)
+    return (2.0,) if fine >= 2.0 else (fine, fine / 2.0)
 
 
 def save_weights(
@@ -159,7 +170,7 @@ def save_weights(
         "concepts": list(CONCEPTS),
         "widths": list(widths),
         "depths": list(depths),
-        "calibration": {"temperature": calibration.temperature, "bias": calibration.bias},
+        "calibration": asdict(calibration),
         **notes,
     }
     tensors = {
@@ -174,6 +185,13 @@ def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     """The words of a phrase with the block each kind lives in."""
     pairs = [(phrase.concepts, CONCEPTS), (phrase.colours, COLOURS)]
     return [(words, block) for words, block in pairs if words]
+
+
+def _question(
+    words: Sequence[str], against: Sequence[str], block: tuple[str, ...], temperature: float = 1.0, bias: float = 0.0
+) -> Question:
+    others = [word for word in against if word not in words]
+    return Question(_basis(words, block), _basis(others, block), "posterior", temperature, bias)
 
 
 def _basis(words: Sequence[str], block: tuple[str, ...]) -> Tensor:

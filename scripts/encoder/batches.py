@@ -12,7 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from .pasting import Cutout, paste
-from .pictures import Labels, Picture, plain_picture
+from .pictures import Labels, Picture, plain_picture, put_thing
 
 CROP = 256
 """Side of a training crop, pixels."""
@@ -65,6 +65,8 @@ def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float]
 def _plain(material: Material, rng: np.random.Generator) -> tuple[NDArray[np.uint8], Labels]:
     picture = plain_picture(rng, CROP)
     crop = (picture.pixels.copy(), picture.labels.copy())
+    for _ in range(rng.integers(0, 3)):
+        put_thing(crop[0], rng)
     _paste_some(crop, material, rng, chance=0.9, sizes=(20, 230))
     return crop
 
@@ -80,8 +82,9 @@ def _paste_some(
     if rng.random() > chance:
         return
     kinds = [cutouts for cutouts in material.bank if cutouts]
+    chances = np.sqrt([len(cutouts) for cutouts in kinds])
     for _ in range(rng.integers(1, 6)):
-        cutouts = kinds[rng.integers(len(kinds))]
+        cutouts = kinds[rng.choice(len(kinds), p=chances / chances.sum())]
         size = float(np.exp(rng.uniform(*np.log(sizes))))
         paste(*crop, cutouts[rng.integers(len(cutouts))], round(size), rng)
 

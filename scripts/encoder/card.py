@@ -28,9 +28,10 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
 - *Pasted word*: fruit of one validation set pasted into photos of the other sets; share of its pixels whose likeliest
   fruit word, of all {fruits}, is right.
 - *Renders*: synthetic scenes kept out of training; the fruit's word at P ≥ 0.5 against exact masks, also asked of
-  scenes with another fruit.
-- Calibration on held-out renders: expected calibration error {ece:.3f} (pixels with P ≥ 0.05); temperature
-  {temperature:.3f}, bias {bias:.3f}.
+  scenes with another fruit. As in use, a scene's kinds of fruit are weighed by their shares of all its pictures. The
+  word "fruit" alone: IoU {fruit_iou:.3f}.
+- Calibration on held-out renders: expected calibration error of "fruit" {ece:.3f} (pixels with P ≥ 0.05); temperature
+  {temperature:.3f}, bias {bias:.3f}; temperature of the kind of fruit {kind_temperature:.3f}.
 
 Trained in {steps} steps (seed {seed}; a later run goes on from the weights of the earlier one) on {photos} photos and
 {renders} renders; {held_out} renders were held out. Seeds of the rendered scenes are listed in the JSON file beside the
@@ -82,6 +83,8 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
         ece=document["measures"]["calibration_error"] or 0.0,
         temperature=document["calibration"]["temperature"],
         bias=document["calibration"]["bias"],
+        kind_temperature=document["calibration"]["kind_temperature"],
+        fruit_iou=document["measures"]["fruit_iou"] or 0.0,
         steps=" + ".join(str(steps) for steps in document["steps"]),
         seed=document["seed"],
         photos=pictures["photos"],

@@ -10,16 +10,20 @@ from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 from .pictures import NOT_FRUIT
 
 
-def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45) -> Tensor:
+def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 0.5) -> Tensor:
     """Cross-entropy of (B, K, H, W) logits against (B, H, W) labels.
 
     A pixel known only as no fruit asks for the sum of the surroundings' probabilities. Every word counts by the root of
-    its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the rest.
+    its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the rest. A fruit pixel
+    is also asked for its kind alone, with weight `naming`.
     """
     log_probability = logits.float().log_softmax(1)
     known = labels < len(CONCEPTS)
     target = torch.where(known, labels, 0)
     exact = -log_probability.gather(1, target[:, None])[:, 0]
+    fruit = log_probability[:, : len(FRUITS)]
+    kind = fruit.logsumexp(1) - fruit.gather(1, target.clamp_max(len(FRUITS) - 1)[:, None])[:, 0]
+    exact = torch.where(target < len(FRUITS), exact + naming * kind, exact)
     vague = -log_probability[:, len(FRUITS) :].logsumexp(1)
     loss = torch.where(known, exact, vague)
     bins = torch.where(labels == NOT_FRUIT, len(CONCEPTS), torch.where(known, labels, len(CONCEPTS) + 1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import average_precision_score, roc_auc_score
 from torch import Tensor
+from torch.nn import functional
 
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
+from fruitlangs.engine.language.prior import in_scene
 from fruitlangs.engine.language.relevancy import answer, margin
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
@@ -51,6 +53,7 @@ class Measures:
     photos: dict[str, PhotoScore]
     pasted_word: dict[str, float]
     renders: dict[str, RenderScore]
+    fruit_iou: float | None
     calibration_error: float | None
 
     def document(self) -> dict[str, object]:
@@ -85,6 +88,7 @@ def measure(
         photos=photo_scores(encoder, photos),
         pasted_word=pasted_words(encoder, val_photos),
         renders=render_scores(encoder, renders),
+        fruit_iou=fruit_iou(encoder, renders),
         calibration_error=calibration_error(encoder, renders),
     )
 
@@ -135,51 +139,84 @@ def _pasted_hits(
 
 
 def render_scores(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[str, RenderScore]:
-    """Each word is asked of every render, also of those that hold another fruit."""
+    """Each word is asked of every scene, also of those with another fruit, given the scene's shares of kinds."""
+    scenes = [_weighed(encoder, [each for each in renders if each.source == name]) for name in _sources(renders)]
     scores = {}
     for concept, word in enumerate(FRUITS):
         both = asked = there = 0
-        for render in renders:
-            chosen, true = _answers(encoder, render, word) >= 0.5, render.labels == concept
+        for scene in scenes:
+            chosen, true = _answers(encoder, scene, word) >= 0.5, scene.labels == concept
             both, asked, there = both + int((chosen & true).sum()), asked + int(chosen.sum()), there + int(true.sum())
         if there:
             scores[word] = RenderScore(both / (asked + there - both), both / max(asked, 1), both / there)
     return scores
 
 
+def _sources(samples: Sequence[Sample]) -> list[str]:
+    return sorted({each.source for each in samples})
+
+
+def _weighed(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> Sample:
+    """All pixels of one scene, their kinds of fruit weighed as `relevancy` does it."""
+    features = torch.cat([each.features for each in samples]).float()
+    weights = torch.full((len(features),), float(STEP * STEP))
+    features = in_scene(features, weights, encoder.kinds()).half()
+    return Sample(features, np.concatenate([each.labels for each in samples]), samples[0].source)
+
+
+def fruit_iou(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> float | None:
+    """Intersection over union of the word "fruit" at P ≥ 0.5."""
+    if not renders:
+        return None
+    chosen = np.concatenate([_answers(encoder, render, "fruit") >= 0.5 for render in renders])
+    true = np.concatenate([render.labels < len(FRUITS) for render in renders])
+    return float((chosen & true).sum() / max((chosen | true).sum(), 1))
+
+
 def calibrate(encoder: EmbeddedEncoder, photos: Sequence[Sample], renders: Sequence[Sample]) -> Calibration:
-    """Temperature and bias by logistic regression of "it is this fruit" on the margin of its word.
+    """Logistic regression of "it is fruit" on the margin of "fruit", and the temperature at which kinds are likeliest.
 
     Renders, where every pixel is known, weigh three times as much as photos.
     """
     margins, truths, weights = [], [], []
+    (question,) = encoder.questions("fruit")
     for samples, share in ((photos, 0.25), (renders, 0.75)):
-        pairs = [pair for each in samples for pair in _margins(encoder, each)]
-        if not pairs:
+        if not samples:
             continue
-        m, t = (np.concatenate(column) for column in zip(*pairs, strict=True))
+        m = np.concatenate([margin(each.features.float(), question).double().numpy() for each in samples])
+        t = np.concatenate([each.labels < len(FRUITS) for each in samples])
         every = max(1, len(m) // CALIBRATION_PIXELS)
-        m, t = m[::every], t[::every]
-        margins.append(m)
-        truths.append(t)
-        weights.append(np.full(len(m), share / len(m)))
+        margins.append(m[::every])
+        truths.append(t[::every])
+        weights.append(np.full(len(margins[-1]), share / len(margins[-1])))
     m, t, w = np.concatenate(margins), np.concatenate(truths), np.concatenate(weights)
     fit = LogisticRegression(C=1e6, max_iter=200).fit(np.clip(m, -12, 12)[:, None], t, sample_weight=w * len(w))
-    return Calibration(temperature=float(1.0 / fit.coef_[0, 0]), bias=float(-fit.intercept_[0]))
+    return Calibration(
+        temperature=float(1.0 / fit.coef_[0, 0]),
+        bias=float(-fit.intercept_[0]),
+        kind_temperature=_kind_temperature(encoder, [*photos, *renders]),
+    )
 
 
-def _margins(encoder: EmbeddedEncoder, pixels: Sample) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
-    for concept, word in enumerate(FRUITS):
-        (question,) = encoder.questions(word)
-        yield margin(pixels.features.float(), question).double().numpy(), pixels.labels == concept
+def _kind_temperature(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> float:
+    """The temperature of the kinds' logits that makes the true kinds of fruit pixels likeliest."""
+    logits, labels = [], []
+    for each in samples:
+        mine = torch.from_numpy(each.labels < len(FRUITS))
+        logits.append(2.0 * (each.features[mine].float() @ encoder.kinds().T).clamp_min(1e-6).log())
+        labels.append(torch.from_numpy(each.labels)[mine].long())
+    z, k = torch.cat(logits), torch.cat(labels)
+    temperatures = np.geomspace(0.5, 4.0, 31)
+    losses = [float(functional.cross_entropy(z / float(t), k)) for t in temperatures]
+    return float(temperatures[int(np.argmin(losses))])
 
 
 def calibration_error(encoder: EmbeddedEncoder, renders: Sequence[Sample], *, bins: int = 10) -> float | None:
-    """Expected calibration error of the fruit words on pixels with P ≥ 0.05."""
+    """Expected calibration error of "fruit" on pixels with P ≥ 0.05."""
     if not renders:
         return None
-    p = np.concatenate([_answers(encoder, render, word) for render in renders for word in FRUITS])
-    t = np.concatenate([render.labels == concept for render in renders for concept in range(len(FRUITS))])
+    p = np.concatenate([_answers(encoder, render, "fruit") for render in renders])
+    t = np.concatenate([render.labels < len(FRUITS) for render in renders])
     p, t = p[p >= 0.05], t[p >= 0.05]
     slot = np.minimum((p * bins).astype(int), bins - 1)
     filled = [slot == b for b in range(bins) if (slot == b).any()]

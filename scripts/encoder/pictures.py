@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS, parse
+from fruitlangs.engine.language.vocabulary import CONCEPTS, parse
 
 IGNORED = 255
 """Label of a pixel that teaches nothing."""
@@ -172,6 +172,20 @@ def plain_picture(rng: np.random.Generator, size: int) -> Picture:
     return Picture((pixels * 255.0).astype(np.uint8), labels, "plain")
 
 
-def is_fruit(labels: Labels) -> NDArray[np.bool_]:
-    """True where a label is a fruit word."""
-    return labels < len(FRUITS)
+def put_thing(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
+    """Draw a long bent thing in place, round in section and of any colour, that is none of the fruit."""
+    size = pixels.shape[0]
+    y, x = np.mgrid[:size, :size].astype(np.float32)
+    radius = rng.uniform(0.25, 1.5) * size
+    thickness = float(np.exp(rng.uniform(np.log(0.02), np.log(0.12)))) * size
+    middle, turn = rng.uniform(0.2, 0.8, 2) * size, rng.uniform(0, 2 * np.pi)
+    dx, dy = x - middle[0] + radius * np.cos(turn), y - middle[1] + radius * np.sin(turn)
+    across = (np.hypot(dx, dy) - radius) / thickness
+    along = np.angle(np.exp(1j * (np.arctan2(dy, dx) - turn))) * radius / thickness / rng.uniform(3.0, 7.0)
+    section = across**2 / np.clip(1.15 - along**4, 0.05, 1.0) + along**8
+    shade = np.clip(0.55 + 0.6 * np.sqrt(np.clip(1.0 - section, 0.0, 1.0)) + rng.uniform(-0.3, 0.3) * across, 0.2, 1.3)
+    hue = np.array([rng.uniform(0.4, 1.0), rng.uniform(0.2, 1.0), rng.uniform(0.0, 0.8)])
+    hue = hue * (1.0 + rng.normal(0.0, 0.05, (size, size, 1)) * rng.random())
+    drawn = np.clip(255.0 * shade[..., None] * hue * rng.uniform(0.4, 1.0), 0.0, 255.0)
+    alpha = np.clip((1.0 - section) * thickness / 2.0, 0.0, 1.0)[..., None]
+    pixels[:] = (drawn * alpha + pixels * (1.0 - alpha)).astype(np.uint8)

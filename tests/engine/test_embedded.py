@@ -27,7 +27,14 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
-    save_weights(path, network, Calibration(temperature=0.8, bias=0.5), widths=WIDTHS, depths=DEPTHS, seeds=[1000])
+    save_weights(
+        path,
+        network,
+        Calibration(temperature=0.8, bias=0.5, kind_temperature=1.2),
+        widths=WIDTHS,
+        depths=DEPTHS,
+        seeds=[1000],
+    )
     return path
 
 
