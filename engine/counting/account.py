@@ -41,7 +41,9 @@ def account_for(clusters: Clusters, order: IntArray) -> Account:
     if dust:
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
         entries.append(
-            AuditEntry(cluster=len(sizes), verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=sum(dust))
+            AuditEntry(
+                cluster=len(sizes), verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=int(sum(dust))
+            )
         )
     shared = np.array([(homes == homes[sphere]).sum() > 1 for sphere in order], bool)
     return Account(entries, numbers, shared)
