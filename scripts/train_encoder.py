@@ -26,8 +26,9 @@ import torch
 import tyro
 from encoder.batches import Material, make_batch
 from encoder.card import write_card
+from encoder.lifted import calibrate_lifted, intersection_over_union, lifted_scenes
 from encoder.losses import concept_loss
-from encoder.measures import Measures, calibrate, measure, sample
+from encoder.measures import calibrate, measure, sample
 from encoder.pasting import cut_fruit
 from encoder.pictures import Picture, read_photos, read_renders, scene_seeds
 from safetensors import safe_open
@@ -50,6 +51,9 @@ class Options:
     """Folder of rendered training scenes."""
     photos: Path
     """Folder of photo sets with annotations.csv."""
+    lifted: Path | None = None
+    """Folder of rendered walks with the gaussians.ply trained from each, to calibrate on Gaussians that many views
+    drew; without it the calibration is that of single pixels."""
     start: Path | None = None
     """Weights of an earlier run to go on from; without it the network starts at random."""
     out: Path = WEIGHTS
@@ -75,7 +79,8 @@ def main(options: Options) -> None:
     torch.manual_seed(options.seed)
     photos, val_photos = read_photos(options.photos, "train"), read_photos(options.photos, "val")
     renders, held_out = split_scenes(read_renders(options.renders) if options.renders else [])
-    seeds = scene_seeds([*renders, *held_out], options.renders) if options.renders else []
+    seeds = scene_seeds(options.renders) if options.renders else []
+    seeds += scene_seeds(options.lifted) if options.lifted else []
     material = Material(photos, renders, cut_fruit([*photos, *renders]))
     print(f"{len(photos)} photos, {len(renders)} renders to train on, {len(held_out)} held out", flush=True)
     print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
@@ -92,10 +97,25 @@ def main(options: Options) -> None:
 
     encoder = opened(Calibration())
     photo_sample, render_sample = sample(encoder, val_photos), sample(encoder, held_out)
-    calibration = calibrate(encoder, photo_sample, render_sample)
-    measures = measure(opened(calibration), val_photos, photo_sample, render_sample)
+    pixels = calibrate(encoder, photo_sample, render_sample)
+    measures = measure(opened(pixels), val_photos, photo_sample, render_sample)
+    calibration, overlap = pixels, None
+    if options.lifted:
+        scenes = lifted_scenes(encoder, options.lifted)
+        calibration = calibrate_lifted(scenes, pixels)
+        overlap = intersection_over_union(scenes, calibration)
+    opened(calibration)
     draft.replace(options.out)
-    report(options, measures, calibration, notes, [len(photos), len(renders), len(held_out)])
+    document = {
+        **notes,
+        "pictures": {"photos": len(photos), "renders": len(renders), "held_out_renders": len(held_out)},
+        "calibration": asdict(calibration),
+        "pixel_calibration": asdict(pixels),
+        "lifted_iou": overlap,
+        "measures": measures.document(),
+    }
+    options.out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    print(write_card(options.out.parent / "MODEL_CARD.md", document))
 
 
 def resume(network: Network, start: Path) -> list[int]:
@@ -178,21 +198,6 @@ def _fractions(options: Options) -> Iterator[float]:
         return
     while (done := (time.monotonic() - start) / (60.0 * options.minutes)) < 1.0:
         yield done
-
-
-def report(
-    options: Options, measures: Measures, calibration: Calibration, notes: dict[str, object], pictures: list[int]
-) -> None:
-    """Print the figures, write them beside the weights and into the model card."""
-    document = {
-        **notes,
-        "pictures": dict(zip(("photos", "renders", "held_out_renders"), pictures, strict=True)),
-        "calibration": asdict(calibration),
-        "measures": measures.document(),
-    }
-    options.out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    table = write_card(options.out.parent / "MODEL_CARD.md", document)
-    print(table)
 
 
 if __name__ == "__main__":

@@ -30,9 +30,10 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
 - *Renders*: synthetic scenes kept out of training; the fruit's word at P ≥ 0.5 against exact masks, also asked of
   scenes with another fruit. As in use, a scene's kinds of fruit are weighed by their shares of all its pictures. The
   word "fruit" alone: IoU {fruit_iou:.3f}.
-- Calibration on held-out renders: expected calibration error of "fruit" {ece:.3f} (pixels with P ≥ 0.05); temperature
-  {temperature:.3f}, bias {bias:.3f}; temperature of the kind of fruit {kind_temperature:.3f}.
-
+- Calibration of single pixels on held-out renders: expected calibration error of "fruit" {ece:.3f} (pixels with
+  P ≥ 0.05); temperature {pixel_temperature:.3f}, bias {pixel_bias:.3f}; temperature of the kind of fruit
+  {kind_temperature:.3f}.
+{lifted}
 Trained in {steps} steps (seed {seed}; a later run goes on from the weights of the earlier one) on {photos} photos and
 {renders} renders; {held_out} renders were held out. Seeds of the rendered scenes are listed in the JSON file beside the
 weights and in the weights' header; they start at 1000, and the sample orchard and the test scenes are not among them.
@@ -81,8 +82,9 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
         fruits=len(FRUITS),
         table=table,
         ece=document["measures"]["calibration_error"] or 0.0,
-        temperature=document["calibration"]["temperature"],
-        bias=document["calibration"]["bias"],
+        pixel_temperature=document["pixel_calibration"]["temperature"],
+        pixel_bias=document["pixel_calibration"]["bias"],
+        lifted=_lifted(document),
         kind_temperature=document["calibration"]["kind_temperature"],
         fruit_iou=document["measures"]["fruit_iou"] or 0.0,
         steps=" + ".join(str(steps) for steps in document["steps"]),
@@ -93,6 +95,18 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
     )
     path.write_text(text, encoding="utf-8")
     return table
+
+
+def _lifted(document: Mapping[str, Any]) -> str:
+    if document["lifted_iou"] is None:
+        return "- The weights carry this calibration of pixels; none was made on lifted Gaussians.\n"
+    calibration = document["calibration"]
+    return (
+        "- The weights carry another calibration, made where it is used: on Gaussians of rendered walks, into which\n"
+        f"  the features of many views were lifted: temperature {calibration['temperature']:.3f}, bias "
+        f"{calibration['bias']:.3f}. There the Gaussians with\n  P(fruit) ≥ 0.5 and the true ones overlap by IoU "
+        f"{document['lifted_iou']:.3f}.\n"
+    )
 
 
 def _table(measures: Mapping[str, Any]) -> str:

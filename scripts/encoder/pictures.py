@@ -137,15 +137,15 @@ def _lookup(table: Path) -> Labels:
     return lookup
 
 
-def scene_seeds(pictures: Sequence[Picture], folder: Path) -> list[int]:
-    """Seeds of the rendered scenes that `pictures` are from, as their orchard.json records them.
+def scene_seeds(folder: Path) -> list[int]:
+    """Seeds of the finished scenes below `folder`, as their orchard.json records them.
 
     Raises:
         FormatError: a scene's seed is not recorded.
     """
     seeds = []
-    for scene in sorted({picture.source for picture in pictures}):
-        record = folder / scene / "orchard.json"
+    for table in sorted(folder.glob("*/classes.json")):
+        record = table.parent / "orchard.json"
         try:
             seeds.append(int(json.loads(record.read_text(encoding="utf-8"))["config"]["seed"]))
         except (OSError, KeyError, ValueError, TypeError) as error:

@@ -10,13 +10,14 @@ import pytest
 import torch
 import train_encoder
 from encoder.batches import CROP, Material, make_batch
+from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union
 from encoder.losses import concept_loss
 from encoder.pasting import cut_fruit, paste
 from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, read_renders, scene_seeds
 from PIL import Image
 
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.language.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
@@ -88,7 +89,7 @@ def test_a_broken_row_is_named_by_file_and_line(tmp_path: Path):
 def test_masks_of_renders_become_words_and_their_seeds_are_recorded(renders: Path):
     pictures = read_renders(renders)
     assert set(np.unique(pictures[0].labels)) == {APPLE, LEAF}
-    assert scene_seeds(pictures, renders) == list(range(1000, 1008))
+    assert scene_seeds(renders) == list(range(1000, 1008))
 
 
 def test_held_out_scenes_are_no_training_scenes(renders: Path):
@@ -143,6 +144,18 @@ def test_ignored_pixels_teach_nothing():
     assert logits.grad is not None
     assert logits.grad[:, :, :4].any()
     assert not logits.grad[:, :, 4:].any()
+
+
+def test_the_calibration_of_lifted_gaussians_finds_the_middle_and_is_never_too_sure():
+    rng = np.random.default_rng(0)
+    fruit = rng.random(4000) < 0.1
+    margins = np.where(fruit, 1.0, -3.0) + rng.normal(0.0, 0.6, 4000)
+    scene = LiftedScene(margins, fruit, np.ones(4000))
+    calibration = calibrate_lifted([scene], Calibration(kind_temperature=1.3))
+    assert calibration.temperature == SHARPEST
+    assert -1.3 < calibration.bias * calibration.temperature < -0.3
+    assert calibration.kind_temperature == 1.3
+    assert intersection_over_union([scene], calibration) > 0.97
 
 
 def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
