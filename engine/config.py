@@ -42,16 +42,18 @@ class TrainConfig:
     """Keep every n-th photo (in name order) out of training to measure quality; 0 trains on all."""
     ssim_weight: float = 0.2
     """Weight of 1 - SSIM in the photometric loss; L1 has the rest."""
-    means_rate: float = 1.6e-4
+    means_rate: float = 5e-4
     """Learning rate of positions at the start, times the scene's extent; it falls to a hundredth."""
-    scales_rate: float = 5e-3
+    scales_rate: float = 2e-2
     """Learning rate of log scales."""
-    quats_rate: float = 1e-3
+    quats_rate: float = 1e-2
     """Learning rate of rotations."""
-    opacity_rate: float = 5e-2
+    opacity_rate: float = 0.1
     """Learning rate of opacity logits."""
-    sh_rate: float = 2.5e-3
+    sh_rate: float = 5e-3
     """Learning rate of base colours; harmonics above move at a twentieth of it."""
+    final_rates: float = 1.0
+    """What all learning rates but that of positions fall to by the last step, as a share."""
     coarse_until: float = 0.0
     """Share of the steps that train on photos of half size."""
     densify_from: float = 0.05
@@ -60,8 +62,8 @@ class TrainConfig:
     """Share of the steps after which no Gaussian is added any more."""
     densify_every: int = 100
     """Steps between two densifications."""
-    densify_gradient: float = 2e-4
-    """Mean gradient of a projected position, in half-images, from which a Gaussian is cloned or split."""
+    densify_gradient: float = 4e-4
+    """Mean absolute gradient of a projected position, in half-images, from which a Gaussian is cloned or split."""
     split_size: float = 0.003
     """Gaussians whose standard deviation exceeds this share of the scene's extent are split, others cloned."""
     prune_opacity: float = 0.005
