@@ -109,7 +109,7 @@ class CountConfig:
     """'voting': centre votes, sphere fits, non-maximum suppression; 'template': the paper's DBSCAN and templates."""
     diameter: float | None = None
     """Mean fruit diameter in scene units; estimated from the scene when not given."""
-    sample_budget: int = 200_000
+    sample_budget: int = 60_000
     """Points sampled from the selected Gaussians."""
     seed: int = 0
     """Seed of every random choice in counting."""

@@ -18,8 +18,9 @@ from .cluster import Clusters, find_fruit
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
 from .sample import SurfacePoints, sample_skin, sample_volume
 from .size import estimate_diameter
+from .sphere import Spheres
 from .template import split_by_template
-from .visibility import Picture, Visibility, draw, look_at, see
+from .visibility import Picture, Visibility, draw, edge_ratio, look_at, see
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -90,8 +91,10 @@ def count_fruit(
     order = _top_to_bottom(clusters.spheres.centers, cameras)
     account = account_for(clusters, order)
     spheres = clusters.spheres.select(order)
+    if config.diameter is None:
+        spheres = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
     fractions = look_at(pictures, spheres.centers, spheres.radii).visible_fractions
-    return _finish(gaussians, chances, seen, points, clusters, order, account, fractions, label, highest)
+    return _finish(gaussians, chances, seen, points, clusters, spheres, order, account, fractions, label, highest)
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
@@ -167,13 +170,13 @@ def _finish(
     seen: IntArray,
     points: SurfacePoints,
     clusters: Clusters,
+    spheres: Spheres,
     order: IntArray,
     account: Account,
     fractions: FloatArray,
     label: str,
     highest: float,
 ) -> FruitCount:
-    spheres = clusters.spheres.select(order)
     numbers = np.append(account.numbers, -1)
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
     means = gaussians.means.detach().double().cpu().numpy()[seen]

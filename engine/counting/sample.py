@@ -15,7 +15,7 @@ from .visibility import Visibility
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SKIN = 1.75
+SKIN = 2.0
 """Standard deviations from its mean at which an opaque Gaussian is seen to end."""
 FACING = 0.1
 """Least cosine between a skin point's normal and the mean direction to the cameras that saw its Gaussian."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,10 @@ class Spheres:
 
     def __len__(self) -> int:
         return len(self.radii)
+
+    def grown(self, factor: float) -> Spheres:
+        """The same spheres with all radii times `factor`."""
+        return replace(self, radii=factor * self.radii, radius_sds=factor * self.radius_sds)
 
     @staticmethod
     def empty() -> Spheres:

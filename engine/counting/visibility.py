@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
 from ..scene.camera import Camera
@@ -26,7 +27,16 @@ RIM = 0.8
 """Only the disc within this many radii tells what lies behind a sphere: a fit is a little off at its rim."""
 TOLERANCE = 0.5
 """Radii in front of a sphere's surface from which something is an occluder."""
+STOP = 0.3
+"""A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
 BATCH = 512
+RINGS = np.linspace(0.4, 1.8, 29)
+"""Radii, in those of a sphere, of the rings on which its outline is sought."""
+EDGE_VIEWS = 20
+LEAST_RING_SPOTS = 200
+LEAST_EDGE_PIXELS = 4.0
+"""Spheres of a smaller projected radius do not show their outline."""
+EDGE_LIMITS = (0.8, 1.35)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +69,8 @@ class Looks:
 
     visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
     of it; solidity: of all the disc's spots with nothing in front, the share that does not show what is behind the
-    sphere; probabilities: mean blended probability on the spots that show the sphere; spots: how many these are.
+    sphere; probabilities: mean blended probability on the spots that show the sphere; spots: how many these are. Both
+    are 1 where no view has a free look.
     """
 
     visible_fractions: FloatArray
@@ -129,11 +140,17 @@ def _look_at_some(pictures: Sequence[Picture], centers: FloatArray, radii: Float
         open_ = inside & (behind_center > -chord - TOLERANCE)
         share = np.where(inside.mean(axis=1) >= 0.5, open_.mean(axis=1), np.nan)
         best = np.fmax(best, share)
-        shows = open_ & inner & (behind_center < chord)
+        shows = open_ & inner & (behind_center < STOP * chord)
         stopped += shows.sum(axis=1)
         free += (open_ & inner).sum(axis=1)
         chance += (picture.fruit[where] * shows).sum(axis=1)
-    return Looks(best, stopped / np.maximum(free, 1.0), chance / np.maximum(stopped, 1.0), stopped)
+    unknown = free == 0
+    return Looks(
+        visible_fractions=best,
+        solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
+        probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
+        spots=stopped,
+    )
 
 
 def _disc(count: int) -> tuple[FloatArray, FloatArray]:
@@ -156,3 +173,52 @@ def shrunk(camera: Camera, factor: float) -> Camera:
     width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
     K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
     return replace(camera, K=K, width=width, height=height)
+
+
+def edge_ratio(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> float:
+    """By how much the fruit's outlines in the views are wider than their spheres, one factor for all; 1 if unknown.
+
+    Averages the blended probability over rings about the F projected centres, where nothing is in front and no other
+    sphere is near; the outline is where it has fallen half way. What blending, blur and the choice of skin do to fitted
+    radii is alike for all fruit of a scene.
+    """
+    summed, counted = np.zeros(len(RINGS)), np.zeros(len(RINGS))
+    for picture in pictures[:: max(1, len(pictures) // EDGE_VIEWS)]:
+        found, used = _ring_sums(picture, centers, radii)
+        summed += found
+        counted += used
+    if len(centers) == 0 or counted.min() < LEAST_RING_SPOTS:
+        return 1.0
+    profile = summed / counted
+    middle = 0.5 * (profile[RINGS < 0.65].mean() + profile[RINGS > 1.55].mean())
+    outside = np.flatnonzero(profile < middle)
+    if len(outside) == 0 or outside[0] == 0:
+        return 1.0
+    after = int(outside[0])
+    fall = profile[after - 1] - profile[after]
+    crossing = RINGS[after - 1] + (RINGS[after] - RINGS[after - 1]) * (profile[after - 1] - middle) / max(fall, 1e-9)
+    return float(np.clip(crossing, *EDGE_LIMITS))
+
+
+def _ring_sums(picture: Picture, centers: FloatArray, radii: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Summed probability and number of the usable spots on each ring, over all F spheres of one view."""
+    camera = picture.camera
+    x, y, z = (centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
+    ahead = z > 2.0 * radii
+    z = np.where(ahead, z, 1.0)
+    middle = np.stack([camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]], axis=1)
+    reach = camera.K[0, 0] * radii / z
+    angles = 2.0 * np.pi * (np.arange(16) + 0.5) / 16
+    rings = RINGS[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    spots = middle[:, None, None] + reach[:, None, None, None] * rings
+    columns, rows = np.floor(spots[..., 0]), np.floor(spots[..., 1])
+    used = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    used &= (ahead & (reach > LEAST_EDGE_PIXELS))[:, None, None]
+    where = (np.where(used, rows, 0).astype(int), np.where(used, columns, 0).astype(int))
+    chord = np.sqrt(np.maximum(1.0 - RINGS**2, 0.0))[:, None]
+    used &= (picture.depth[where] - z[:, None, None]) / radii[:, None, None] > -chord - TOLERANCE
+    near = cKDTree(middle).query(middle, k=np.arange(2, min(8, len(middle)) + 1))[1] if len(middle) > 1 else None
+    for other in () if near is None else near.T:
+        gap = np.linalg.norm(spots - middle[other][:, None, None], axis=3)
+        used &= (gap > 1.3 * reach[other][:, None, None]) | ~ahead[other][:, None, None]
+    return (picture.fruit[where] * used).sum(axis=(0, 2)), used.sum(axis=(0, 2)).astype(float)

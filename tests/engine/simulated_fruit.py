@@ -89,8 +89,8 @@ def simulate(setting: Setting, seed: int) -> Simulation:
 
 
 def _as_gaussians(rng, setting, truth, cameras, eyes, spots, normals, sizes, seen, probability) -> Simulation:
-    # Trained Gaussians lie below the surface that they draw.
-    spots = spots - 1.75 * 0.25 * sizes[:, None] * normals + rng.normal(0, setting.noise, spots.shape)
+    # Trained Gaussians lie below the surface that they draw, so that their outlines are the fruit's.
+    spots = spots - 3.0 * 0.25 * sizes[:, None] * normals + rng.normal(0, setting.noise, spots.shape)
     tilted = normals + rng.normal(0, 0.25, normals.shape)
     count, unit = len(spots), setting.unit
     scales = np.stack([sizes * rng.uniform(0.6, 1.3, count), sizes * rng.uniform(0.6, 1.3, count), 0.25 * sizes], 1)
@@ -118,7 +118,7 @@ def quats_along_z(axes: FloatArray) -> FloatArray:
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 
 
-def look_at(eye: FloatArray, target: FloatArray, width: int = 120, height: int = 90, focal: float = 100.0) -> Camera:
+def look_at(eye: FloatArray, target: FloatArray, width: int = 360, height: int = 270, focal: float = 300.0) -> Camera:
     """A camera at `eye` looking at `target`, z up."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])

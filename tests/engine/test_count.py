@@ -1,0 +1,235 @@
+"""Counting on simulated fruit surfaces: laws, settings, bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from fruitlangs.engine.config import CountConfig
+from fruitlangs.engine.counting.count import count_fruit
+from fruitlangs.engine.counting.fruit import FruitCount
+from fruitlangs.engine.counting.visibility import Visibility
+from fruitlangs.engine.errors import CountingError
+from fruitlangs.engine.evaluation.metrics import count_metrics
+from fruitlangs.engine.scene.camera import Camera
+from fruitlangs.engine.splatting.gaussians import Gaussians
+
+sys.path.insert(0, str(Path(__file__).parent))
+import simulated_fruit as sim
+
+CONFIG = CountConfig(sample_budget=4_000)
+SMALL = sim.Setting(fruit=8, clump=3, sheets=0, floaters=8, views=8)
+ONCE = settings(
+    max_examples=3,
+    deadline=None,
+    derandomize=True,
+    phases=[Phase.generate],  # shrinking takes minutes and says nothing more
+    suppress_health_check=list(HealthCheck),
+)
+
+
+def counted(tree: sim.Simulation, config: CountConfig = CONFIG) -> FruitCount:
+    return count_fruit(
+        tree.gaussians, tree.probability, tree.cameras, config, label="apple", visibility=tree.visibility
+    )
+
+
+def centers_of(result: FruitCount) -> np.ndarray:
+    return np.array([fruit.center for fruit in result.fruits]).reshape(-1, 3)
+
+
+def f1_of(tree: sim.Simulation, result: FruitCount) -> float:
+    diameters = np.array([fruit.diameter for fruit in result.fruits])
+    return count_metrics(centers_of(result), diameters, tree.truth).f1
+
+
+@pytest.fixture(scope="module")
+def small() -> sim.Simulation:
+    return sim.simulate(SMALL, seed=5)
+
+
+@pytest.fixture(scope="module")
+def small_count(small: sim.Simulation) -> FruitCount:
+    return counted(small)
+
+
+@pytest.mark.parametrize(("setting", "least"), [(sim.CLUMPED, 0.93), (sim.HEAVY, 0.9)])
+def test_fruit_of_a_simulated_tree_are_found(setting: sim.Setting, least: float) -> None:
+    tree = sim.simulate(dataclasses.replace(setting, fruit=24, sheets=1, floaters=15, views=12), seed=11)
+    assert f1_of(tree, counted(tree, CountConfig(sample_budget=10_000))) >= least
+
+
+def test_diameters_are_within_a_tenth(small: sim.Simulation, small_count: FruitCount) -> None:
+    assert small_count.mean_diameter == pytest.approx(small.truth.mean_diameter, rel=0.1)
+
+
+def test_counting_twice_gives_the_same_fruit(small: sim.Simulation, small_count: FruitCount) -> None:
+    np.testing.assert_array_equal(centers_of(counted(small)), centers_of(small_count))
+
+
+def test_every_fruit_has_members_and_a_visible_fraction(small_count: FruitCount) -> None:
+    assert all(len(fruit.members) > 5 for fruit in small_count.fruits)
+    assert all(fruit.visible_fraction is not None and 0 < fruit.visible_fraction <= 1 for fruit in small_count.fruits)
+
+
+def test_fruit_are_numbered_from_the_top(small_count: FruitCount) -> None:
+    heights = centers_of(small_count)[:, 2]
+    assert (np.diff(heights) < 0.02).all()
+    assert [fruit.id for fruit in small_count.fruits] == list(range(1, small_count.count + 1))
+
+
+def test_the_audit_names_every_fruit_once(small_count: FruitCount) -> None:
+    own = [id for entry in small_count.audit if "belong to" not in entry.reason for id in entry.fruit_ids]
+    assert sorted(own) == [fruit.id for fruit in small_count.fruits]
+
+
+def test_points_carry_the_ids_of_the_fruit_they_lie_on(small_count: FruitCount) -> None:
+    for fruit in small_count.fruits:
+        own = small_count.points[small_count.point_fruit_ids == fruit.id]
+        assert np.median(np.linalg.norm(own - fruit.center, axis=1)) == pytest.approx(fruit.diameter / 2, rel=0.2)
+
+
+@ONCE
+@given(seed=st.integers(0, 1000))
+def test_shuffling_the_gaussians_leaves_the_count_alone(
+    small: sim.Simulation, small_count: FruitCount, seed: int
+) -> None:
+    order = np.random.default_rng(seed).permutation(len(small.gaussians))
+    shuffled = dataclasses.replace(
+        small,
+        gaussians=small.gaussians.select(torch.from_numpy(order)),
+        probability=small.probability[order],
+        visibility=Visibility(
+            small.visibility.weights[order], small.visibility.views[order], small.visibility.directions[order]
+        ),
+    )
+    np.testing.assert_allclose(centers_of(counted(shuffled)), centers_of(small_count), atol=1e-6)
+
+
+@ONCE
+@given(angle=st.floats(-3, 3), shift=st.floats(-50, 50), scale=st.floats(0.01, 100))
+def test_moving_turning_and_scaling_the_scene_leaves_the_count_alone(
+    small: sim.Simulation, small_count: FruitCount, angle: float, shift: float, scale: float
+) -> None:
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    moved = moved_by(small, turn, np.full(3, shift), scale)
+    expected = scale * centers_of(small_count) @ turn.T + shift
+    found = centers_of(counted(moved))
+    assert len(found) == len(expected)
+    assert np.abs(found - expected).max() < 0.02 * scale * small.truth.mean_diameter
+
+
+@ONCE
+@given(seed=st.integers(0, 1000))
+def test_a_far_isolated_fruit_adds_exactly_one(small: sim.Simulation, small_count: FruitCount, seed: int) -> None:
+    lonely = sim.simulate(sim.Setting(fruit=1, sheets=0, floaters=0, leaves=0, views=8), seed)
+    away = np.array([0.0, 0.0, 4.5]) - lonely.truth.centers[0]
+    added = dataclasses.replace(
+        small,
+        gaussians=joined(small.gaussians, moved_by(lonely, np.eye(3), away, 1.0).gaussians),
+        probability=np.concatenate([small.probability, lonely.probability]),
+        visibility=Visibility(
+            np.concatenate([small.visibility.weights, lonely.visibility.weights]),
+            np.concatenate([small.visibility.views, lonely.visibility.views]),
+            np.concatenate([small.visibility.directions, lonely.visibility.directions]),
+        ),
+    )
+    assert counted(added).count == small_count.count + 1
+
+
+def test_a_prompt_that_nothing_satisfies_is_a_counted_zero(small: sim.Simulation) -> None:
+    result = counted(dataclasses.replace(small, probability=np.full(len(small.gaussians), 0.31)))
+    assert (result.count, result.max_probability, result.mean_diameter) == (0, 0.31, None)
+    assert [entry.verdict for entry in result.audit] == ["dropped"]
+    assert "0.310" in result.audit[0].reason
+
+
+def test_one_selected_gaussian_is_no_fruit_and_no_failure(small: sim.Simulation) -> None:
+    probability = np.zeros(len(small.gaussians))
+    probability[0] = 0.9
+    result = counted(dataclasses.replace(small, probability=probability))
+    assert result.count == 0
+    assert len(result.audit) >= 1
+
+
+def test_a_leaf_sheet_alone_is_no_fruit() -> None:
+    tree = sim.simulate(sim.Setting(fruit=1, sheets=5, floaters=0, leaves=0, views=8), seed=3)
+    on_fruit = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1) < 0.7
+    result = counted(dataclasses.replace(tree, probability=np.where(on_fruit, 0.1, tree.probability)))
+    assert result.count == 0
+
+
+def test_a_given_diameter_is_used(small: sim.Simulation) -> None:
+    result = counted(small, dataclasses.replace(CONFIG, diameter=1.0))
+    assert f1_of(small, result) >= 0.85
+
+
+def test_the_template_method_finds_separate_fruit() -> None:
+    tree = sim.simulate(sim.Setting(fruit=10, sheets=0, floaters=0, leaves=0, views=12), seed=2)
+    assert f1_of(tree, counted(tree, dataclasses.replace(CONFIG, method="template"))) >= 0.85
+
+
+def test_a_probability_that_is_no_number_is_refused(small: sim.Simulation) -> None:
+    bad = small.probability.copy()
+    bad[3] = np.nan
+    with pytest.raises(CountingError, match="1 probabilities are not finite"):
+        counted(dataclasses.replace(small, probability=bad))
+
+
+def test_a_mean_that_is_no_number_is_refused(small: sim.Simulation) -> None:
+    means = small.gaussians.means.clone()
+    means[0, 1] = float("inf")
+    with pytest.raises(CountingError, match="means"):
+        counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
+
+
+def test_a_probability_of_another_length_is_refused(small: sim.Simulation) -> None:
+    with pytest.raises(CountingError, match="shape"):
+        counted(dataclasses.replace(small, probability=small.probability[:-1]))
+
+
+def test_no_gaussians_and_no_cameras_are_refused(small: sim.Simulation) -> None:
+    none = small.gaussians.select(torch.zeros(0, dtype=torch.long))
+    with pytest.raises(CountingError, match="no Gaussians"):
+        counted(dataclasses.replace(small, gaussians=none, probability=np.zeros(0)))
+    with pytest.raises(CountingError, match="no cameras"):
+        counted(dataclasses.replace(small, cameras=[]))
+
+
+def moved_by(tree: sim.Simulation, turn: np.ndarray, shift: np.ndarray, scale: float) -> sim.Simulation:
+    """The same tree under x → scale · turn x + shift."""
+    quat = torch.tensor([np.sqrt(max(0.0, (1 + turn[0, 0]) / 2)), 0, 0, 0], dtype=torch.float64)
+    quat[3] = np.sign(turn[1, 0]) * np.sqrt(max(0.0, (1 - turn[0, 0]) / 2))
+    w, z = quat[0], quat[3]
+    a, b, c, d = tree.gaussians.quats.double().unbind(-1)
+    quats = torch.stack([w * a - z * d, w * b - z * c, w * c + z * b, w * d + z * a], -1)
+    gaussians = dataclasses.replace(
+        tree.gaussians,
+        means=torch.tensor(scale * tree.gaussians.means.double().numpy() @ turn.T + shift, dtype=torch.float32),
+        log_scales=tree.gaussians.log_scales + float(np.log(scale)),
+        quats=quats.float(),
+    )
+    cameras = []
+    for camera in tree.cameras:
+        pose = camera.world_to_camera.copy()
+        pose[:3, :3] = pose[:3, :3] @ turn.T
+        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
+        cameras.append(Camera(camera.K, pose, camera.width, camera.height))
+    directions = tree.visibility.directions @ turn.T
+    seen = Visibility(tree.visibility.weights, tree.visibility.views, directions)
+    return dataclasses.replace(tree, gaussians=gaussians, cameras=cameras, visibility=seen)
+
+
+def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    pairs = {
+        field.name: torch.cat([getattr(first, field.name), getattr(second, field.name)])
+        for field in dataclasses.fields(Gaussians)
+    }
+    return Gaussians(**pairs)
