@@ -3,13 +3,14 @@
     "$FRUITLANGS_BLENDER" -P scripts/picture_panel.py -- --scene examples/orchard_tree --out docs/images/fruit_tab.jpg
 
 It imports, counts as a click on the button does, waits, takes the picture and quits. A display is needed; a virtual one
-(Xvfb) will do. With --results the result folder is kept and a second run reuses its stages.
+(Xvfb) will do. With --folder the copy of the scene and the results are kept there, and a second run reuses them.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import sys
 import tempfile
 import traceback
@@ -34,7 +35,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--prompt", default="apple")
     parser.add_argument("--steps", type=int, help="training steps (default: the panel's)")
     parser.add_argument("--downscale", type=float, help="divide the photos' size (default: the panel's)")
-    parser.add_argument("--results", type=Path, help="result folder (default: a temporary one)")
+    parser.add_argument("--folder", type=Path, help="where to work (default: a temporary folder)")
     parser.add_argument("--out", type=Path, default=Path("docs/images/fruit_tab.jpg"))
     parser.add_argument("--draw-seconds", type=float, default=45.0, help="time for the viewport's first drawing")
     return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])
@@ -52,8 +53,11 @@ def visit(arguments: argparse.Namespace) -> Iterator[float]:
     yield 1.0
     next(region for region in area.regions if region.type == "UI").active_panel_category = "Fruit"
     settings = window.scene.fruitlangs
-    settings.source, settings.prompt = str(arguments.scene.resolve()), arguments.prompt
-    settings.out = str((arguments.results or Path(tempfile.mkdtemp())).resolve())
+    folder = (arguments.folder or Path(tempfile.mkdtemp())).resolve()
+    scene = folder / arguments.scene.name
+    shutil.copytree(arguments.scene, scene, dirs_exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "orchard.blend"))
+    settings.source, settings.prompt = f"//{scene.name}", arguments.prompt  # as the file browser stores it
     settings.config.train.steps = arguments.steps or settings.config.train.steps
     settings.config.scene.downscale = arguments.downscale or settings.config.scene.downscale
     region = next(region for region in area.regions if region.type == "WINDOW")
