@@ -96,7 +96,7 @@ def find_fruit(
     passed = plausible(spheres, looks, diameter, prior_sd)
     merit = merits(spheres, looks, diameter, prior_sd)
     chosen, owners = cover(points, tree, spheres.select(passed), merit[passed])
-    components = connected(points, tree, LINK * diameter)
+    components = connected(points, LINK * diameter)
     refusals = refuse(spheres, looks, components[tree.query(spheres.centers)[1]], diameter) if len(spheres) else {}
     return Clusters(points.positions, chosen, owners, components, refusals)
 
@@ -219,12 +219,18 @@ def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres, merit: FloatAr
     return spheres.select(np.array(chosen, np.int64)), owners
 
 
-def connected(points: SurfacePoints, tree: cKDTree, link: float) -> IntArray:
-    """(P,) index of the connected cluster of each point; points nearer than `link` are linked."""
-    pairs = tree.query_pairs(link, output_type="ndarray")
-    size = (len(points), len(points))
+def connected(points: SurfacePoints, link: float) -> IntArray:
+    """(P,) index of the connected cluster of each point; points nearer than about `link` are linked.
+
+    Pairs among all points of a dense surface would fill any memory, so points share their cell of a grid of link / 5,
+    and the cells' first points are linked.
+    """
+    cells = np.floor(points.positions / (link / 5.0)).astype(np.int64)
+    _, first, cell_of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    pairs = cKDTree(points.positions[first]).query_pairs(link, output_type="ndarray")
+    size = (len(first), len(first))
     graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=size)
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return connected_components(graph, directed=False)[1].astype(np.int64)[cell_of.reshape(-1)]
 
 
 def refuse(spheres: Spheres, looks: Looks, components: IntArray, diameter: float) -> dict[int, str]:

@@ -64,11 +64,14 @@ class Spheres:
 def neighborhoods(tree: cKDTree, centers: FloatArray, reaches: FloatArray, limit: int) -> IntArray:
     """(C, limit) indices of tree points within reach (C,) of each centre (C, 3), evenly thinned to `limit`; -1 pads."""
     index = np.full((len(centers), limit), -1, np.int64)
-    for row, near in enumerate(tree.query_ball_point(centers, reaches, return_sorted=True)):
-        if len(near) > limit:
-            index[row] = np.asarray(near)[np.linspace(0, len(near) - 1, limit).astype(np.int64)]
-        else:
-            index[row, : len(near)] = near
+    for start in range(0, len(centers), 64):  # all lists at once would fill any memory
+        rows = slice(start, start + 64)
+        lists = tree.query_ball_point(centers[rows], reaches[rows], return_sorted=True)
+        for row, near in enumerate(lists, start):
+            if len(near) > limit:
+                index[row] = np.asarray(near)[np.linspace(0, len(near) - 1, limit).astype(np.int64)]
+            else:
+                index[row, : len(near)] = near
     return index
 
 
