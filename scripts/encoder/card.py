@@ -12,8 +12,8 @@ _CARD = """\
 # Embedded encoder: model card
 
 A small convolutional network that gives every pixel of a photo one of {concepts} words, with a calibrated
-probability. It ships with FruitLangs, needs no download and no GPU, and runs in about a tenth of a second on a 480×360
-photo with two CPU cores. Written by `scripts/train_encoder.py`; the figures below are of the run that made these
+probability. It ships with FruitLangs, needs no download and no GPU, and takes about a third of a CPU second for a 480×360
+photo. Written by `scripts/train_encoder.py`; the figures below are of the run that made these
 weights.
 
 Words: {words}; colours, measured from the pixels and not learnt: {colours}.
@@ -35,7 +35,9 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
   {kind_temperature:.3f}.
 {lifted}
 Trained in {steps} steps (seed {seed}; a later run goes on from the weights of the earlier one) on {photos} photos and
-{renders} renders; {held_out} renders were held out. Seeds of the rendered scenes are listed in the JSON file beside the
+{renders} renders; {held_out} renders were held out. {runs}
+Calibrations were fitted on the held-out renders, the validation photos and the rendered walks, so the calibration error
+and the overlap of Gaussians are of the data they were fitted on. Seeds of the rendered scenes are listed in the JSON file beside the
 weights and in the weights' header; they start at 1000, and the sample orchard and the test scenes are not among them.
 
 ## Data and credits
@@ -89,6 +91,7 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
         fruit_iou=document["measures"]["fruit_iou"] or 0.0,
         steps=" + ".join(str(steps) for steps in document["steps"]),
         seed=document["seed"],
+        runs=document.get("runs", "The run can be repeated with the same steps and seed."),
         photos=pictures["photos"],
         renders=pictures["renders"],
         held_out=pictures["held_out_renders"],
