@@ -12,9 +12,8 @@ _CARD = """\
 # Embedded encoder: model card
 
 A small convolutional network that gives every pixel of a photo one of {concepts} words, with a calibrated
-probability. It ships with FruitLangs, needs no download and no GPU, and takes about a third of a CPU second for a 480×360
-photo. Written by `scripts/train_encoder.py`; the figures below are of the run that made these
-weights.
+probability. It ships with FruitLangs, needs no download and no GPU, and takes about a third of a CPU second for a
+480×360 photo. Written by `scripts/train_encoder.py`; the figures below are of the weights beside this card.
 
 Words: {words}; colours, measured from the pixels and not learnt: {colours}.
 
@@ -35,10 +34,11 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
   {kind_temperature:.3f}.
 {lifted}
 Trained in {steps} steps (seed {seed}; a later run goes on from the weights of the earlier one) on {photos} photos and
-{renders} renders; {held_out} renders were held out. {runs}
+{renders} renders; {held_out} renders were held out.
+{runs}
 Calibrations were fitted on the held-out renders, the validation photos and the rendered walks, so the calibration error
-and the overlap of Gaussians are of the data they were fitted on. Seeds of the rendered scenes are listed in the JSON file beside the
-weights and in the weights' header; they start at 1000, and the sample orchard and the test scenes are not among them.
+and the overlap of Gaussians are of the data they were fitted on.
+Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they start at 1000, and the sample orchard and the test scenes are not among them.
 
 ## Data and credits
 
