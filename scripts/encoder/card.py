@@ -38,7 +38,8 @@ Trained in {steps} steps (seed {seed}; a later run goes on from the weights of t
 {runs}
 Calibrations were fitted on the held-out renders, the validation photos and the rendered walks, so the calibration error
 and the overlap of Gaussians are of the data they were fitted on.
-Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they start at 1000, and the sample orchard and the test scenes are not among them.
+Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they
+start at 1000, and the sample orchard and the test scenes are not among them.
 
 ## Data and credits
 
