@@ -75,27 +75,35 @@ class OrchardConfig:
 FIRST_TRAINING_SEED = 1000
 
 
+WALKS = 0.4
+"""Share of training scenes that are seen as users walk around a tree; the others are close-ups."""
+
+
 def training_config(seed: int) -> OrchardConfig:
-    """A small close-up scene for training the encoder: species and varieties take turns, the rest is drawn by seed."""
+    """A small scene for training the encoder: species and varieties take turns, the rest is drawn by seed."""
     rng = np.random.default_rng([seed, 99])
     number = seed - FIRST_TRAINING_SEED
     species = list(SPECIES.values())[number % len(SPECIES)]
     variant = species.variants[number // len(SPECIES) % len(species.variants)]
     # Leaves to cover the crown of this tree as 3600 leaves of the apple cover its own.
     cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
+    fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))
+    leaves = int(rng.integers(1600, 4200) * cover)
+    close_ups = bool(rng.random() >= WALKS)
     return OrchardConfig(
         species=species.name,
         variant=variant.name,
         seed=seed,
-        fruits=int(rng.integers(25, 90)),
-        fallen=int(rng.integers(0, 8)),
-        leaves=int(rng.integers(1600, 4200) * cover),
-        views=6,
-        width=320,
-        height=320,
-        samples=6,
+        fruits=fruits if close_ups else 2 * fruits,
+        fallen=fallen,
+        leaves=leaves,
+        views=6 if close_ups else 8,
+        width=320 if close_ups else 480,
+        height=320 if close_ups else 360,
+        fruit_pixels=float(np.exp(rng.uniform(*np.log((11.0, 26.0))))),
+        samples=6 if close_ups else 8,
         bounces=3,
         points=500,
-        close_ups=True,
+        close_ups=close_ups,
         light_variety=1.0,
     )
