@@ -24,7 +24,7 @@ from typing import Any
 import numba
 from numba import prange
 
-__all__ = ["CACHE_FOLDER", "kernel", "njit", "prange", "threads"]
+__all__ = ["CACHE_FOLDER", "compiled_before", "kernel", "njit", "prange", "threads"]
 
 _ENGINE = Path(__file__).resolve().parent
 _config: Any = numba.config  # its attributes appear at run time
@@ -67,6 +67,11 @@ def _cache_folder() -> Path | None:
 
 CACHE_FOLDER: Path | None = _cache_folder()
 """Where machine code is kept between runs; None when no place for it can be written."""
+
+
+def compiled_before() -> bool:
+    """Whether an earlier run left its machine code, so that this one need not compile for half a minute."""
+    return CACHE_FOLDER is not None and any(CACHE_FOLDER.rglob("*.nbi"))
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..compiled import compiled_before
 from ..config import TrainConfig
 from ..errors import TrainingError
 from ..progress import Progress, silent
@@ -78,6 +79,8 @@ def train(
         progress(0.0, "placing the first Gaussians")
         gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
         state = TrainingState(Parameters.start(gaussians), Pulls.none(len(gaussians)))
+    if not compiled_before():
+        progress(0.0, "compiling for this machine, about half a minute, the first time only")
     schedule = Schedule(config, scene)
     while state.step < config.steps:
         loss = _step(state, shelf, views, schedule)

@@ -63,6 +63,12 @@ def test_machine_code_goes_to_a_folder_named_after_the_sources(tmp_path: Path) -
     assert Path(folder).name.startswith("kernels-")
 
 
+def test_the_first_run_of_a_machine_is_known_by_its_missing_machine_code(tmp_path: Path) -> None:
+    ask = "print(compiled.compiled_before())"
+    assert python(tmp_path, ask + CALL, NUMBA_CACHE_DIR=str(tmp_path)).startswith("False")
+    assert python(tmp_path, ask, NUMBA_CACHE_DIR=str(tmp_path)) == "True"
+
+
 def test_without_a_writable_cache_kernels_still_run(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert python(tmp_path, CALL, NUMBA_CACHE_DIR=str(tmp_path / "file")) == "None 1000.0"
