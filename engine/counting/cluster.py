@@ -34,10 +34,14 @@ LEAST_SUPPORT = 0.10
 SHEET_THINNESS = 0.2
 SHEET_RESIDUAL = 1.12
 """A fit thinner than the one and with more than the other times the usual residual is a curled leaf, not a cap."""
-LEAST_SOLIDITY = 0.4
+LEAST_SOLIDITY = 0.3
 """A fruit stops at least this share of the looks at its disc that nothing in front stops."""
-LEAST_PROBABILITY = 0.25
+LEAST_PROBABILITY = 0.05
 """Least mean probability of what the views show of a fruit; its neighbours' leaves bleed into small ones."""
+LEAST_SHAPE = 0.5
+"""Least probability of a fruit by its form."""
+SUREST = 0.7
+"""The surest tenth of a fruit's points is at least this share of the threshold probable."""
 OVERLAP = 0.65
 """Two fruit's centres are at least this many sums of their radii apart."""
 FIT_SD = 0.1
@@ -51,14 +55,15 @@ class Clusters:
     """What became of the surface points.
 
     positions: (P, 3); spheres: the F accepted fruit; owners: (P,) index of the sphere each point belongs to, -1 none;
-    components: (P,) index of the connected cluster a point is in; refusals: why the best sphere of a cluster without
-    fruit was refused, by cluster.
+    components: (P,) index of the connected cluster a point is in; probabilities: (F,) that a sphere is a fruit of the
+    prompt; refusals: why the best sphere of a cluster without fruit was refused, by cluster.
     """
 
     positions: FloatArray
     spheres: Spheres
     owners: IntArray
     components: IntArray
+    probabilities: FloatArray
     refusals: Mapping[int, str]
 
     def refusal(self, component: int) -> str:
@@ -71,12 +76,14 @@ def find_fruit(
     diameter: float,
     spread: float,
     pictures: Sequence[Picture],
+    threshold: float,
     *,
     progress: Progress = silent,
 ) -> Clusters:
     """Find the spheres that explain the points and that the views do not see through.
 
-    diameter: mean fruit diameter in scene units; spread: standard deviation of log diameter between fruit.
+    diameter: mean fruit diameter in scene units; spread: standard deviation of log diameter between fruit; threshold:
+    probability that the surest points of a fruit come near, while its other points may be fainter.
     """
     radius, prior_sd = diameter / 2.0, size_sd(spread)
     tree = cKDTree(points.positions)
@@ -98,7 +105,39 @@ def find_fruit(
     chosen, owners = cover(points, tree, spheres.select(passed), merit[passed])
     components = connected(points, LINK * diameter)
     refusals = refuse(spheres, looks, components[tree.query(spheres.centers)[1]], diameter) if len(spheres) else {}
-    return Clusters(points.positions, chosen, owners, components, refusals)
+    judged = judge(points, chosen, owners, look_at(pictures, chosen.centers, chosen.radii))
+    kept = (judged.shape > LEAST_SHAPE) & (judged.surest > SUREST * threshold)
+    for index in np.flatnonzero(~kept):
+        home = int(np.bincount(components[owners == index]).argmax())
+        refusals[home] = (
+            f"a sphere looks {judged.shape[index]:.0%} like fruit, its surest points {judged.surest[index]:.2f}"
+        )
+    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+    likely = judged.shape[kept] * judged.surest[kept]
+    return Clusters(points.positions, chosen.select(kept), numbers[owners], components, likely, refusals)
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What speaks for F spheres. shape: (F,) probability of a fruit by its form; surest: (F,) probability of the prompt
+    that a tenth of the points exceed."""
+
+    shape: FloatArray
+    surest: FloatArray
+
+
+def judge(points: SurfacePoints, spheres: Spheres, owners: IntArray, looks: Looks) -> Judgement:
+    """Weigh F spheres by what the views see of them and by their points' probabilities; owners: (P,).
+
+    Half-leaf phantoms are seen through and covered from few directions. The logistic's weights were fitted on trained
+    Gaussians of generated orchards; solidity is relative to that of the scene's well covered spheres, because it
+    depends on how opaque training made the Gaussians.
+    """
+    well = looks.solidity[spheres.coverage > 0.5]
+    usual = float(np.median(well)) if len(well) else 1.0
+    score = 8.0 * looks.solidity / max(usual, 0.1) + 11.0 * spheres.coverage - 8.3
+    surest = [np.quantile(points.probabilities[owners == index], 0.9) for index in range(len(spheres))]
+    return Judgement(1.0 / (1.0 + np.exp(-score)), np.array(surest))
 
 
 def size_sd(spread: float) -> float:
@@ -203,7 +242,7 @@ def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres, merit: FloatAr
         score, index = heapq.heappop(heap)
         free = (owners[near[index]] < 0) & (near[index] >= 0)
         left = (value[index] * free).sum()
-        if left < LEAST_FREE * own[index]:
+        if left <= 0.0 or left < LEAST_FREE * own[index]:
             continue
         now = -(left * left / max(left + (inside[index] & free).sum(), 1e-9)) * merit[index]
         if now > 0.98 * score and heap and now > heap[0][0]:

@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAST_OPACITY = 0.05
+FAINT = 0.5
+"""Share of the threshold from which a Gaussian may add to a fruit whose surer Gaussians come near the threshold."""
 SIZING_POINTS = 20_000
 LARGEST_SCALE = 0.5
 """Largest standard deviation, in mean fruit diameters, of a Gaussian that may give points."""
@@ -59,8 +61,9 @@ def count_fruit(
     chances = _checked(gaussians, probability, cameras)
     highest = float(chances.max())
     opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
-    selected = np.flatnonzero((chances >= config.threshold) & opaque)
-    if len(selected) == 0:
+    least = config.threshold * (1.0 if config.method == "template" else FAINT)
+    selected = np.flatnonzero((chances >= least) & opaque)
+    if highest < config.threshold or len(selected) == 0:
         return _none(highest, f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     progress(0.0, "seeing the Gaussians from each view")
     if visibility is None:
@@ -155,7 +158,7 @@ def _find(
 ) -> Clusters:
     if config.method == "template":
         return split_by_template(points, diameter, seed=config.seed, progress=progress)
-    return find_fruit(points, diameter, spread, pictures, progress=progress)
+    return find_fruit(points, diameter, spread, pictures, config.threshold, progress=progress)
 
 
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
@@ -184,7 +187,6 @@ def _finish(
     fruits = []
     for index in range(len(spheres)):
         diameter = float(2.0 * spheres.radii[index])
-        own = points.probabilities[clusters.owners == order[index]]
         kind: FruitKind = "compound-part" if account.compound[index] else "single"
         fruits.append(
             Fruit(
@@ -194,7 +196,7 @@ def _finish(
                 diameter=diameter,
                 diameter_sd=float(2.0 * spheres.radius_sds[index]),
                 volume=float(np.pi / 6.0 * diameter**3),
-                probability=float(own.mean()) if len(own) else 0.0,
+                probability=float(clusters.probabilities[order[index]]),
                 visible_fraction=float(fractions[index]) if np.isfinite(fractions[index]) else None,
                 kind="small" if mean and diameter < SMALL * mean else kind,
                 members=seen[owners == index],

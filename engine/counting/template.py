@@ -58,7 +58,8 @@ def split_by_template(points: SurfacePoints, diameter: float, *, seed: int, prog
     radii = np.full(len(places), diameter / 2.0)
     near = neighborhoods(tree, places, 1.6 * radii, 384)
     spheres = evidence(points, near, places, radii, 0.1 * radii) if len(places) else Spheres.empty()
-    return Clusters(points.positions, spheres, owners, components, refusals)
+    likely = np.array([points.probabilities[owners == index].mean() for index in range(len(places))])
+    return Clusters(points.positions, spheres, owners, components, likely, refusals)
 
 
 def hull_volume(positions: FloatArray) -> float:

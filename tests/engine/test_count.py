@@ -151,6 +151,16 @@ def test_a_prompt_that_nothing_satisfies_is_a_counted_zero(small: sim.Simulation
     assert "0.310" in result.audit[0].reason
 
 
+@pytest.mark.parametrize(("sure", "seen"), [(0.3, 1), (0.0, 0)])
+def test_a_faint_fruit_counts_where_a_part_of_it_is_sure(sure: float, seen: int) -> None:
+    tree = sim.simulate(sim.Setting(fruit=3, sheets=0, floaters=0, leaves=0, views=8), seed=3)
+    distance = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1)
+    on_fruit = distance < 0.6 * tree.truth.diameters[0]
+    faint = np.where(np.random.default_rng(0).random(len(on_fruit)) < sure, 0.9, 0.3)
+    result = counted(dataclasses.replace(tree, probability=np.where(on_fruit, faint, tree.probability)))
+    assert result.count == 2 + seen
+
+
 def test_one_selected_gaussian_is_no_fruit_and_no_failure(small: sim.Simulation) -> None:
     probability = np.zeros(len(small.gaussians))
     probability[0] = 0.9
