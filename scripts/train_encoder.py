@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import _checkout  # noqa: F401
 
@@ -86,10 +87,21 @@ def main(options: Options) -> None:
     print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
 
     network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
-    earlier = resume(network, options.start) if options.start else []
+    earlier = resume(network, options.start) if options.start else Past([], [])
     steps = train(network, material, options)
     draft = options.out.with_suffix(".draft.safetensors")
-    notes = {"seeds": seeds, "steps": [*earlier, steps] if steps else earlier, "seed": options.seed}
+    run = {
+        "steps": steps,
+        "seed": options.seed,
+        "rate": options.rate,
+        "photos": len(photos),
+        "renders": len(renders),
+        "repeatable": options.minutes is None,
+    }
+    notes = {
+        "seeds": sorted({*earlier.seeds, *seeds}),
+        "runs": [*earlier.runs, run] if steps else earlier.runs,
+    }
 
     def opened(calibration: Calibration) -> EmbeddedEncoder:
         save_weights(draft, network, calibration, widths=WIDTHS, depths=DEPTHS, **notes)
@@ -108,7 +120,7 @@ def main(options: Options) -> None:
     draft.replace(options.out)
     document = {
         **notes,
-        "pictures": {"photos": len(photos), "renders": len(renders), "held_out_renders": len(held_out)},
+        "held_out_renders": len(held_out),
         "calibration": asdict(calibration),
         "pixel_calibration": asdict(pixels),
         "lifted_iou": overlap,
@@ -118,14 +130,21 @@ def main(options: Options) -> None:
     print(write_card(options.out.parent / "MODEL_CARD.md", document))
 
 
-def resume(network: Network, start: Path) -> list[int]:
-    """Load earlier weights into `network`; returns the steps of the runs that made them."""
+@dataclass(frozen=True)
+class Past:
+    """What made earlier weights: the runs, one after the other, and the seeds of all scenes they saw."""
+
+    runs: list[dict[str, Any]]
+    seeds: list[int]
+
+
+def resume(network: Network, start: Path) -> Past:
+    """Load earlier weights into `network`; returns what made them."""
     EmbeddedEncoder.open(start)  # says what is wrong with them
     with safe_open(start, framework="pt") as file:
         header = json.loads(file.metadata()["fruitlangs"])
     network.load_state_dict({name: tensor.float() for name, tensor in load_file(start).items()})
-    steps = header["steps"]
-    return list(steps) if isinstance(steps, list) else [steps]
+    return Past(header["runs"], header["seeds"])
 
 
 def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]:

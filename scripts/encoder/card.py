@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +33,11 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
   P ≥ 0.05); temperature {pixel_temperature:.3f}, bias {pixel_bias:.3f}; temperature of the kind of fruit
   {kind_temperature:.3f}.
 {lifted}
-Trained in {steps} steps (seed {seed}; a later run goes on from the weights of the earlier one) on {photos} photos and
-{renders} renders; {held_out} renders were held out.
+Trained in {number} (a later run goes on from the weights of the earlier one); {held_out} renders of the last one's
+scenes were held out from it.
+
 {runs}
+
 Calibrations were fitted on the held-out renders, the validation photos and the rendered walks, so the calibration error
 and the overlap of Gaussians are of the data they were fitted on.
 Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they
@@ -77,7 +79,6 @@ dropped; in training they were cropped, scaled, recoloured, blurred and mixed by
 def write_card(path: Path, document: Mapping[str, Any]) -> str:
     """Write the card; returns its table of figures."""
     table = _table(document["measures"])
-    pictures = document["pictures"]
     text = _CARD.format(
         concepts=len(CONCEPTS),
         words=", ".join(CONCEPTS),
@@ -90,15 +91,21 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
         lifted=_lifted(document),
         kind_temperature=document["calibration"]["kind_temperature"],
         fruit_iou=document["measures"]["fruit_iou"] or 0.0,
-        steps=" + ".join(str(steps) for steps in document["steps"]),
-        seed=document["seed"],
-        runs=document.get("runs", "The run can be repeated with the same steps and seed."),
-        photos=pictures["photos"],
-        renders=pictures["renders"],
-        held_out=pictures["held_out_renders"],
+        number="one run" if len(document["runs"]) == 1 else f"{len(document['runs'])} runs",
+        runs=_runs(document["runs"]),
+        held_out=document["held_out_renders"],
     )
     path.write_text(text, encoding="utf-8")
     return table
+
+
+def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
+    rows = ["| run | steps | highest rate | seed | photos | renders | repeatable |", "|---|---|---|---|---|---|---|"]
+    for number, run in enumerate(runs, start=1):
+        again = "yes" if run["repeatable"] else "no: ended by the clock"
+        cells = (number, run["steps"], run["rate"], run["seed"], run["photos"], run["renders"], again)
+        rows.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(rows)
 
 
 def _lifted(document: Mapping[str, Any]) -> str:

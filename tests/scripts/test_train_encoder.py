@@ -17,7 +17,8 @@ from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, r
 from PIL import Image
 
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
+from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, save_weights
+from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
@@ -174,6 +175,15 @@ def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
     assert (tmp_path / "a" / "w.safetensors").read_bytes() == (tmp_path / "b" / "w.safetensors").read_bytes()
     document = json.loads((tmp_path / "a" / "w.json").read_text())
     assert document["seeds"] == list(range(1000, 1008))
+    assert [run["steps"] for run in document["runs"]] == [2]
     assert set(document["measures"]["photos"]) == {"apple", "pear"}
     assert "apple" in (tmp_path / "a" / "MODEL_CARD.md").read_text()
     assert EmbeddedEncoder.open(tmp_path / "a" / "w.safetensors").dimension == 27
+
+
+def test_a_later_run_keeps_what_the_earlier_one_saw(tmp_path: Path):
+    network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
+    path = tmp_path / "w.safetensors"
+    save_weights(path, network, Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[1000], runs=[{"steps": 3}])
+    past = train_encoder.resume(network, path)
+    assert (past.runs, past.seeds) == ([{"steps": 3}], [1000])
