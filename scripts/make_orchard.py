@@ -8,20 +8,25 @@ Writes images/, a COLMAP model in sparse/0/, instances/ (16-bit masks of fruit i
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-try:
-    import tyro
-except ImportError:
-    sys.exit("make_orchard: this Python lacks tyro; install it with: python -m pip install tyro pycolmap")
+import _checkout  # noqa: F401
 
-from orchard.config import OrchardConfig, training_config
+from _terminal import arguments_of, import_tyro, run
+from orchard.check import check
+from orchard.config import FIRST_TRAINING_SEED, OrchardConfig, training_config
 from orchard.errors import OrchardError
+
+if TYPE_CHECKING:
+    import tyro
+else:
+    tyro = import_tyro()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,16 +43,10 @@ class Command:
     """Render only so many views of the walk; 0: all."""
 
     scenes: str = ""
-    """FIRST:LAST, the seeds of a training set of small close-up scenes; all seeds from 1000 up."""
+    """FIRST:LAST, the seeds of a training set, from 1000 up: small scenes, three in five close-ups and two in five
+    walks; their other settings are drawn by seed."""
 
     config: Annotated[OrchardConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=OrchardConfig)
-
-
-def arguments() -> list[str]:
-    """What follows the script's name, under Python or after Blender's `--`."""
-    if Path(sys.argv[0]).suffix == ".py":
-        return sys.argv[1:]
-    return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
 
 
 def report(message: str) -> None:
@@ -58,36 +57,36 @@ def report(message: str) -> None:
 def seeds_of(scenes: str) -> range:
     """The seeds that FIRST:LAST names, both included."""
     first, _, last = scenes.partition(":")
-    if not (first.isdecimal() and last.isdecimal()) or int(first) < 1000 or int(last) < int(first):
-        raise OrchardError(f"--scenes {scenes}: give FIRST:LAST with 1000 <= FIRST <= LAST, such as 1000:1059")
+    if not (first.isdecimal() and last.isdecimal()) or not FIRST_TRAINING_SEED <= int(first) <= int(last):
+        low = FIRST_TRAINING_SEED
+        raise OrchardError(f"--scenes {scenes}: give FIRST:LAST with {low} <= FIRST <= LAST, such as {low}:{low + 59}")
     return range(int(first), int(last) + 1)
 
 
-def run(command: Command) -> None:
+def make(command: Command) -> None:
     """Make the scene, or every scene of the training set."""
-    from orchard.check import check
+    configs = list(map(training_config, seeds_of(command.scenes))) if command.scenes else [command.config]
+    for config in configs:
+        check(config)
+    if command.preview < 0:
+        raise OrchardError(f"preview is {command.preview}: give the number of views, or 0 for all")
+    for package in ("bpy", "pycolmap"):
+        if importlib.util.find_spec(package) is None:
+            install = f'"{sys.executable}" -m pip install {package}'
+            raise OrchardError(f"the package {package} is missing in this Python; run: {install}")
     from orchard.produce import produce, write_scene_list
 
     if not command.scenes:
-        check(command.config)
         produce(command.config, command.out, classes=command.classes, preview=command.preview, report=report)
         return
-    for seed in seeds_of(command.scenes):
-        config = training_config(seed)
-        produce(config, command.out / f"{seed}", classes=True, report=report)
+    for config in configs:
+        produce(config, command.out / f"{config.seed}", classes=True, report=report)
         write_scene_list(command.out)
 
 
-def main() -> int:
-    """The exit code: 0 done, 1 an error named on stderr."""
-    command = tyro.cli(Command, args=arguments(), description=__doc__, prog="make_orchard.py")
-    try:
-        run(command)
-    except OrchardError as error:
-        report(f"make_orchard: {error}")
-        return 1
-    return 0
+def main() -> None:
+    make(tyro.cli(Command, args=arguments_of(__file__), description=__doc__, prog="make_orchard.py"))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

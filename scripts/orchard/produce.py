@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ def produce(config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0
     along the walk, are made. `classes` adds classes/ and classes.json.
 
     Raises:
-        OrchardError: `out` holds a scene of another configuration.
+        OrchardError: `out` holds something else, or is no folder that can be written.
     """
     _claim(config, out)
     if _complete(out, classes=classes):
@@ -50,33 +51,40 @@ def produce(config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0
     _write_truth(orchard, views, passes, out)
     if not preview:
         shutil.rmtree(out / "cache", ignore_errors=True)
-        mark = json.loads((out / "orchard.json").read_text())
-        _write_json(out / "orchard.json", {**mark, "complete": True})
+        _write_json(out / "orchard.json", {**_mark(out), "complete": True})
     report(f"{out}: complete")
 
 
 def _complete(out: Path, *, classes: bool) -> bool:
     """Whether an earlier run of this configuration ended."""
-    done = bool(json.loads((out / "orchard.json").read_text()).get("complete"))
+    done = bool(_mark(out).get("complete"))
     return done and (not classes or (out / "classes.json").exists())
+
+
+def _mark(out: Path) -> dict[str, Any]:
+    """What orchard.json tells: the configuration that the folder belongs to, and whether its scene is complete."""
+    try:
+        return dict(json.loads((out / "orchard.json").read_text(encoding="utf-8")))
+    except (ValueError, TypeError) as error:
+        raise OrchardError(f"{out}/orchard.json is damaged ({error}): remove {out} or name another folder") from error
 
 
 def _claim(config: OrchardConfig, out: Path) -> None:
     """Make the folder this configuration's own."""
-    mark = out / "orchard.json"
-    if mark.exists():
-        if json.loads(mark.read_text()).get("digest") != config.digest():
-            raise OrchardError(f"{out} holds a scene of other settings: name another folder or remove it")
-        if _complete(out, classes=False):
-            return
-    elif out.exists() and any(out.iterdir()):
-        raise OrchardError(f"{out} is not empty and holds no orchard: name another folder")
     try:
+        if (out / "orchard.json").exists():
+            if _mark(out).get("digest") != config.digest():
+                raise OrchardError(f"{out} holds a scene of other settings: name another folder or remove it")
+            if _complete(out, classes=False):
+                return
+        elif out.exists() and any(out.iterdir()):
+            raise OrchardError(f"{out} is not empty and holds no orchard: name another folder")
         for folder in ("images", "instances", "cache"):
             (out / folder).mkdir(parents=True, exist_ok=True)
+        mark = {"digest": config.digest(), "generator": GENERATOR_VERSION, "config": asdict(config)}
+        _write_json(out / "orchard.json", mark)
     except OSError as error:
-        raise OrchardError(f"{out} cannot be made: {error.strerror}; name a folder that can be written") from error
-    _write_json(mark, {"digest": config.digest(), "generator": GENERATOR_VERSION, "config": asdict(config)})
+        raise OrchardError(f"{out} cannot be used ({error.strerror}): name a folder that can be written") from error
 
 
 def viewpoints(orchard: Orchard) -> list[Viewpoint]:

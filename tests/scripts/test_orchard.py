@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import signal
 import struct
 import subprocess
 import sys
@@ -190,6 +191,53 @@ def test_more_fruit_than_the_tree_holds_is_an_error() -> None:
     fruiting = Fruiting(rng, SPECIES["mango"], trunk_and_a_limb)
     with pytest.raises(OrchardError, match="ask for fewer"):
         fruiting.hang(300)
+
+
+@pytest.mark.parametrize(("flags", "word"), [(("--seed", "-3"), "seed is -3"), (("--preview", "-1"), "preview is -1")])
+def test_a_flag_below_its_least_value_is_one_line_and_leaves_no_folder(
+    flags: tuple[str, ...], word: str, tmp_path: Path
+) -> None:
+    done = make(tmp_path / "scene", *flags)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert word in done.stderr
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_python_without_bpy_is_told_how_to_install_it(tmp_path: Path) -> None:
+    code = "import runpy, sys; sys.modules['bpy'] = None; del sys.argv[0]; runpy.run_path(sys.argv[0], {}, '__main__')"
+    command = [sys.executable, "-c", code, str(SCRIPT), "--out", str(tmp_path / "scene")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "-m pip install bpy" in done.stderr
+
+
+@needs_bpy
+def test_an_out_that_is_a_file_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "scene").write_text("")
+    done = make(tmp_path / "scene")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "Not a directory" in done.stderr
+
+
+@needs_bpy
+def test_a_damaged_mark_of_a_scene_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "orchard.json").write_text('{"digest": ')
+    done = make(tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "orchard.json is damaged" in done.stderr
+
+
+@needs_bpy
+def test_an_interrupt_ends_the_walk_with_130(tmp_path: Path) -> None:
+    command = [sys.executable, str(SCRIPT), "--out", str(tmp_path / "scene"), *TINY.split(), "--views", "500"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        assert process.stderr is not None
+        while "view 1/" not in process.stderr.readline():
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=300)
+    assert process.returncode == 130
+    assert "Traceback" not in rest
 
 
 @pytest.fixture(scope="module")
