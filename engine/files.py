@@ -64,9 +64,15 @@ def files_hash(paths: Iterable[Path], root: Path) -> str:
     """SHA-256 over the names relative to `root` and the bytes of files, in the order given."""
     digest = hashlib.sha256()
     for path in paths:
-        name = path.relative_to(root) if path.is_relative_to(root) else path.name
-        digest.update(f"{name}\0{file_hash(path)}\n".encode())
+        digest.update(f"{_relative(path, root)}\0{file_hash(path)}\n".encode())
     return digest.hexdigest()
+
+
+def _relative(path: Path, root: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, root)).as_posix()
+    except ValueError:  # on another drive
+        return path.as_posix()
 
 
 def text_hash(*parts: str) -> str:

@@ -53,14 +53,17 @@ def scene_files(path: Path, *, images: Path | None = None, masks: Path | None = 
 
 
 def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = None) -> str:
-    """SHA-256 over the names and bytes of `scene_files`; the same wherever the scene's folder is moved to.
+    """SHA-256 over the names and bytes of `scene_files`; the same however `path` is spelled and wherever it moves.
 
     Raises:
         SceneError: as `read_scene`, or a file cannot be read.
     """
     path = Path(path)
+    # A link to a transforms.json names photos beside the link: only its folder is resolved.
+    root = (path if path.is_dir() else path.parent).resolve()
+    source = root if path.is_dir() else root / path.name
     try:
-        return files_hash(scene_files(path, images=images, masks=masks), path if path.is_dir() else path.parent)
+        return files_hash(scene_files(source, images=images, masks=masks), root)
     except OSError as error:
         raise SceneError(f"{error.filename} cannot be read ({error.strerror}); check its permissions") from error
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fruitlangs.engine.errors import SceneError
+from fruitlangs.engine.files import files_hash
 from fruitlangs.engine.scene.read import read_scene, scene_files, scene_hash
 from fruitlangs.engine.scene.transforms import read_transforms
 
@@ -160,6 +162,33 @@ def test_the_hash_stays_when_the_folder_moves(tmp_path: Path) -> None:
     write_model(tmp_path / "a")
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     assert scene_hash(tmp_path / "a") == scene_hash(tmp_path / "b")
+
+
+@pytest.mark.parametrize("write", [write_model, write_transforms])
+def test_the_hash_is_the_same_however_the_scene_is_spelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path], object]
+) -> None:
+    write(tmp_path / "scene")
+    (tmp_path / "link").symlink_to(tmp_path / "scene")
+    monkeypatch.chdir(tmp_path)
+    spelled = (tmp_path / "scene", Path("scene"), Path("scene/../scene"), Path("link"))
+    assert len({scene_hash(path) for path in spelled}) == 1
+
+
+def test_a_transforms_file_hashes_as_its_folder(tmp_path: Path) -> None:
+    assert scene_hash(write_transforms(tmp_path)) == scene_hash(tmp_path)
+
+
+def test_photos_outside_the_scenes_folder_are_hashed_with_their_subfolder(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path / "photos")
+    hashes = []
+    for name in ("east", "west"):
+        shutil.copytree(tmp_path / "photos" / "images", tmp_path / name)
+        for index in range(3):
+            edit_frame(file, index, file_path=f"../{name}/{index}.png")
+        photos = scene_files(tmp_path / "photos")[1:]
+        hashes.append(files_hash(photos, tmp_path / "photos"))
+    assert hashes[0] != hashes[1]
 
 
 @pytest.mark.parametrize("file", ["images/photo_3.png", "sparse/0/points3D.bin", "masks/photo_0.png"])
