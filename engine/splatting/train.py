@@ -72,6 +72,9 @@ def train(
     views = [view for view in range(len(scene.cameras)) if view not in kept_aside]
     if not views:
         raise TrainingError("the scene has no photo to train on; give at least one")
+    for view in sorted(kept_aside):
+        progress(0.0, "reading the photos kept aside")
+        PhotoShelf(scene, limit=0).picture(view)
     shelf = PhotoShelf(scene)
     key = training_key(scene, config)
     state = _resume(checkpoint, key, progress)

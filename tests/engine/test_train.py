@@ -199,6 +199,16 @@ def test_a_photo_of_another_size_than_its_camera_is_named(scene: Scene) -> None:
         train(replace(scene, images=images), QUICK)
 
 
+def test_a_broken_photo_that_is_kept_aside_is_named_before_the_first_step(scene: Scene) -> None:
+    images = list(scene.images)
+    images[4] = ArrayPhoto("broken.png", np.zeros((10, 10, 3), np.uint8))
+    assert 4 in held_out_views(scene, QUICK.holdout_every)
+    messages: list[str] = []
+    with pytest.raises(SceneError, match=r"broken\.png"):
+        train(replace(scene, images=images), QUICK, progress=lambda fraction, message: messages.append(message))
+    assert not any(message.startswith("step") for message in messages)
+
+
 def test_a_loss_that_is_no_number_is_an_error(scene: Scene) -> None:
     with pytest.raises(TrainingError, match="broke down"):
         train(scene, replace(QUICK, means_rate=float("nan")))
