@@ -28,7 +28,7 @@ from .errors import ConfigError, FruitLangsError, OutputError
 from .files import file_hash, require_writable, write_text
 from .language.encoders import Encoder, open_encoder
 from .language.lift import Features, encode_photos, lift_features, load_features, save_features
-from .language.relevancy import relevancy
+from .language.relevancy import check_prompts, relevancy
 from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .report.meshes import write_glb, write_points_ply
@@ -125,7 +125,7 @@ def count_scene(
         Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
     """
     encoder = open_encoder(config.embed)
-    encoder.encode_text([*prompts, *negatives])  # an unknown word must not cost a training run
+    check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
     require_writable(out / "cache")
     stages = _Stages()
     if (source / FRUITS_JSON).is_file():

@@ -33,7 +33,12 @@ def relevancy(
         EncoderError: the features were made by another encoder.
         VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.
     """
-    _check(features, encoder, prompts, negatives)
+    if features.encoder_id != encoder.identity:
+        raise EncoderError(
+            f"the features were made by {features.encoder_id}, the words come from {encoder.identity}; lift the "
+            "features again with this encoder"
+        )
+    check_prompts(encoder, prompts, negatives)
     vectors = in_scene(features.vectors, features.weights, encoder.kinds())
     missed = torch.ones(len(features.weights))
     for prompt in prompts:
@@ -61,33 +66,12 @@ def margin(vectors: Tensor, question: Question) -> Tensor:
     return positive.amax(-1) - negative.amax(-1)
 
 
-def dual_threshold(
-    features: Features,
-    encoder: Encoder,
-    prompts: Sequence[str],
-    negatives: Sequence[str],
-    *,
-    tau_positive: float,
-    tau_negative: float,
-) -> Tensor:
-    """(N,) 1 where the paper's rule holds, else 0: s⁺ > τ_pos and s⁻ < τ_neg, both the largest cosine (eq. 10 and 11).
+def check_prompts(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> None:
+    """Refuse what `relevancy` could not answer, before anything is computed for it.
 
     Raises:
-        EncoderError, VocabularyError: as `relevancy`.
+        VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.
     """
-    _check(features, encoder, prompts, negatives)
-    chosen = (features.vectors @ encoder.encode_text(prompts).T).amax(-1) > tau_positive
-    if negatives:
-        chosen &= (features.vectors @ encoder.encode_text(negatives).T).amax(-1) < tau_negative
-    return (chosen & (features.weights >= MIN_WEIGHT)).float()
-
-
-def _check(features: Features, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str]) -> None:
-    if features.encoder_id != encoder.identity:
-        raise EncoderError(
-            f"the features were made by {features.encoder_id}, the words come from {encoder.identity}; lift the "
-            "features again with this encoder"
-        )
     if not prompts:
         raise VocabularyError("no prompt was given; name what to count, for example --prompt apple")
     encoder.encode_text([*prompts, *negatives])

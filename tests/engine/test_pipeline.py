@@ -91,6 +91,12 @@ def test_an_unknown_word_is_refused_before_anything_is_trained(tmp_path: Path) -
     assert not (tmp_path / "out").exists()
 
 
+def test_a_prompt_that_a_negative_rules_out_is_refused_before_anything_is_trained(tmp_path: Path) -> None:
+    with pytest.raises(VocabularyError, match="ruled out"):
+        count_scene(SAMPLE, ["red apple"], tmp_path / "out", negatives=["apple"])
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_known_word_that_nothing_satisfies_is_a_counted_zero(counted: Result, tmp_path: Path) -> None:
     config = Config(scene=SMALL.scene, train=SMALL.train, count=CountConfig(threshold=0.999999))
     nothing = count_scene(counted.out, ["purple mango"], tmp_path, config=config)

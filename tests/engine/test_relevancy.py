@@ -11,7 +11,7 @@ from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.lift import Features
 from fruitlangs.engine.language.network import Network
 from fruitlangs.engine.language.prior import in_scene, kind_shares
-from fruitlangs.engine.language.relevancy import MIN_WEIGHT, answer, dual_threshold, relevancy
+from fruitlangs.engine.language.relevancy import MIN_WEIGHT, answer, relevancy
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS
 
 
@@ -130,9 +130,3 @@ def test_the_shares_of_kinds_are_those_of_the_fruit(encoder: EmbeddedEncoder):
     shares = kind_shares(vectors, torch.full((4,), 1e6), encoder.kinds())
     assert float(shares[CONCEPTS.index("apple")]) == pytest.approx(0.75, abs=0.02)
     assert float(shares[CONCEPTS.index("pear")]) == pytest.approx(0.25, abs=0.02)
-
-
-def test_the_dual_threshold_wants_a_high_positive_and_a_low_negative(encoder: EmbeddedEncoder):
-    features = _features(_feature("red", apple=0.9), _feature("red", apple=0.5, leaf=0.5), _feature("red", leaf=0.9))
-    chosen = dual_threshold(features, encoder, ["apple"], ["leaf"], tau_positive=0.45, tau_negative=0.4)
-    assert chosen.tolist() == [1.0, 0.0, 0.0]
