@@ -27,11 +27,11 @@ import torch
 import tyro
 from encoder.batches import Material, make_batch
 from encoder.card import write_card
-from encoder.lifted import calibrate_lifted, intersection_over_union, lifted_scenes
+from encoder.lifted import calibrate_lifted, intersection_over_union, lifted_scene, walks
 from encoder.losses import concept_loss
 from encoder.measures import calibrate, measure, sample
 from encoder.pasting import cut_fruit
-from encoder.pictures import Picture, read_photos, read_renders, scene_seeds
+from encoder.pictures import Picture, read_photos, read_renders, training_seeds
 from safetensors import safe_open
 from safetensors.torch import load_file
 
@@ -79,9 +79,11 @@ def main(options: Options) -> None:
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     photos, val_photos = read_photos(options.photos, "train"), read_photos(options.photos, "val")
-    renders, held_out = split_scenes(read_renders(options.renders) if options.renders else [])
-    seeds = scene_seeds(options.renders) if options.renders else []
-    seeds += scene_seeds(options.lifted) if options.lifted else []
+    pictures = read_renders(options.renders) if options.renders else []
+    lifted = walks(options.lifted) if options.lifted else []
+    rendered = [options.renders / name for name in {p.source for p in pictures}] if options.renders else []
+    seeds = training_seeds([*rendered, *lifted])
+    renders, held_out = split_scenes(pictures)
     material = Material(photos, renders, cut_fruit([*photos, *renders]))
     print(f"{len(photos)} photos, {len(renders)} renders to train on, {len(held_out)} held out", flush=True)
     print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
@@ -112,8 +114,8 @@ def main(options: Options) -> None:
     pixels = calibrate(encoder, photo_sample, render_sample)
     measures = measure(opened(pixels), val_photos, photo_sample, render_sample)
     calibration, overlap = pixels, None
-    if options.lifted:
-        scenes = lifted_scenes(encoder, options.lifted)
+    if lifted:
+        scenes = [lifted_scene(encoder, walk) for walk in lifted]
         calibration = calibrate_lifted(scenes, pixels)
         overlap = intersection_over_union(scenes, calibration)
     opened(calibration)

@@ -37,19 +37,20 @@ class LiftedScene:
     weights: FloatArray
 
 
-def lifted_scenes(encoder: EmbeddedEncoder, folder: Path) -> list[LiftedScene]:
+def walks(folder: Path) -> list[Path]:
     """Every scene below `folder`: a walk around a tree with instances/ and the gaussians.ply trained from it.
 
     Raises:
         FormatError: there is none.
     """
-    found = [_lifted(encoder, path.parent) for path in sorted(folder.glob("*/gaussians.ply"))]
+    found = [path.parent for path in sorted(folder.glob("*/gaussians.ply"))]
     if not found:
         raise FormatError(f"{folder} has no scene with a gaussians.ply; count its scenes with count_fruit.py first")
     return found
 
 
-def _lifted(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
+def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
+    """One of the `walks`, seen by the encoder."""
     scene, gaussians = read_scene(folder, SceneConfig()), read_ply(folder / "gaussians.ply")
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
     truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").vectors

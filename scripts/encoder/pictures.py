@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from PIL import Image
 
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.language.vocabulary import CONCEPTS, parse
+from orchard.config import FIRST_TRAINING_SEED
 
 IGNORED = 255
 """Label of a pixel that teaches nothing."""
@@ -137,19 +138,24 @@ def _lookup(table: Path) -> Labels:
     return lookup
 
 
-def scene_seeds(folder: Path) -> list[int]:
-    """Seeds of the finished scenes below `folder`, as their orchard.json records them.
+def training_seeds(scenes: Iterable[Path]) -> list[int]:
+    """Seeds of these scene folders, sorted, as their orchard.json records them.
 
     Raises:
-        FormatError: a scene's seed is not recorded.
+        FormatError: a scene's seed is not recorded, or is kept for tests.
     """
-    seeds = []
-    for table in sorted(folder.glob("*/classes.json")):
-        record = table.parent / "orchard.json"
+    seeds = set()
+    for scene in scenes:
+        record = scene / "orchard.json"
         try:
-            seeds.append(int(json.loads(record.read_text(encoding="utf-8"))["config"]["seed"]))
+            seed = int(json.loads(record.read_text(encoding="utf-8"))["config"]["seed"])
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise FormatError(f"{record} does not tell the scene's seed ({error}); make the scene again") from error
+        if seed < FIRST_TRAINING_SEED:
+            raise FormatError(
+                f"{scene} has seed {seed}, and seeds below {FIRST_TRAINING_SEED} are for tests alone; take it out"
+            )
+        seeds.add(seed)
     return sorted(seeds)
 
 

@@ -13,7 +13,7 @@ from encoder.batches import CROP, Material, make_batch
 from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union
 from encoder.losses import concept_loss
 from encoder.pasting import cut_fruit, paste
-from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, read_renders, scene_seeds
+from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, read_renders, training_seeds
 from PIL import Image
 
 from fruitlangs.engine.errors import FormatError
@@ -87,10 +87,29 @@ def test_a_broken_row_is_named_by_file_and_line(tmp_path: Path):
         read_photos(tmp_path, "train")
 
 
-def test_masks_of_renders_become_words_and_their_seeds_are_recorded(renders: Path):
+def test_masks_of_renders_become_words(renders: Path):
     pictures = read_renders(renders)
     assert set(np.unique(pictures[0].labels)) == {APPLE, LEAF}
-    assert scene_seeds(renders) == list(range(1000, 1008))
+
+
+def test_the_seeds_of_the_scenes_are_read_and_those_of_tests_refused(renders: Path, tmp_path: Path):
+    assert training_seeds(renders.iterdir()) == list(range(1000, 1008))
+    (tmp_path / "orchard.json").write_text(json.dumps({"config": {"seed": 2}}))
+    with pytest.raises(FormatError, match="has seed 2, and seeds below 1000 are for tests alone"):
+        training_seeds([tmp_path])
+    with pytest.raises(FormatError, match="does not tell the scene's seed"):
+        training_seeds([tmp_path / "none"])
+
+
+def test_a_walk_without_classes_is_no_way_around_the_seeds_of_tests(photos: Path, tmp_path: Path):
+    walk = tmp_path / "walks" / "2"
+    walk.mkdir(parents=True)
+    (walk / "gaussians.ply").write_text("")
+    (walk / "orchard.json").write_text(json.dumps({"config": {"seed": 2}}))
+    out = tmp_path / "w.safetensors"
+    with pytest.raises(FormatError, match="has seed 2"):
+        train_encoder.main(train_encoder.Options(photos=photos, lifted=walk.parent, out=out, steps=1, batch=1))
+    assert not out.exists()
 
 
 def test_held_out_scenes_are_no_training_scenes(renders: Path):
