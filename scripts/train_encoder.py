@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +23,6 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple a
 
 import numpy as np
 import torch
-import tyro
 from encoder.batches import Material, make_batch
 from encoder.card import write_card
 from encoder.lifted import calibrate_lifted, intersection_over_union, lifted_scene, walks
@@ -35,10 +33,13 @@ from encoder.pictures import Picture, read_photos, read_renders, training_seeds
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from fruitlangs.engine.errors import FruitLangsError
-from fruitlangs.engine.language.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
+from _terminal import import_tyro, run
+from fruitlangs.engine.errors import ConfigError, EncoderError
+from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network, normalise
 from fruitlangs.engine.language.vocabulary import CONCEPTS
+
+tyro = import_tyro()
 
 HELD_OUT_EVERY = 8
 """Every n-th render scene is kept out of training, to calibrate and to measure on."""
@@ -57,7 +58,7 @@ class Options:
     drew; without it the calibration is that of single pixels."""
     start: Path | None = None
     """Weights of an earlier run to go on from; without it the network starts at random."""
-    out: Path = WEIGHTS
+    out: Path
     """Weights to write; OUT with suffix .json and MODEL_CARD.md are written beside it."""
     steps: int = 6000
     """Optimiser steps; 0 only calibrates and measures the weights of --start anew."""
@@ -76,6 +77,8 @@ class Options:
 
 
 def main(options: Options) -> None:
+    if options.start is None and options.minutes is None and options.steps <= 0:
+        raise ConfigError("--steps 0 only calibrates earlier weights: name them by --start, or give steps to train")
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     photos, val_photos = read_photos(options.photos, "train"), read_photos(options.photos, "val")
@@ -92,7 +95,7 @@ def main(options: Options) -> None:
     earlier = resume(network, options.start) if options.start else Past([], [])
     steps = train(network, material, options)
     draft = options.out.with_suffix(".draft.safetensors")
-    run = {
+    this_run = {
         "steps": steps,
         "seed": options.seed,
         "rate": options.rate,
@@ -102,7 +105,7 @@ def main(options: Options) -> None:
     }
     notes = {
         "seeds": sorted({*earlier.seeds, *seeds}),
-        "runs": [*earlier.runs, run] if steps else earlier.runs,
+        "runs": [*earlier.runs, this_run] if steps else earlier.runs,
     }
 
     def opened(calibration: Calibration) -> EmbeddedEncoder:
@@ -141,12 +144,21 @@ class Past:
 
 
 def resume(network: Network, start: Path) -> Past:
-    """Load earlier weights into `network`; returns what made them."""
+    """Load earlier weights into `network`; returns what made them.
+
+    Raises:
+        EncoderError: they cannot be read or do not record what made them.
+    """
     EmbeddedEncoder.open(start)  # says what is wrong with them
     with safe_open(start, framework="pt") as file:
         header = json.loads(file.metadata()["fruitlangs"])
     network.load_state_dict({name: tensor.float() for name, tensor in load_file(start).items()})
-    return Past(header["runs"], header["seeds"])
+    try:
+        return Past(header["runs"], header["seeds"])
+    except KeyError as error:
+        raise EncoderError(
+            f"the weights {start} do not record the {error.args[0]} behind them; start from weights of this script"
+        ) from error
 
 
 def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]:
@@ -222,8 +234,4 @@ def _fractions(options: Options) -> Iterator[float]:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Options, description=__doc__))
-    except FruitLangsError as error:
-        print(f"train_encoder: {error}", file=sys.stderr)
-        sys.exit(1)
+    run(lambda: main(tyro.cli(Options, description=__doc__)))

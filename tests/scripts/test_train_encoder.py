@@ -16,7 +16,7 @@ from encoder.pasting import cut_fruit, paste
 from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, read_renders, training_seeds
 from PIL import Image
 
-from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.errors import ConfigError, EncoderError, FormatError
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
@@ -206,3 +206,22 @@ def test_a_later_run_keeps_what_the_earlier_one_saw(tmp_path: Path):
     save_weights(path, network, Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[1000], runs=[{"steps": 3}])
     past = train_encoder.resume(network, path)
     assert (past.runs, past.seeds) == ([{"steps": 3}], [1000])
+
+
+def test_weights_that_do_not_record_their_scenes_are_no_start(tmp_path: Path):
+    network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
+    path = tmp_path / "w.safetensors"
+    save_weights(path, network, Calibration(), widths=WIDTHS, depths=DEPTHS, runs=[])
+    with pytest.raises(EncoderError, match="do not record the seeds behind them"):
+        train_encoder.resume(network, path)
+
+
+def test_random_weights_are_never_written(photos: Path, tmp_path: Path):
+    with pytest.raises(ConfigError, match="name them by --start"):
+        train_encoder.main(train_encoder.Options(photos=photos, out=tmp_path / "w.safetensors", steps=0))
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_run_must_name_where_its_weights_go(photos: Path):
+    with pytest.raises(TypeError, match="out"):
+        train_encoder.Options(photos=photos)  # type: ignore[call-arg]
