@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import TrainingError
-from ..scene.camera import Camera, Scene
+from ..scene.camera import Scene
 from .gaussians import SH_C0, Gaussians
 from .photos import PhotoShelf
 
@@ -43,7 +43,7 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
     dome, dome_colors = dome[seen], dome_colors[seen]
     room = max(limit - len(dome), 1)
     if len(points) < min(FEWEST_POINTS, room):
-        center, radius = _looked_at(scene.cameras)
+        center, radius = _looked_at(scene)
         extra = center + radius * _in_ball(random, min(FEWEST_POINTS, room) - len(points))
         extra_colors, seen = _colors_in_photos(shelf, views, extra)
         points, colors = np.concatenate([points, extra[seen]]), np.concatenate([colors, extra_colors[seen]])
@@ -77,16 +77,30 @@ def _isotropic(points: Points, sizes: NDArray[np.float64], colors: Points, sh_de
     )
 
 
-def _looked_at(cameras: Sequence[Camera]) -> tuple[Points, float]:
+def camera_spread(scene: Scene) -> float:
+    """Radius of the cameras about their mean, in scene units.
+
+    Where they all stand in one place it is the points' median distance from there, and 1 without points.
+    """
+    centers = np.stack([camera.center for camera in scene.cameras])
+    spread = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
+    if spread > 1e-6 * float(np.abs(centers).max()):  # else there is only rounding between them
+        return spread
+    points = np.asarray(scene.points, np.float64)
+    distances = np.linalg.norm(points[np.isfinite(points).all(1)] - centers.mean(axis=0), axis=1)
+    return float(np.median(distances)) if distances.any() else 1.0
+
+
+def _looked_at(scene: Scene) -> tuple[Points, float]:
     """Centre and radius of the ball that the cameras look at: the point nearest to all viewing axes.
 
     With parallel axes that point is anywhere; a pull of 1 % to the middle of the cameras, one camera spread ahead,
     settles it.
     """
+    cameras = scene.cameras
     centers = np.stack([camera.center for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
-    spread = max(float(np.linalg.norm(centers - centers.mean(0), axis=1).max()), 1e-3)
-    guess = centers.mean(0) + axes.mean(0) * spread
+    guess = centers.mean(0) + axes.mean(0) * camera_spread(scene)
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     left = across.sum(0) + 0.01 * len(cameras) * np.eye(3)
     right = (across @ centers[:, :, None]).sum(0)[:, 0] + 0.01 * len(cameras) * guess
@@ -103,7 +117,7 @@ def _in_ball(random: np.random.Generator, n: int) -> Points:
 def _dome(scene: Scene, points: Points, n: int) -> Points:
     """n evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
     center = np.stack([camera.center for camera in scene.cameras]).mean(0)
-    reach = max(scene.extent, 1e-3)
+    reach = 1.1 * camera_spread(scene)
     if len(points) > 0:
         reach = max(reach, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.98)))
     k = np.arange(n) + 0.5
@@ -120,7 +134,7 @@ def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -
     for view in views[:: max(len(views) // 40, 1)]:
         camera = shelf.scene.cameras[view]
         local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        ahead = local[:, 2] > 1e-6
+        ahead = local[:, 2] > 0.0
         pixel = local @ camera.K.T
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (pixel[:, :2] / pixel[:, 2:]).T

@@ -34,8 +34,6 @@ BLOCK = 512
 """Gaussians a thread works on before it asks for more."""
 
 LOW_PASS = np.float32(0.3)
-NEAR = np.float32(0.01)
-"""Gaussians nearer than this (scene units) are not drawn."""
 MAX_QUATERNION_ERROR = np.float32(1e-24)
 LOG2_E = np.float32(math.log2(math.e))
 LOG2_255 = np.float32(math.log2(255.0))
@@ -154,6 +152,7 @@ def _project_one(
     opacity_logits: NDArray[np.float32],
     offsets: NDArray[np.float32],
     camera: NDArray[np.float32],
+    near: float,
     r: NDArray[np.float32],
     record: NDArray[np.float32],
 ) -> bool:
@@ -166,7 +165,7 @@ def _project_one(
     z = camera[6] * px + camera[7] * py + camera[8] * pz + camera[11]
     opacity = ONE / (ONE + math.exp(-opacity_logits[i]))
     reach = math.log2(max(opacity, FLOOR)) + LOG2_255
-    if not (z > NEAR and reach > ZERO):
+    if not (z > near and reach > ZERO):
         return False
     _rotation(quats, i, r)
     fx, fy = camera[12], camera[13]
@@ -229,12 +228,14 @@ def project(
     degree: int,
     offsets: NDArray[np.float32],
     camera: NDArray[np.float32],
+    near: float,
     records: NDArray[np.float32],
     room: NDArray[np.int32],
 ) -> None:
     """Fill records (N, RECORD) and room (N,): how many tiles each Gaussian's box meets, 0 for those not drawn.
 
-    offsets: (N, 2) px added to the projected means; camera: (21,) see `rasterize.camera_values`.
+    offsets: (N, 2) px added to the projected means; camera: (21,) see `rasterize.camera_values`; near: float32, depth
+    up to which nothing is drawn.
     """
     n = means.shape[0]
     terms = (degree + 1) * (degree + 1)
@@ -246,7 +247,7 @@ def project(
         for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
             record = records[i]
             room[i] = 0
-            if not _project_one(i, means, log_scales, quats, opacity_logits, offsets, camera, r, record):
+            if not _project_one(i, means, log_scales, quats, opacity_logits, offsets, camera, near, r, record):
                 continue
             room[i] = box_tiles(record, width, height)
             if room[i] == 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ from .projection_kernels import (
 )
 from .tiling_kernels import depth_order, fill_tiles, list_pairs, pair_starts
 
+NEAR, NEAR_DISTANCE = 0.01, 2.5
+"""A camera with a quarter of the Gaussians within 2.5 units draws nothing nearer than 0.01 (see `near_plane`)."""
 LIFTED_AT_ONCE = 64
 """Channels of a target that `accumulate` sums in one go over the image."""
 
@@ -88,6 +91,22 @@ def camera_values(camera: Camera) -> NDArray[np.float32]:
     return np.array([*values, *camera.center], dtype=np.float32)
 
 
+def near_plane(means: Tensor, camera: Camera) -> float:
+    """The depth, in scene units, up to which a camera draws nothing.
+
+    About 1/250 of the distance within which it has a quarter of the Gaussians: 0.01 × 2ᵏ for 2.5 × 2ᵏ. Whole powers of
+    two, so that it stays while Gaussians move, come and go.
+    """
+    if len(means) == 0:
+        return NEAR
+    away: NDArray[Any] = means.detach().numpy() - camera.center.astype(np.float32)
+    quarter = len(means) // 4
+    squared = float(np.partition(np.einsum("nk,nk->n", away, away), quarter)[quarter])
+    if not (0.0 < squared < math.inf):
+        return NEAR
+    return math.ldexp(NEAR, round(0.5 * math.log2(squared / NEAR_DISTANCE**2)))
+
+
 def _flat(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().to(torch.float32).contiguous().numpy()
 
@@ -98,7 +117,8 @@ def _tile(parameters: Sequence[Tensor], offsets: Tensor, degree: int, camera: Ca
     records = np.empty((n, RECORD), np.float32)
     room = np.empty(n, np.int32)
     values = camera_values(camera)
-    project(means, log_scales, quats, opacity_logits, sh, degree, _flat(offsets), values, records, room)
+    near = np.float32(near_plane(parameters[0], camera))
+    project(means, log_scales, quats, opacity_logits, sh, degree, _flat(offsets), values, near, records, room)
     starts = pair_starts(room)
     columns = -(-camera.width // TILE_WIDTH)
     rows = -(-camera.height // TILE_HEIGHT)
@@ -198,8 +218,9 @@ def render(
     screen_pulls: (N, 2) float32, filled by the backward pass with the sums over pixels of that gradient's absolute
     values, which do not cancel (AbsGS, Ye et al. 2024).
 
-    Pixel centres lie at +0.5. The camera must have no distortion. A splat is drawn where its α ≥ 1/255 with 3DGS's
-    low-pass of 0.3 px²; a pixel stops at a transmittance of 1e-4. The bytes do not depend on the number of threads.
+    Pixel centres lie at +0.5. The camera must have no distortion. A splat beyond `near_plane` is drawn where its
+    α ≥ 1/255 with 3DGS's low-pass of 0.3 px²; a pixel stops at a transmittance of 1e-4. The bytes do not depend on the
+    number of threads.
 
     Raises:
         SceneError: the camera has distortion, or features have another length than the Gaussians.
@@ -260,11 +281,6 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
         sums[:, begin : begin + columns] = summed[:, :columns]
         weights[:] = summed[:, padded]
     return Accumulated(torch.from_numpy(sums), torch.from_numpy(weights))
-
-
-def visible_weights(gaussians: Gaussians, camera: Camera) -> Tensor:
-    """(N,) Σ_v α_i(v) T_i(v): how many pixels of a view each Gaussian amounts to, 0 where it is not seen."""
-    return accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
 
 
 def _check_camera(camera: Camera) -> None:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..scene.camera import Camera
 from .gaussians import SH_C0, Gaussians
-from .rasterize import Rendering
+from .rasterize import Rendering, near_plane
 
 _C1 = 0.4886025119029199
 _C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -55,7 +55,7 @@ def blending_weights(gaussians: Gaussians, camera: Camera, offsets: Tensor | Non
     pose = torch.from_numpy(camera.world_to_camera)
     depths = gaussians.means @ pose[2, :3] + pose[2, 3]
     order = depths.argsort(stable=True)
-    order = order[depths[order] > 0.01]
+    order = order[depths[order] > near_plane(gaussians.means, camera)]
     nearest_first = gaussians.select(order)
     means, covariances = _ellipses(nearest_first, camera)
     if offsets is not None:

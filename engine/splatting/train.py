@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from ..scene.camera import Scene
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
 from .densify import DensifyRules, Pulls, densify, reset_opacity
 from .gaussians import Gaussians
-from .initialise import first_gaussians
+from .initialise import camera_spread, first_gaussians
 from .losses import photometric_loss, psnr, ssim
 from .parameters import NAMES, Parameters, Rates
 from .photos import PhotoShelf, Picture
@@ -41,7 +40,7 @@ class Training:
     """Trained Gaussians and what is known of their quality.
 
     held_out: scores of the photos kept aside; psnr, ssim: their means, None where none was kept; steps: optimiser steps
-    behind the Gaussians; seconds: spent in this call.
+    behind the Gaussians.
     """
 
     gaussians: Gaussians
@@ -49,7 +48,6 @@ class Training:
     psnr: float | None
     ssim: float | None
     steps: int
-    seconds: float
 
 
 def train(
@@ -67,7 +65,6 @@ def train(
         OutputError: the checkpoint cannot be written.
         Cancelled: `progress` asked for it; the last checkpoint stays.
     """
-    begin = time.perf_counter()
     kept_aside = held_out_views(scene, config.holdout_every)
     views = [view for view in range(len(scene.cameras)) if view not in kept_aside]
     if not views:
@@ -105,7 +102,6 @@ def train(
         psnr=float(np.mean([score.psnr for score in scores])) if scores else None,
         ssim=float(np.mean([score.ssim for score in scores])) if scores else None,
         steps=state.step,
-        seconds=time.perf_counter() - begin,
     )
 
 
@@ -138,7 +134,7 @@ class Schedule:
 
     @property
     def extent(self) -> float:
-        return max(self.scene.extent, 1e-6)
+        return 1.1 * camera_spread(self.scene)
 
     @property
     def middle(self) -> Tensor:
@@ -148,26 +144,21 @@ class Schedule:
         return step / self.config.steps
 
     def rates(self, step: int) -> Rates:
-        """All fall exponentially: the means' to a hundredth, in the scene's extent; a short training needs higher ones
-        than 3DGS's 30,000 steps."""
+        """That of the means is in the scene's extent and falls exponentially to a hundredth; a short training needs
+        higher ones than 3DGS's 30,000 steps."""
         config = self.config
-        fall = config.final_rates ** self.done(step)
         return Rates(
             means=config.means_rate * self.extent * 0.01 ** self.done(step),
-            log_scales=config.scales_rate * fall,
-            quats=config.quats_rate * fall,
-            opacity_logits=config.opacity_rate * fall,
-            sh=config.sh_rate * fall,
-            sh_rest=config.sh_rate * fall / 20,
+            log_scales=config.scales_rate,
+            quats=config.quats_rate,
+            opacity_logits=config.opacity_rate,
+            sh=config.sh_rate,
+            sh_rest=config.sh_rate / 20,
         )
 
     def sh_degree(self, step: int) -> int:
         """One degree more with every sixth of the steps."""
         return min(self.config.sh_degree, int(6 * self.done(step)))
-
-    def halvings(self, step: int) -> int:
-        """Coarse pictures first."""
-        return 1 if self.done(step) < self.config.coarse_until else 0
 
     def densifies(self, step: int) -> bool:
         config = self.config
@@ -208,10 +199,9 @@ def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingSt
 def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedule: Schedule) -> float:
     """One photo: draw, compare, move; densify when it is time. Returns the photometric loss."""
     config, step = schedule.config, state.step
-    picture = shelf.picture(view_at(step, views, config.seed), schedule.halvings(step))
+    picture = shelf.picture(view_at(step, views, config.seed))
     degree = schedule.sh_degree(step)
-    gradients, pulled, radii, loss = _gradients(state.parameters.gaussians(), picture, config, degree, step)
-    _regularise(state.parameters, gradients, radii, schedule)
+    gradients, pulled, radii, loss = _gradients(state.parameters.gaussians(), picture, config, degree)
     state.parameters.update(gradients, schedule.rates(step), degree)
     state.pulls.add(pulled, radii, picture.camera.width, picture.camera.height)
     done = state.step
@@ -224,41 +214,17 @@ def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedul
 
 
 def _gradients(
-    gaussians: Gaussians, picture: Picture, config: TrainConfig, sh_degree: int, step: int
+    gaussians: Gaussians, picture: Picture, config: TrainConfig, sh_degree: int
 ) -> tuple[dict[str, Tensor], Tensor, Tensor, float]:
     """Gradients by parameter, absolute ones of the projected means, the radii, and the loss."""
     leaves = {name: getattr(gaussians, name).detach().requires_grad_() for name in NAMES}
     pulls = torch.zeros(len(gaussians), 2)
-    background = None
-    if config.random_background:
-        background = torch.from_numpy(np.random.default_rng([config.seed, step, 7]).random(3)).float()
-    rendering = render(
-        Gaussians(**leaves), picture.camera, background=background, sh_degree=sh_degree, screen_pulls=pulls
-    )
+    rendering = render(Gaussians(**leaves), picture.camera, sh_degree=sh_degree, screen_pulls=pulls)
     loss = photometric_loss(rendering.color, picture.pixels, ssim_weight=config.ssim_weight, mask=picture.mask)
     loss.backward()
     gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
     assert len(gradients) == len(NAMES)
     return gradients, pulls, rendering.radii, loss.item()
-
-
-def _regularise(parameters: Parameters, gradients: dict[str, Tensor], radii: Tensor, schedule: Schedule) -> None:
-    """Add the gradients of three means over the Gaussians that were drawn, sizes in extents of the scene.
-
-    Opacity: what no photo needs fades and is pruned (3DGS-MCMC, Kheradmand et al. 2024, section 3.4). Size: the same
-    for the mean of the three axes. Flatness: the shortest axis alone, so that Gaussians become discs, which fit only
-    on surfaces (PGSR, Chen et al. 2024, section 3.1).
-    """
-    config = schedule.config
-    drawn = (radii > 0).float() / max(len(radii), 1)
-    if config.opacity_weight > 0.0:
-        opacities = parameters.values["opacity_logits"].sigmoid()
-        gradients["opacity_logits"] += config.opacity_weight * drawn * opacities * (1.0 - opacities)
-    if config.scale_weight > 0.0 or config.flatness_weight > 0.0:
-        log_scales = parameters.values["log_scales"]
-        sizes = log_scales.exp() * (drawn / schedule.extent)[:, None]
-        shortest = torch.zeros_like(sizes).scatter_(1, log_scales.argmin(1, keepdim=True), 1.0)
-        gradients["log_scales"] += sizes * (config.scale_weight / 3.0 + config.flatness_weight * shortest)
 
 
 def _score(gaussians: Gaussians, picture: Picture, name: str) -> ViewScore:

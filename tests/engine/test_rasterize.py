@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import fields, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.agreement import compare_with_twin
 from fruitlangs.engine.splatting.gaussians import Gaussians
-from fruitlangs.engine.splatting.rasterize import accumulate, render, visible_weights
+from fruitlangs.engine.splatting.rasterize import accumulate, near_plane, render
 from fruitlangs.engine.splatting.reference import blending_weights
 
 
@@ -64,7 +65,32 @@ def test_sums_by_blending_weight_agree_with_the_twin() -> None:
 def test_weights_add_up_to_alpha() -> None:
     gaussians, camera = random_gaussians(200, 0, seed=8), ring_camera()
     total = float(render(gaussians, camera).alpha.double().sum())
-    assert float(visible_weights(gaussians, camera).double().sum()) == pytest.approx(total, rel=1e-5)
+    weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
+    assert float(weights.double().sum()) == pytest.approx(total, rel=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_scene_of_any_scale_is_drawn_and_lifted_alike(scale: float) -> None:
+    gaussians, camera = random_gaussians(200, 1, seed=14), ring_camera(0.0)
+    gaussians.means[0] = torch.tensor([-0.1, 0.2, -3.995])  # 5 mm in front of the camera: nearer than it draws
+    gaussians.log_scales[0] = -8.0
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] *= scale
+    other = replace(gaussians, means=gaussians.means * scale, log_scales=gaussians.log_scales + math.log(scale))
+    moved = replace(camera, world_to_camera=pose)
+    torch.testing.assert_close(render(other, moved).color, render(gaussians, camera).color, rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        render(other, moved).depth / scale, render(gaussians, camera).depth, rtol=1e-3, atol=0.01
+    )
+    target = torch.ones(camera.height, camera.width, 1)
+    ours, theirs = accumulate(gaussians, camera, target), accumulate(other, moved, target)
+    torch.testing.assert_close(theirs.weights, ours.weights, rtol=1e-2, atol=0.01)
+
+
+def test_nothing_nearer_than_a_centimetre_is_drawn_where_fruit_are_metres_away() -> None:
+    gaussians = random_gaussians(200, 0, seed=15)
+    gaussians.means[:, 2] -= 1.5
+    assert near_plane(gaussians.means, ring_camera()) == 0.01
 
 
 def test_a_crop_of_the_camera_draws_the_same_pixels() -> None:
