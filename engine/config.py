@@ -5,90 +5,107 @@ Field docstrings (the string below a field) are the text of the flag and of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import Field, dataclass, field, fields
 from typing import Any, Literal
 
 from .errors import ConfigError
 
+LARGEST = 2**31 - 1
+"""The largest whole number that every front end can hold."""
 
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise ConfigError(message)
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a setting may have; `open` leaves out both ends."""
+
+    low: float
+    high: float
+    open: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        return self.low < value < self.high if self.open else self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        if not self.open:
+            return f"{self.low} to {self.high}"
+        return f"a finite number above {self.low}" + ("" if math.isinf(self.high) else f" and below {self.high}")
+
+
+def _number(default: float | None, low: float, high: float, *, open: bool = False) -> Any:
+    """A field whose value lies in a range, or is None where that is the default."""
+    return field(default=default, metadata={"range": Range(low, high, open)})
+
+
+def range_of(setting: Field[Any]) -> Range | None:
+    """What a field of a stage's settings may be; None where it is no number."""
+    return setting.metadata.get("range")
+
+
+class _Checked:
+    """Settings whose numbers are looked at when they are made."""
+
+    def __post_init__(self) -> None:
+        for setting in fields(self):  # type: ignore[arg-type]
+            value, allowed = getattr(self, setting.name), range_of(setting)
+            if allowed is None or (value is None and setting.default is None):
+                continue
+            if value not in allowed:
+                flag = f"--{type(self).__name__.removesuffix('Config').lower()}.{setting.name.replace('_', '-')}"
+                raise ConfigError(f"{flag} is {value}; use {allowed}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneConfig:
+class SceneConfig(_Checked):
     """How photos and cameras are read."""
 
-    downscale: float = 1.0
+    downscale: float = _number(1.0, 1, 100)
     """Divide the photos' width and height by this (2 = half size)."""
-
-    def __post_init__(self) -> None:
-        _require(self.downscale >= 1.0, f"downscale is {self.downscale}; use 1 or more (2 halves width and height)")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig:
+class TrainConfig(_Checked):
     """How Gaussians are trained from the photos."""
 
-    steps: int = 3000
+    steps: int = _number(3000, 1, 10_000_000)
     """Optimiser steps, one photo each."""
-    max_gaussians: int = 100_000
+    max_gaussians: int = _number(100_000, 1, 100_000_000)
     """Densification stops at this many Gaussians."""
-    sh_degree: int = 2
+    sh_degree: int = _number(2, 0, 3)
     """Highest degree of the spherical harmonics that carry view-dependent colour (0-3)."""
-    holdout_every: int = 8
+    holdout_every: int = _number(8, 0, LARGEST)
     """Keep every n-th photo (in name order) out of training to measure quality; 0 trains on all."""
-    ssim_weight: float = 0.2
+    ssim_weight: float = _number(0.2, 0, 1)
     """Weight of 1 - SSIM in the photometric loss; L1 has the rest."""
-    means_rate: float = 5e-4
+    means_rate: float = _number(5e-4, 0, 10)
     """Learning rate of positions at the start, times the scene's extent; it falls to a hundredth."""
-    scales_rate: float = 2e-2
+    scales_rate: float = _number(2e-2, 0, 10)
     """Learning rate of log scales."""
-    quats_rate: float = 1e-2
+    quats_rate: float = _number(1e-2, 0, 10)
     """Learning rate of rotations."""
-    opacity_rate: float = 0.1
+    opacity_rate: float = _number(0.1, 0, 10)
     """Learning rate of opacity logits."""
-    sh_rate: float = 5e-3
+    sh_rate: float = _number(5e-3, 0, 10)
     """Learning rate of base colours; harmonics above move at a twentieth of it."""
-    final_rates: float = 1.0
-    """What all learning rates but that of positions fall to by the last step, as a share."""
-    coarse_until: float = 0.0
-    """Share of the steps that train on photos of half size."""
-    densify_from: float = 0.05
+    densify_from: float = _number(0.05, 0, 1)
     """Share of the steps after which Gaussians are cloned and split."""
-    densify_until: float = 0.6
+    densify_until: float = _number(0.6, 0, 1)
     """Share of the steps after which no Gaussian is added any more."""
-    densify_every: int = 100
+    densify_every: int = _number(100, 1, LARGEST)
     """Steps between two densifications."""
-    densify_gradient: float = 4e-4
+    densify_gradient: float = _number(4e-4, 0, 1000)
     """Mean absolute gradient of a projected position, in half-images, from which a Gaussian is cloned or split."""
-    split_size: float = 0.003
+    split_size: float = _number(0.003, 0, math.inf, open=True)
     """Gaussians whose standard deviation exceeds this share of the scene's extent are split, others cloned."""
-    prune_opacity: float = 0.005
+    prune_opacity: float = _number(0.005, 0, 1)
     """Gaussians fainter than this are removed when densifying."""
-    reset_opacity_every: int = 0
+    reset_opacity_every: int = _number(0, 0, LARGEST)
     """Steps between two resets of all opacities, which clear floaters in long trainings; 0 for never."""
-    opacity_weight: float = 0.0
-    """Weight of the mean opacity in the loss: what no photo needs fades."""
-    scale_weight: float = 0.0
-    """Weight of the mean size (in extents of the scene) in the loss."""
-    flatness_weight: float = 0.0
-    """Weight of the mean shortest axis (in extents of the scene) in the loss: Gaussians become discs on surfaces."""
-    random_background: bool = False
-    """Draw each step over another colour, so that surfaces become opaque."""
-    checkpoint_every: int = 500
+    checkpoint_every: int = _number(500, 1, LARGEST)
     """Steps between two checkpoints."""
-    seed: int = 0
+    seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice in training."""
-
-    def __post_init__(self) -> None:
-        _require(self.steps >= 1, f"steps is {self.steps}; use at least 1")
-        _require(self.max_gaussians >= 1, f"max-gaussians is {self.max_gaussians}; use at least 1")
-        _require(0 <= self.sh_degree <= 3, f"sh-degree is {self.sh_degree}; use 0, 1, 2 or 3")
-        _require(self.holdout_every >= 0, f"holdout-every is {self.holdout_every}; use 0 (none) or more")
-        _require(0.0 <= self.ssim_weight <= 1.0, f"ssim-weight is {self.ssim_weight}; use 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,27 +117,19 @@ class EmbedConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CountConfig:
+class CountConfig(_Checked):
     """How fruit are selected and counted."""
 
-    threshold: float = 0.5
+    threshold: float = _number(0.5, 0, 1, open=True)
     """Lowest probability at which a Gaussian belongs to the prompt."""
     method: Literal["voting", "template"] = "voting"
     """'voting': centre votes, sphere fits, non-maximum suppression; 'template': the paper's DBSCAN and templates."""
-    diameter: float | None = None
+    diameter: float | None = _number(None, 0, math.inf, open=True)
     """Mean fruit diameter in scene units; estimated from the scene when not given."""
-    sample_budget: int = 60_000
+    sample_budget: int = _number(60_000, 100, 100_000_000)
     """Points sampled from the selected Gaussians."""
-    seed: int = 0
+    seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice in counting."""
-
-    def __post_init__(self) -> None:
-        _require(0.0 < self.threshold < 1.0, f"threshold is {self.threshold}; use a probability between 0 and 1")
-        _require(
-            self.diameter is None or self.diameter > 0.0,
-            f"diameter is {self.diameter}; use a length above 0 scene units",
-        )
-        _require(self.sample_budget >= 100, f"sample-budget is {self.sample_budget}; use at least 100 points")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..engine.config import LARGEST, range_of
 from ..engine.errors import SceneError, VocabularyError
 
 if TYPE_CHECKING:
     from ..engine.config import Config
-
-LARGEST_INT = 2**31 - 1
 
 
 def field_docs(config_class: type) -> dict[str, str]:
@@ -90,10 +89,12 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
         return bpy.props.EnumProperty(items=items, default=default, **named)
     if kind is bool:
         return bpy.props.BoolProperty(default=default, **named)
-    if kind is int:
-        return bpy.props.IntProperty(default=default, min=0, max=LARGEST_INT, **named)
-    if kind is float:
-        return bpy.props.FloatProperty(default=default, min=0.0, precision=3, **named)
+    if kind in (int, float):
+        allowed = range_of(field)
+        bounds = {} if allowed is None else {"min": kind(allowed.low), "max": kind(min(allowed.high, LARGEST))}
+        if kind is int:
+            return bpy.props.IntProperty(default=default, **bounds, **named)
+        return bpy.props.FloatProperty(default=default, precision=3, **bounds, **named)
     if kind is str or kind is Path:
         return bpy.props.StringProperty(default=str(default), **named)
     raise TypeError(f"{field.name}: no Blender property for {kind}")

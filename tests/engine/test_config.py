@@ -29,11 +29,28 @@ def test_a_document_of_another_version_is_an_error() -> None:
         (TrainConfig, "sh_degree", 4),
         (CountConfig, "threshold", 1.0),
         (CountConfig, "diameter", -0.08),
+        (CountConfig, "diameter", 0.0),
+        (CountConfig, "diameter", float("inf")),
+        (CountConfig, "diameter", float("nan")),
+        (SceneConfig, "downscale", float("inf")),
+        (TrainConfig, "checkpoint_every", 0),
+        (TrainConfig, "densify_every", 0),
+        (TrainConfig, "seed", -1),
     ],
 )
 def test_a_senseless_setting_is_an_error_that_names_it(stage: type, setting: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=setting.replace("_", "-")):
+    stage_name = stage.__name__.removesuffix("Config").lower()
+    with pytest.raises(ConfigError, match=rf"--{stage_name}\.{setting.replace('_', '-')} is {value}; use "):
         stage(**{setting: value})
+
+
+@pytest.mark.parametrize("stage", [SceneConfig, TrainConfig, CountConfig])
+def test_every_number_has_a_range_that_leaves_out_nan_and_what_is_negative(stage: type) -> None:
+    numbers = [setting for setting in dataclasses.fields(stage) if not isinstance(setting.default, str)]
+    for setting in numbers:
+        for value in (float("nan"), float("inf"), -1):
+            with pytest.raises(ConfigError, match=setting.name.replace("_", "-")):
+                stage(**{setting.name: value})
 
 
 def test_a_stage_key_follows_its_settings() -> None:
