@@ -72,7 +72,7 @@ def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[
             which = f"none of the model's {len(paths)} photos"
         else:
             which = f"{len(missing)} of the model's {len(paths)} photos not"
-        raise SceneError(f"{which} found; first {missing[0]}; put them there, or give the folder that they are in")
+        raise SceneError(f"{which} found; first {missing[0]}; put them there")
     return paths
 
 

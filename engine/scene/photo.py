@@ -18,6 +18,9 @@ from .lens import Lens, source_map, view_of
 from .orientation import up_direction
 from .resample import look_up, shrink
 
+LEAST_SIDE = 8
+"""Photos with fewer pixels a side, after downscaling, are refused."""
+
 _DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
 
 _UPRIGHT: dict[int, Image.Transpose] = {
@@ -167,7 +170,7 @@ def posed_photos(
     fits, its EXIF orientation is applied; otherwise EXIF orientation is ignored, as COLMAP does.
 
     Raises:
-        SceneError: the photo or mask is not a picture, or its shape is not its camera's.
+        SceneError: the photo or mask is not a picture, its shape is not its camera's, or it has too few pixels.
     """
     header = read_header(path)
     turn = None
@@ -187,7 +190,12 @@ def posed_photos(
                 "make the mask for this photo"
             )
     skyward = np.array([*_SKYWARD.get(1 if turn is not None else header.orientation, (0.0, -1.0)), 0.0])
-    width, height = max(round(width / downscale), 1), max(round(height / downscale), 1)
+    width, height = round(width / downscale), round(height / downscale)
+    if min(width, height) < LEAST_SIDE:
+        raise SceneError(
+            f"{path} is read with {width}x{height} pixels, too few to count on; give photos, and a"
+            f" --scene.downscale, that leave at least {LEAST_SIDE} a side"
+        )
     posed = []
     for face in lens.faces:
         view = view_of(lens, face, width, height)

@@ -49,9 +49,14 @@ def test_an_uneven_resize_averages_exact_areas() -> None:
     np.testing.assert_allclose(shrink(row, 2, 1)[0, :, 0], [(10 + 10) / 1.5, (10 + 60) / 1.5], rtol=1e-6)
 
 
+def test_a_photo_with_too_few_pixels_to_count_on_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"a\.png is read with 8x6 pixels, too few.*--scene\.downscale.*8 a side"):
+        pose(save(tmp_path / "a.png", PIXELS), downscale=4)
+
+
 def test_a_ramp_stays_in_place_under_an_uneven_downscale(tmp_path: Path) -> None:
-    lens = Lens("PINHOLE", (100.0, 100.0, 60.0, 5.0), 120, 10)
-    ramp = np.repeat(np.repeat(np.arange(120, dtype=np.uint8)[None, :, None] * 2, 10, axis=0), 3, axis=2)
+    lens = Lens("PINHOLE", (100.0, 100.0, 60.0, 15.0), 120, 30)
+    ramp = np.repeat(np.repeat(np.arange(120, dtype=np.uint8)[None, :, None] * 2, 30, axis=0), 3, axis=2)
     posed = pose(save(tmp_path / "ramp.png", ramp), lens, downscale=2.7)
     width = posed.camera.width
     centers = (np.arange(width) + 0.5) * 120 / width  # of the new pixels, in old ones
