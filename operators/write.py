@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -116,13 +117,19 @@ def save_blend(path: Path) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Blender's own code prints "Saved copy as" with the temporary name; in a command's output that would mislead."""
+    """Blender's own code prints "Saved copy as" with the temporary name; in a command's output that would mislead.
+
+    It prints by way of C's buffer, which is emptied before and after, or it would come out later where it is a file.
+    """
+    libc = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
     sys.stdout.flush()
+    libc.fflush(None)
     kept = os.dup(1)
     try:
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 1)
         yield
     finally:
+        libc.fflush(None)
         os.dup2(kept, 1)
         os.close(kept)
