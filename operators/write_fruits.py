@@ -10,6 +10,7 @@ import bmesh
 import bpy
 import numpy as np
 
+from ..engine.report.words import object_name
 from .blender_data import OWNER, linear_from_srgb, new_object, owned_collection, owned_objects, remove_objects
 
 if TYPE_CHECKING:
@@ -17,12 +18,10 @@ if TYPE_CHECKING:
 
 LABEL_HUES = {
     "apple": 0.0,
-    "banana": 0.14,
-    "blueberry": 0.64,
     "cherry": 0.96,
     "fruit": 0.06,
-    "grape": 0.77,
     "lemon": 0.15,
+    "mango": 0.11,
     "orange": 0.08,
     "peach": 0.05,
     "pear": 0.19,
@@ -71,7 +70,7 @@ def fruit_color(fruit: Fruit) -> tuple[float, float, float, float]:
 
 
 def _name(fruit: Fruit, bpy_scene: bpy.types.Scene) -> str:
-    name = f"{fruit.label}.{fruit.id:03d}"
+    name = object_name(fruit)
     # Taken, by another Blender scene's fruit or by the user: Blender would count on and give a name with another id.
     return name if name not in bpy.data.objects else f"{bpy_scene.name} {name}"
 

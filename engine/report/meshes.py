@@ -9,7 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
-from ..counting.fruit import Fruit, FruitCount
+from ..counting.fruit import FruitCount
+from .words import object_name
 
 _PALETTE_STEP = 0.61803398875
 """Golden ratio: neighbouring ids get hues that are far apart."""
@@ -24,11 +25,6 @@ def id_color(fruit_id: int) -> tuple[int, int, int]:
     channels = 0.55 + 0.42 * np.cos(2 * np.pi * (hue - np.array([0.0, 1 / 3, 2 / 3])))
     red, green, blue = (int(value) for value in np.round(channels * 255))
     return (red, green, blue)
-
-
-def object_name(fruit: Fruit) -> str:
-    """Name of a fruit's object in every format, for example `apple.001`."""
-    return f"{fruit.label.replace(' ', '_')}.{fruit.id:03d}"
 
 
 def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -12,8 +13,10 @@ _PACKAGES = ("numba", "numpy", "pycolmap", "scikit-learn", "scipy", "torch")
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that do arithmetic."""
-    found = {"python": platform.python_version(), "machine": platform.machine()}
+    """Versions of FruitLangs, of Python and of the packages that do arithmetic."""
+    # By relative name: inside Blender the root package is called bl_ext.….fruitlangs and is not installed.
+    root = importlib.import_module("...", __package__)
+    found = {"fruitlangs": root.__version__, "python": platform.python_version(), "machine": platform.machine()}
     for package in _PACKAGES:
         try:
             found[package] = metadata.version(package)

@@ -1,24 +1,36 @@
 """`fruits.json`: the file other programs rely on, written last and checked when it is read.
 
 Its `files` hold the SHA-256 of every other file of the set, so a torn set is noticed. `scene.blend` is not a
-function of its input (Blender writes memory addresses), so it carries `set_id` as a scene property instead.
+function of its input (Blender writes memory addresses), so it carries `set_id` as a scene property instead and stands
+in `unhashed_files`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..counting.fruit import AuditEntry, Fruit, FruitCount
 from ..errors import FormatError, OutputError
 from ..files import file_hash, text_hash
+from .words import place
 
 SCHEMA = "fruitlangs.fruits/1"
 FRUITS_JSON = "fruits.json"
 BLEND = "scene.blend"
+
+_NUMBER = (int, float)
+_FIELDS: dict[str, dict[str, Any]] = {
+    "document": {"set_id": str, "fruits": list, "config": dict, "files": dict, "provenance": dict}
+    | {"metres_per_unit": (*_NUMBER, type(None))},
+    "provenance": {"source": str, "inputs_sha256": str, "encoder": str, "training": dict, "prompts": list},
+    "training": {"psnr": (*_NUMBER, type(None)), "ssim": (*_NUMBER, type(None))},
+    "fruit": {"id": int, "label": str, "center": list, "diameter": _NUMBER},
+}
+"""What a reader relies on: {part: {field: its type}}."""
 
 
 def set_id(files: Mapping[str, str]) -> str:
@@ -32,11 +44,13 @@ def fruits_document(
     config: Mapping[str, Any],
     provenance: Mapping[str, Any],
     files: Mapping[str, str],
+    unhashed_files: Sequence[str] = (),
     metres_per_unit: float | None,
 ) -> dict[str, Any]:
     """The content of fruits.json.
 
     Lengths are metres when metres_per_unit is known, else scene units; centres are always in the input scene's frame.
+    unhashed_files: names of the set's files that are not in `files`.
     """
     unit = 1.0 if metres_per_unit is None else metres_per_unit
     return {
@@ -56,6 +70,7 @@ def fruits_document(
         },
         "config": dict(config),
         "files": dict(sorted(files.items())),
+        "unhashed_files": sorted(unhashed_files),
         "provenance": dict(provenance),
     }
 
@@ -76,7 +91,8 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
 
 def _audit_entry(entry: AuditEntry) -> dict[str, Any]:
     document = dataclasses.asdict(entry)
-    document["center"] = [round(float(value), 6) for value in entry.center]
+    center = place(entry)
+    document["center"] = None if center is None else [round(float(value), 6) for value in center]
     document["fruit_ids"] = list(entry.fruit_ids)
     return document
 
@@ -96,7 +112,7 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
 
     Raises:
         OutputError: there is no fruits.json, or a file of the set is missing or belongs to another run.
-        FormatError: fruits.json is not of a schema this version reads.
+        FormatError: fruits.json is not of a schema this version reads, or lacks a field that a reader relies on.
     """
     path = folder / FRUITS_JSON
     if not path.is_file():
@@ -104,15 +120,31 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         schema = document["schema"]
-        files: dict[str, str] = document["files"]
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path} is not a results file ({error}); count again into this folder") from error
     if schema != SCHEMA:
         raise FormatError(f"{path} has schema {schema!r}; this version reads {SCHEMA!r}")
+    _check_fields(document, "document", path)
+    _check_fields(document["provenance"], "provenance", path)
+    _check_fields(document["provenance"]["training"], "training", path)
+    for fruit in document["fruits"]:
+        _check_fields(fruit, "fruit", path)
+        if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
+            raise FormatError(f"{path}: the centre of fruit {fruit['id']} is not three numbers; count again")
     if verify:
-        for name, expected in files.items():
+        for name, expected in document["files"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != expected:
                 raise OutputError(
                     f"{folder / name} is missing or not of the same run as {FRUITS_JSON}; count again into this folder"
                 )
     return document
+
+
+def _check_fields(content: Any, part: str, path: Path) -> None:
+    """Raise FormatError unless `content` is an object with the fields of that part in their types."""
+    for field, kind in _FIELDS[part].items():
+        if not isinstance(content, dict) or field not in content or not isinstance(content[field], kind):
+            raise FormatError(
+                f"{path} is damaged: the field '{field}' of its {part} is missing or of a wrong type; count again "
+                "into this folder"
+            )

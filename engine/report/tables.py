@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
+from .words import nothing_found
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -32,9 +33,18 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
 
 
 def summary(
-    fruit_count: FruitCount, *, prompt: str, metres_per_unit: float | None, seconds: Mapping[str, float], rows: int = 10
+    fruit_count: FruitCount,
+    *,
+    prompt: str,
+    threshold: float,
+    metres_per_unit: float | None,
+    seconds: Mapping[str, float],
+    rows: int = 10,
 ) -> str:
-    """The table a person reads at the end of a run: the count, its sizes, its first fruit, and seconds by stage."""
+    """The table a person reads at the end of a run: the count, its sizes, its first fruit, and seconds by stage.
+
+    threshold: the probability that was asked for, which explains a zero.
+    """
     unit, scale = ("units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
     lines = [f"{prompt}: {fruit_count.count} visible fruit"]
     if fruit_count.fruits:
@@ -43,9 +53,7 @@ def summary(
         if fruit_count.count > rows:
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
     else:
-        lines.append(
-            f"  nothing reached the threshold; the highest probability seen is {fruit_count.max_probability:.2f}"
-        )
+        lines.append(f"  {nothing_found(fruit_count, threshold)}")
         lines += [f"  {entry.verdict}: {entry.reason}" for entry in fruit_count.audit[:rows]]
     lines += ["", "  " + "  ".join(f"{stage} {value:.1f} s" for stage, value in seconds.items())]
     return "\n".join(lines)

@@ -1,15 +1,23 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 
 from fruitlangs.engine.errors import OutputError
+from fruitlangs.engine.language.vocabulary import FRUITS
 from fruitlangs.operators.blender_data import get_attribute
 from fruitlangs.operators.write import save_blend, write_blend, write_result
+from fruitlangs.operators.write_fruits import LABEL_HUES
 from fruitlangs.operators.write_points import write_points
 from fruitlangs.operators.write_root import looked_at, write_root
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 def written(counted):
@@ -237,6 +245,25 @@ def test_gaussians_of_the_sky_are_hidden_and_kept(counted):
     places = [np.array(one.matrix_world.translation) for one in evaluated.object_instances if one.is_instance]
     assert np.linalg.norm(places, axis=1).max() < 100
     assert len(bpy.data.objects["Gaussians"].data.vertices) == 20
+
+
+def test_saving_prints_nothing_even_where_stdout_is_a_file(tmp_path):
+    script = f"""
+import sys
+sys.path.insert(0, {str(SCRIPTS)!r})
+import _checkout
+from pathlib import Path
+from fruitlangs.operators.write import save_blend
+save_blend(Path({str(tmp_path)!r}) / "scene.blend")
+print("saved")
+"""
+    with (tmp_path / "log").open("w") as log:
+        subprocess.run([sys.executable, "-c", script], stdout=log, check=True)
+    assert (tmp_path / "log").read_text() == "saved\n"
+
+
+def test_every_fruit_the_encoder_knows_has_a_hue_of_its_own():
+    assert set(LABEL_HUES) == {*FRUITS, "fruit"}
 
 
 def test_an_unwritable_place_is_an_error_and_leaves_the_old_file(counted, tmp_path):

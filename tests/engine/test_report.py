@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color, write_glb, write_points_ply
 from fruitlangs.engine.report.results import dump, fruits_document, read_results
 from fruitlangs.engine.report.tables import fruits_csv, summary
+from fruitlangs.engine.report.words import nothing_found
 
 
 def fruit(number: int, x: float) -> Fruit:
@@ -53,12 +57,21 @@ NO_FRUIT = FruitCount(
 )
 
 
+PROVENANCE = {
+    "source": "photos",
+    "inputs_sha256": "00",
+    "encoder": "test",
+    "prompts": ["red apple"],
+    "training": {"psnr": 21.5, "ssim": None},
+}
+
+
 def write_set(folder: Path, fruit_count: FruitCount) -> None:
     write_text(folder / "fruits.csv", fruits_csv(fruit_count, metres_per_unit=None))
     document = fruits_document(
         fruit_count,
         config={},
-        provenance={"source": "photos"},
+        provenance=PROVENANCE,
         files={"fruits.csv": file_hash(folder / "fruits.csv")},
         metres_per_unit=None,
     )
@@ -90,7 +103,21 @@ def test_no_fruit_is_a_count_of_zero_that_says_how_near_it_came(tmp_path: Path) 
     assert document["count"] == 0
     assert document["fruits"] == []
     assert document["audit"]["max_probability"] == 0.31
-    assert "0.31" in summary(NO_FRUIT, prompt="pear", metres_per_unit=None, seconds={})
+    assert "0.31" in summary(NO_FRUIT, prompt="pear", threshold=0.5, metres_per_unit=None, seconds={})
+
+
+def test_a_zero_blames_the_threshold_only_where_nothing_reached_it() -> None:
+    clusters = [AuditEntry(number, "dropped", "flat", (1.0, 2.0, 3.0), 40) for number in range(3)]
+    dust = AuditEntry(3, "dropped", "9 clusters are too small", (0.0, 0.0, 0.0), 12)
+    refused = dataclasses.replace(NO_FRUIT, max_probability=0.9, audit=[*clusters, dust])
+    assert nothing_found(NO_FRUIT, 0.5).startswith("nothing reached the threshold 0.50")
+    assert nothing_found(refused, 0.5) == "3 clusters reached the threshold 0.50, none has the form of a fruit"
+    assert nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5) == dust.reason
+
+
+def test_an_audit_entry_without_a_place_has_no_centre() -> None:
+    document = fruits_document(NO_FRUIT, config={}, provenance={}, files={}, metres_per_unit=None)
+    assert document["audit"]["clusters"][0]["center"] is None
 
 
 def test_a_file_of_another_run_is_noticed(tmp_path: Path) -> None:
@@ -104,6 +131,42 @@ def test_a_damaged_fruits_json_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "fruits.json").write_text('{"schema": ')
     with pytest.raises(FormatError, match="not a results file"):
         read_results(tmp_path)
+
+
+def without(*keys: str) -> Callable[[Any], None]:
+    def change(document: Any) -> None:
+        for key in keys[:-1]:
+            document = document[key]
+        del document[keys[-1]]
+
+    return change
+
+
+def with_value(key: str, value: object) -> Callable[[Any], None]:
+    return lambda document: document.update({key: value})
+
+
+@pytest.mark.parametrize(
+    ("damage", "field"),
+    [
+        (without("config"), "config"),
+        (without("fruits"), "fruits"),
+        (without("provenance"), "provenance"),
+        (without("provenance", "training"), "training"),
+        (without("provenance", "training", "psnr"), "psnr"),
+        (with_value("files", []), "files"),
+        (with_value("metres_per_unit", "1"), "metres_per_unit"),
+        (with_value("fruits", [3]), "fruit"),
+        (lambda document: document["fruits"][0].update(center=[1.0, None, 2.0]), "centre of fruit 1"),
+    ],
+)
+def test_a_fruits_json_that_lacks_a_field_names_it(damage: Callable[[Any], None], field: str, tmp_path: Path) -> None:
+    write_set(tmp_path, two_fruit())
+    document = json.loads((tmp_path / "fruits.json").read_text())
+    damage(document)
+    (tmp_path / "fruits.json").write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=field):
+        read_results(tmp_path, verify=False)
 
 
 def test_a_number_that_is_not_finite_is_never_written() -> None:
@@ -129,7 +192,7 @@ def test_the_table_has_one_row_a_fruit_and_names_its_unit() -> None:
 def test_the_glb_holds_one_named_mesh_a_fruit_with_up_along_y(tmp_path: Path) -> None:
     write_glb(tmp_path / "fruits.glb", two_fruit(), up=np.array([0.0, 0.0, 1.0]))
     scene = trimesh.load(tmp_path / "fruits.glb")
-    assert sorted(scene.geometry) == ["red_apple.001", "red_apple.002"]
+    assert sorted(scene.geometry) == ["red apple.001", "red apple.002"]
     low, high = scene.bounds
     # z = -1 in the scene is y = -1 in glTF
     assert (low[1] + high[1]) / 2 == pytest.approx(-1.0, abs=1e-3)

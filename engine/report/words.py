@@ -1,0 +1,28 @@
+"""What fruit are called and how a zero is explained: the same words in files, the terminal and Blender."""
+
+from __future__ import annotations
+
+from ..counting.fruit import AuditEntry, Fruit, FruitCount
+
+
+def object_name(fruit: Fruit) -> str:
+    """Name of a fruit's object in every format, for example `apple.001` or `red apple.001`."""
+    return f"{fruit.label}.{fruit.id:03d}"
+
+
+def place(entry: AuditEntry) -> tuple[float, float, float] | None:
+    """Centre of an audited cluster; None for an entry about many or none, whose centre is a bare (0, 0, 0)."""
+    return entry.center if any(entry.center) else None
+
+
+def nothing_found(fruit_count: FruitCount, threshold: float) -> str:
+    """Why there is no fruit: nothing reached `threshold`, or what reached it has not the form of a fruit."""
+    highest = fruit_count.max_probability
+    if highest < threshold:
+        return f"nothing reached the threshold {threshold:.2f}; the highest probability is {highest:.2f}"
+    clusters = sum(place(entry) is not None for entry in fruit_count.audit)
+    if clusters == 1:
+        return f"1 cluster reached the threshold {threshold:.2f}, it has not the form of a fruit"
+    if clusters:
+        return f"{clusters} clusters reached the threshold {threshold:.2f}, none has the form of a fruit"
+    return "; ".join(entry.reason for entry in fruit_count.audit)
