@@ -44,6 +44,7 @@ from .splatting.ply import read_ply, write_ply
 from .splatting.train import train
 
 GAUSSIANS, FEATURES, CAMERAS, PICTURES = "gaussians.ply", "features.safetensors", "cameras.json", "pictures"
+_DAY = 86_400.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,8 @@ class Result:
     """What a run leaves in memory beside its files.
 
     probability: (N,) that a Gaussian belongs to the prompt; seconds by stage; reused: stages that an earlier run had
-    done; set_id names this set of result files; files: their paths, fruits.json last.
+    done; notices: what the user should know though the run went well; set_id names this set of result files; files:
+    their paths, fruits.json last.
     """
 
     scene: Scene
@@ -77,8 +79,10 @@ class Result:
     probability: Tensor
     fruit_count: FruitCount
     origin: Mapping[str, Any]
+    config: Config
     seconds: Mapping[str, float]
     reused: Sequence[str]
+    notices: Sequence[str]
     out: Path
     set_id: str = ""
     files: Sequence[Path] = ()
@@ -89,11 +93,12 @@ Writer = Callable[[Path, Result], None]
 
 
 class _Stages:
-    """The clock of a run: seconds by stage, and which stages an earlier run had done."""
+    """The log of a run: seconds by stage, which stages an earlier run had done, and what the user should know."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.reused: list[str] = []
+        self.notices: list[str] = []
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -110,26 +115,31 @@ def count_scene(
     negatives: Sequence[str] = (),
     config: Config = Config(),  # noqa: B008 (frozen)
     writers: Mapping[str, Writer] | None = None,
+    keep: Path | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
 
     Args:
-        source: a COLMAP model with its images, a transforms.json folder, or an earlier result folder.
+        source: a COLMAP model with its images, a transforms.json or its folder, or an earlier result folder.
         prompts: what to count; fitting any of them is enough.
         negatives: what must not be counted, beside what the encoder contrasts by itself.
         writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
+        keep: a file that stays although it belongs to the earlier result, such as the .blend a person has open.
 
     Raises:
+        OutputError: among others, `out` is the folder of the photos: it would be taken for a result from then on.
         FruitLangsError: something the user can act on; earlier results in `out` are then as they were.
         Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
     """
     encoder = open_encoder(config.embed)
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
-    require_writable(out / "cache")
     stages = _Stages()
     if (source / FRUITS_JSON).is_file():
         made = _reopen(source, encoder, config, stages)
+        require_writable(out / "cache")
+    elif out.resolve() == (source.parent if source.is_file() else source).resolve():
+        raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
     else:
         made = _reconstruct(source, out / "cache", encoder, config, stages, part(progress, 0.0, 0.9))
     with stages.timed("count"):
@@ -149,12 +159,14 @@ def count_scene(
         probability=probability,
         fruit_count=fruit_count,
         origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives)},
+        config=made.config,
         seconds=stages.seconds,
         reused=stages.reused,
+        notices=stages.notices,
         out=out,
     )
     progress(0.97, "writing results")
-    result = _publish(result, made, writers or {}, stages)
+    result = _publish(result, made, writers or {}, keep, stages)
     progress(1.0, "done")
     return result
 
@@ -171,6 +183,7 @@ def _reconstruct(
     with stages.timed("scene"):
         scene = read_scene(source, config.scene, progress=part(progress, 0.0, 0.03))
         inputs = scene_hash(source)
+    require_writable(cache)
     train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
     gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
     with stages.timed("train"):
@@ -264,8 +277,10 @@ def _reopen(folder: Path, encoder: Encoder, config: Config, stages: _Stages) -> 
         photos = Path(origin["source"])
         # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
         with suppress(FruitLangsError):
-            if photos.is_dir() and scene_hash(photos) == origin["inputs_sha256"]:
+            if scene_hash(photos) == origin["inputs_sha256"]:
                 scene = read_scene(photos, stored.scene)
+        if not scene.images:
+            stages.notices.append(f"the photos at {photos} are gone or have changed: no pictures were made")
     stages.reused += ["train", "embed"]
     return Reconstruction(
         scene=scene,
@@ -279,10 +294,12 @@ def _reopen(folder: Path, encoder: Encoder, config: Config, stages: _Stages) -> 
     )
 
 
-def _publish(result: Result, made: Reconstruction, writers: Mapping[str, Writer], stages: _Stages) -> Result:
+def _publish(
+    result: Result, made: Reconstruction, writers: Mapping[str, Writer], keep: Path | None, stages: _Stages
+) -> Result:
     """Make every file in a staging folder, then move the set into place, fruits.json last."""
     staging = result.out / "cache" / f"publish-{os.getpid()}"
-    shutil.rmtree(staging, ignore_errors=True)
+    _remove_dead(staging)
     (staging / PICTURES).mkdir(parents=True)
     try:
         with stages.timed("report"):
@@ -296,11 +313,12 @@ def _publish(result: Result, made: Reconstruction, writers: Mapping[str, Writer]
             config=dataclasses.asdict(made.config),
             provenance={**result.origin, "versions": versions(), **run_stamp(stages.seconds)},
             files=files,
+            unhashed_files=list(writers),
             metres_per_unit=result.scene.metres_per_unit,
         )
         write_text(staging / FRUITS_JSON, dump(document))
         names = [*hashed, *writers, FRUITS_JSON]
-        _move_into_place(staging, result.out, names)
+        _move_into_place(staging, result.out, names, keep)
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{result.out} cannot be written ({reason}); free space or choose another --out") from error
@@ -325,13 +343,32 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     return names + [f"{PICTURES}/{path.name}" for path in pictures]
 
 
-def _move_into_place(staging: Path, out: Path, names: Sequence[str]) -> None:
-    """Replace the old set by the new one; what the new set does not have is removed, so that no old picture remains."""
+def _remove_dead(staging: Path) -> None:
+    """Remove the staging folders that killed runs left: this process's own, and any that nobody wrote to for a day."""
+    for folder in staging.parent.glob("publish-*"):
+        with suppress(FileNotFoundError):
+            if folder == staging or time.time() - folder.stat().st_mtime > _DAY:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _move_into_place(staging: Path, out: Path, names: Sequence[str], keep: Path | None) -> None:
+    """Replace the old set by the new one; what the new set does not have is removed, so that no old picture remains.
+
+    A scene.blend goes only where the old fruits.json lists it: another one is the user's own.
+    """
     (out / PICTURES).mkdir(exist_ok=True)
     stale = [path for path in (out / PICTURES).glob("view_*.png") if f"{PICTURES}/{path.name}" not in names]
-    if BLEND not in names:
-        stale.append(out / BLEND)
+    blend = out / BLEND
+    if BLEND not in names and _lists_blend(out) and (keep is None or keep.resolve() != blend.resolve()):
+        stale.append(blend)
     for path in stale:
         path.unlink(missing_ok=True)
     for name in names:
         os.replace(staging / name, out / name)
+
+
+def _lists_blend(out: Path) -> bool:
+    """Whether the result in `out`, if there is a sound one, wrote its scene.blend itself."""
+    with suppress(FruitLangsError):
+        return BLEND in read_results(out, verify=False).get("unhashed_files", ())
+    return False

@@ -113,7 +113,9 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     if result.count:
         box.label(text=f"Mean diameter {result.mean_diameter:.3g} {result.unit}")
     else:
-        draw_text(box, f"Nothing came above probability {result.max_probability:.2f}.", context)
+        draw_text(box, result.zero_reason, context)
+    if result.notices:
+        draw_text(box, result.notices, context)
     draw_text(box, result.folder, context)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from ..engine.report.words import nothing_found
 from .blender_data import owned_object
 from .jobs import JobOperator, Work, running
 from .settings import read_config, read_prompts, read_words, result_folder, source_folder, stored_path
@@ -42,8 +44,11 @@ class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
         source, out = source_folder(settings), result_folder(settings)
         prompts, negatives = read_prompts(settings), read_words(settings.negative)
         config = read_config(settings)
+        opened = Path(bpy.data.filepath) if bpy.data.filepath else None
         self._target = Target(context.scene)
-        return lambda progress: count_scene(source, prompts, out, negatives=negatives, config=config, progress=progress)
+        return lambda progress: count_scene(
+            source, prompts, out, negatives=negatives, config=config, keep=opened, progress=progress
+        )
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)
@@ -67,7 +72,8 @@ def keep_result(settings: Any, result: Any) -> None:
     shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
     shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * (metres_per_unit or 1.0)
     shown.unit = "m" if metres_per_unit else "scene units"
-    shown.max_probability = fruit_count.max_probability
+    shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, result.config.count.threshold)
+    shown.notices = "; ".join(result.notices)
     shown.cameras, shown.points = len(result.scene.cameras), len(result.scene.points)
     shown.folder = stored_path(result.out)
 
@@ -76,7 +82,7 @@ def count_text(shown: Any) -> str:
     """'apple: 7, mean diameter 0.081 m'."""
     if shown.count:
         return f"{shown.label}: {shown.count}, mean diameter {shown.mean_diameter:.3g} {shown.unit}"
-    return f"{shown.label}: 0, nothing came above probability {shown.max_probability:.2f}"
+    return f"{shown.label}: 0, {shown.zero_reason}"
 
 
 CLASSES = (FRUITLANGS_OT_count,)

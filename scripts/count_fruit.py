@@ -8,7 +8,6 @@ Exit code 0: counted (a counted 0 included); 1: could not, with one line that sa
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,16 +50,16 @@ class Arguments:
 
 
 def blend_writer(wanted: bool) -> dict[str, Writer]:
-    """The writer of scene.blend where bpy is there."""
+    """The writer of scene.blend where bpy can be imported; that is tried at once, not at the end of a long run."""
     if not wanted:
         return {}
-    if importlib.util.find_spec("bpy") is None:
-        print("scene.blend is left out: the package bpy is not installed (pip install bpy)", file=sys.stderr)
+    try:
+        from fruitlangs.operators.write import write_blend
+    except ImportError as error:
+        print(f"scene.blend is left out: bpy cannot be imported ({error}); pip install bpy", file=sys.stderr)
         return {}
 
     def write(path: Path, result: Result) -> None:
-        from fruitlangs.operators.write import write_blend
-
         write_blend(path, result.scene, result.gaussians, result.probability, result.fruit_count, set_id=result.set_id)
 
     return {"scene.blend": write}
@@ -85,6 +84,7 @@ def main() -> None:
     text = summary(
         result.fruit_count,
         prompt=" or ".join(arguments.prompt),
+        threshold=arguments.count.threshold,
         metres_per_unit=result.scene.metres_per_unit,
         seconds=result.seconds,
     )
@@ -94,6 +94,8 @@ def main() -> None:
         print(f"  held-out photos: PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}")
     if result.reused:
         print(f"  reused from an earlier run: {', '.join(result.reused)}")
+    for notice in result.notices:
+        print(f"  note: {notice}")
     print("\nwritten:")
     for path in result.files:
         print(f"  {path}")

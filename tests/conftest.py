@@ -2,9 +2,38 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
 
 import _checkout  # noqa: F401
+
+SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orchard_tree"
+
+
+@pytest.fixture(scope="session")
+def few_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight small photos of the sample with a transforms.json: a real scene that is trained and counted in seconds."""
+    from fruitlangs.engine.scene.read import read_scene
+
+    folder = tmp_path_factory.mktemp("few") / "photos"
+    folder.mkdir()
+    sample = read_scene(SAMPLE)
+    frames = []
+    for camera, photo in list(zip(sample.cameras, sample.images, strict=True))[::8]:
+        Image.fromarray(photo.pixels()).resize((camera.width // 4, camera.height // 4)).save(folder / photo.name)
+        pose = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        lens = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
+        size = {"w": camera.width // 4, "h": camera.height // 4}
+        intrinsics = {name: value / 4 for name, value in lens.items()}
+        frames.append({"file_path": photo.name, "transform_matrix": pose.tolist(), **intrinsics, **size})
+    trimesh.PointCloud(sample.points[:2000], sample.colors[:2000]).export(folder / "points.ply")
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames, "ply_file_path": "points.ply"}))
+    return folder

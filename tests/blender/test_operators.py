@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import sys
 import types
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import bpy
 import pytest
 
+from fruitlangs.engine.config import Config
 from fruitlangs.engine.errors import SceneError
 
 
@@ -26,7 +28,7 @@ def engine(monkeypatch, counted, tmp_path):
         if calls.error:
             raise calls.error
         values = dict(zip(("scene", "gaussians", "probability", "fruit_count"), counted.parts(), strict=True))
-        return types.SimpleNamespace(**values, out=out, set_id="f00")
+        return types.SimpleNamespace(**values, config=Config(), notices=["no pictures"], out=out, set_id="f00")
 
     for name, function in (("scene.read", read_scene), ("pipeline", count_scene)):
         module = types.ModuleType(f"fruitlangs.engine.{name}")
@@ -77,7 +79,15 @@ def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings,
     result = settings.result
     assert (result.count, result.label, result.unit) == (3, "apple", "scene units")
     assert result.mean_diameter == pytest.approx(0.2)
+    assert result.notices == "no pictures"
     assert bpy.context.scene["fruitlangs_set_id"] == "f00"
+    assert options["keep"] is None
+
+
+def test_a_count_never_removes_the_open_file(engine, settings, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.fruitlangs.count()
+    assert engine.count[0][3]["keep"] == tmp_path / "scene.blend"
 
 
 def test_a_count_without_fruit_is_a_counted_zero(engine, settings, counted_with, monkeypatch):
@@ -89,13 +99,16 @@ def test_a_count_without_fruit_is_a_counted_zero(engine, settings, counted_with,
             scene=none.scene,
             gaussians=none.gaussians,
             probability=none.probability,
-            fruit_count=none.fruit_count,
+            fruit_count=dataclasses.replace(none.fruit_count, max_probability=0.3),
+            config=Config(),
+            notices=[],
             out=out,
             set_id="f00",
         ),
     )
     bpy.ops.fruitlangs.count()
     assert (settings.result.count, settings.result.label) == (0, "apple")
+    assert "reached the threshold" in settings.result.zero_reason
 
 
 def test_a_failure_is_a_report_and_leaves_the_last_result(engine, settings):

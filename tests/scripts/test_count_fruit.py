@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -15,14 +16,16 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "examples" / "orchard_tree"
 SMALL = ["--scene.downscale", "4", "--train.max-gaussians", "8000", "--no-blend"]
+TINY = ["--train.steps", "20", "--train.max-gaussians", "3000", "--no-blend"]
 
 
 def command(*arguments: str | Path) -> list[str]:
     return [sys.executable, str(ROOT / "scripts" / "count_fruit.py"), *map(str, arguments)]
 
 
-def count(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(*arguments), capture_output=True, text=True, check=False)
+def count(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, **environment}
+    return subprocess.run(command(*arguments), capture_output=True, text=True, check=False, env=environment)
 
 
 def copy_of_sample(folder: Path) -> Path:
@@ -101,7 +104,7 @@ def test_a_bad_scene_is_one_clear_line_and_exit_1(make, tmp_path: Path) -> None:
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("error: ")
     assert culprit in done.stderr
-    assert not (tmp_path / "out" / "fruits.json").exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_unknown_word_is_one_clear_line_that_names_the_nearest(tmp_path: Path) -> None:
@@ -117,6 +120,72 @@ def test_an_output_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Pat
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
     assert "file" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def first(few_photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The result folder of a real run and what it printed."""
+    out = tmp_path_factory.mktemp("first")
+    return out, count(few_photos, "--prompt", "fruit", "--out", out, *TINY)
+
+
+def test_a_count_prints_its_table_and_the_files_it_wrote(first) -> None:
+    out, done = first
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("fruit: ")
+    assert "held-out photos: PSNR" in done.stdout
+    written = [Path(line.strip()) for line in done.stdout.partition("written:\n")[2].splitlines()]
+    assert written[-1] == out / "fruits.json"
+    assert len(written) >= 7
+    assert all(path.is_file() for path in written)
+    assert json.loads((out / "fruits.json").read_text())["provenance"]["prompts"] == ["fruit"]
+
+
+@pytest.mark.parametrize("scene", ["photos", "result"])
+def test_a_second_prompt_says_what_it_reused(first, few_photos: Path, scene: str, tmp_path: Path) -> None:
+    out = shutil.copytree(first[0], tmp_path / "out")
+    done = count(few_photos if scene == "photos" else out, "--prompt", "leaf", "--out", out, *TINY)
+    assert done.returncode == 0, done.stderr
+    assert "reused from an earlier run: train, embed" in done.stdout
+
+
+def test_a_scene_blend_is_written_where_bpy_is(first, tmp_path: Path) -> None:
+    pytest.importorskip("bpy")
+    done = count(first[0], "--prompt", "apple", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert str(tmp_path / "scene.blend") in done.stdout
+    assert (tmp_path / "scene.blend").stat().st_size > 0
+    assert json.loads((tmp_path / "fruits.json").read_text())["unhashed_files"] == ["scene.blend"]
+
+
+def test_a_bpy_that_cannot_be_imported_costs_the_blend_and_says_why(first, tmp_path: Path) -> None:
+    (tmp_path / "bpy.py").write_text('raise ImportError("libX11.so.6 is missing")')
+    done = count(first[0], "--prompt", "apple", "--out", tmp_path / "out", PYTHONPATH=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "scene.blend is left out" in done.stderr
+    assert "libX11.so.6 is missing" in done.stderr
+    assert not (tmp_path / "out" / "scene.blend").exists()
+
+
+def test_pictures_that_cannot_be_made_are_told_at_the_end(first, tmp_path: Path) -> None:
+    out = shutil.copytree(first[0], tmp_path / "out")
+    content = json.loads((out / "fruits.json").read_text())
+    content["provenance"]["source"] = "/gone/photos"
+    (out / "fruits.json").write_text(json.dumps(content))
+    done = count(out, "--prompt", "apple", "--out", out, "--no-blend")
+    assert "note: the photos at /gone/photos are gone" in done.stdout
+
+
+@pytest.mark.skipif("FRUITLANGS_BLENDER" not in os.environ, reason="set FRUITLANGS_BLENDER to a Blender program")
+def test_blender_runs_the_same_script(first, tmp_path: Path) -> None:
+    blender = [os.environ["FRUITLANGS_BLENDER"], "-b", "--factory-startup", "--python-exit-code", "1", "-P"]
+    arguments = [*command(first[0], "--prompt", "apple", "--out", tmp_path)[1:]]
+    done = subprocess.run(
+        [*blender, arguments[0], "--", *arguments[1:]], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "apple: " in done.stdout
+    assert (tmp_path / "scene.blend").is_file()
 
 
 def wait_for_checkpoint(out: Path, process: subprocess.Popen[str]) -> None:
