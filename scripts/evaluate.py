@@ -2,23 +2,25 @@
 
     python scripts/evaluate.py RESULT_DIR… --truth truth.json
 
-Prints one row a result folder and matching radius (in mean true diameters). F1 is against visible fruit; a prediction
-on any other true fruit is ignored.
+Prints one row a result folder and matching radius (in mean true diameters). F1 is against visible fruit of the
+counted kinds; a prediction on another true fruit of them is ignored.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from fruitlangs.engine.errors import FruitLangsError
+from fruitlangs.engine.errors import FruitLangsError, VocabularyError
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.language.vocabulary import parse
 from fruitlangs.engine.report.results import read_results
 
 RADII = (0.5, 1.0)
@@ -33,7 +35,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("results", nargs="+", type=Path, metavar="RESULT_DIR", help="folder with a fruits.json")
     parser.add_argument("--truth", type=Path, required=True, help="truth.json of the scene that was counted")
-    parser.add_argument("--label", help="measure against true fruit of this label only (default: the counted label)")
+    parser.add_argument("--label", help="measure against true fruit of this word only (default: the counted prompts)")
     arguments = parser.parse_args(argv)
     try:
         rows = [row for folder in arguments.results for row in measure(folder, arguments.truth, arguments.label)]
@@ -48,12 +50,24 @@ def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str
     """One row of cells a matching radius for a result folder."""
     document = read_results(folder, verify=False)
     fruits = document["fruits"]
-    counted = {fruit["label"].split()[-1] for fruit in fruits}  # "red apple" counts apples
-    truth = read_truth(truth_file, label or (counted.pop() if len(counted) == 1 else None))
+    truth = read_truth(truth_file, labels([label] if label else document["provenance"]["prompts"]))
     unit = document["metres_per_unit"] or 1.0
     centers = np.array([fruit["center"] for fruit in fruits], dtype=np.float64).reshape(-1, 3)
     diameters = np.array([fruit["diameter"] / unit for fruit in fruits], dtype=np.float64)
     return [cells(folder.name, count_metrics(centers, diameters, truth, radius)) for radius in RADII]
+
+
+def labels(prompts: Sequence[str]) -> set[str]:
+    """Labels of true fruit that satisfy any of the prompts, whatever their colour: "red apple" counts apples.
+
+    Raises:
+        VocabularyError: a prompt names no thing.
+    """
+    phrases = [parse(prompt) for prompt in prompts]
+    for phrase in phrases:
+        if not phrase.concepts:
+            raise VocabularyError(f"the prompt '{phrase.text}' names no fruit to measure against; give --label")
+    return {concept for phrase in phrases for concept in phrase.concepts}
 
 
 def cells(name: str, metrics: CountMetrics) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,15 +33,17 @@ class Truth:
         return float(chosen.mean()) if len(chosen) else float("nan")
 
 
-def read_truth(path: Path, label: str | None = None) -> Truth:
-    """Read `truth.json`; with `label`, only fruit of that label (every label when it is None or "fruit").
+def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
+    """Read `truth.json`; with `labels`, only fruit of these.
 
     Raises:
-        FormatError: the file is missing, is not JSON, or a fruit lacks a field or holds a number that is not finite.
+        FormatError: the file is missing, is not JSON, a fruit lacks a field or holds a number that is not finite, or
+            its fruit have none of `labels`.
     """
     try:
         listed = json.loads(Path(path).read_text(encoding="utf-8"))["fruits"]
-        fruits = [fruit for fruit in listed if label in (None, "fruit", fruit["label"])]
+        found = {fruit["label"] for fruit in listed}
+        fruits = [fruit for fruit in listed if labels is None or fruit["label"] in labels]
         truth = Truth(
             centers=np.array([fruit["center"] for fruit in fruits], dtype=np.float64).reshape(-1, 3),
             diameters=np.array([fruit["diameter"] for fruit in fruits], dtype=np.float64),
@@ -53,6 +56,11 @@ def read_truth(path: Path, label: str | None = None) -> Truth:
         raise FormatError(f"{path}: field {error} is missing; make the scene again") from error
     except (ValueError, TypeError) as error:
         raise FormatError(f"{path}: not a truth.json ({error}); make the scene again") from error
+    if labels is not None and found and found.isdisjoint(labels):
+        raise FormatError(
+            f"{path}: there is no true {' or '.join(sorted(labels))}, only {', '.join(sorted(found))}; "
+            "give the truth of the scene that was counted"
+        )
     if not (np.isfinite(truth.centers).all() and np.isfinite(truth.diameters).all()):
         raise FormatError(f"{path}: a centre or a diameter is not a finite number; make the scene again")
     return truth

@@ -102,8 +102,10 @@ def test_truth_is_read_by_label(tmp_path: Path) -> None:
         for label in ("apple", "pear")
     ]
     (tmp_path / "truth.json").write_text(json.dumps({"fruits": fruits}))
-    assert len(read_truth(tmp_path / "truth.json", "pear").centers) == 1
-    assert len(read_truth(tmp_path / "truth.json", "fruit").centers) == 2
+    assert len(read_truth(tmp_path / "truth.json", {"pear", "plum"}).centers) == 1
+    assert len(read_truth(tmp_path / "truth.json").centers) == 2
+    with pytest.raises(FormatError, match="no true plum, only apple, pear"):
+        read_truth(tmp_path / "truth.json", {"plum"})
 
 
 def test_truth_with_a_centre_that_is_no_number_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,60 @@
+"""Measuring a result folder: against the truth of what was counted, and of nothing else."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+
+import pytest
+
+
+def measured(folder: Path, prompts: list[str], *flags: str) -> int:
+    """Exit code of evaluate.py on two fruit counted by `prompts`, in a truth of an apple, a pear and a plum."""
+    names, places = ("apple", "pear", "plum"), ([0, 0, 0], [1, 0, 0], [2, 0, 0])
+    true = [
+        {"label": name, "center": place, "diameter": 0.1, "visible": True, "visible_fraction": 1.0}
+        for name, place in zip(names, places, strict=True)
+    ]
+    (folder / "truth.json").write_text(json.dumps({"fruits": true}))
+    label = " or ".join(prompts)
+    found = [{"id": k + 1, "label": label, "center": places[k], "diameter": 0.1} for k in range(2)]
+    training = {"psnr": None, "ssim": None}
+    provenance = {"source": "", "inputs_sha256": "", "encoder": "", "training": training, "prompts": prompts}
+    document = {"schema": "fruitlangs.fruits/1", "set_id": "", "fruits": found, "config": {}, "files": {}}
+    content = {**document, "metres_per_unit": None, "provenance": provenance}
+    (folder / "fruits.json").write_text(json.dumps(content))
+    return importlib.import_module("evaluate").main([str(folder), "--truth", str(folder / "truth.json"), *flags])
+
+
+def visible(printed: str) -> str:
+    """The number of visible true fruit in the table's first row."""
+    return printed.splitlines()[1].split()[3]
+
+
+@pytest.mark.parametrize(
+    ("prompts", "true"), [(["apple", "pear"], "2"), (["red apple"], "1"), (["apples"], "1"), (["fruit"], "3")]
+)
+def test_a_count_is_measured_against_every_thing_its_prompts_name(prompts, true, tmp_path, capsys) -> None:
+    assert measured(tmp_path, prompts) == 0
+    assert visible(capsys.readouterr().out) == true
+
+
+@pytest.mark.parametrize(("prompts", "said"), [(["red"], "names no fruit"), (["lemon"], "no true lemon")])
+def test_prompts_without_any_true_fruit_are_an_error(prompts, said, tmp_path, capsys) -> None:
+    assert measured(tmp_path, prompts) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_a_label_goes_before_the_prompts(tmp_path, capsys) -> None:
+    assert measured(tmp_path, ["red"], "--label", "plum") == 0
+    assert visible(capsys.readouterr().out) == "1"
+
+
+def test_a_damaged_result_is_one_clear_line(tmp_path, capsys) -> None:
+    measured(tmp_path, ["apple"])
+    (tmp_path / "fruits.json").write_text('{"schema": "fruitlangs.fruits/1"}')
+    capsys.readouterr()
+    evaluate = importlib.import_module("evaluate")
+    assert evaluate.main([str(tmp_path), "--truth", str(tmp_path / "truth.json")]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
