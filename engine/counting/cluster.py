@@ -38,11 +38,13 @@ LEAST_SOLIDITY = 0.3
 """A fruit stops at least this share of the looks at its disc that nothing in front stops."""
 LEAST_PROBABILITY = 0.05
 """Least mean probability of what the views show of a fruit; its neighbours' leaves bleed into small ones."""
-LEAST_SHAPE = 0.5
+SOLIDITY_WEIGHT, COVERAGE_WEIGHT, SHAPE_BIAS = 8.0, 11.0, 8.3
+"""Of the logistic that weighs a sphere's form; fitted by hand to Gaussians trained on generated orchards."""
+LEAST_SHAPE = 0.7
 """Least probability of a fruit by its form."""
 SUREST = 0.7
 """The surest tenth of a fruit's points is at least this share of the threshold probable."""
-OVERLAP = 0.65
+OVERLAP = 0.8
 """Two fruit's centres are at least this many sums of their radii apart."""
 FIT_SD = 0.1
 """Deviation of log radius of single free fits to fruit of one size."""
@@ -129,13 +131,12 @@ class Judgement:
 def judge(points: SurfacePoints, spheres: Spheres, owners: IntArray, looks: Looks) -> Judgement:
     """Weigh F spheres by what the views see of them and by their points' probabilities; owners: (P,).
 
-    Half-leaf phantoms are seen through and covered from few directions. The logistic's weights were fitted on trained
-    Gaussians of generated orchards; solidity is relative to that of the scene's well covered spheres, because it
-    depends on how opaque training made the Gaussians.
+    Half-leaf phantoms are seen through and covered from few directions. Solidity is relative to that of the scene's
+    well covered spheres, because it depends on how opaque training made the Gaussians.
     """
     well = looks.solidity[spheres.coverage > 0.5]
     usual = float(np.median(well)) if len(well) else 1.0
-    score = 8.0 * looks.solidity / max(usual, 0.1) + 11.0 * spheres.coverage - 8.3
+    score = SOLIDITY_WEIGHT * looks.solidity / max(usual, 0.1) + COVERAGE_WEIGHT * spheres.coverage - SHAPE_BIAS
     surest = [np.quantile(points.probabilities[owners == index], 0.9) for index in range(len(spheres))]
     return Judgement(1.0 / (1.0 + np.exp(-score)), np.array(surest))
 

@@ -49,7 +49,9 @@ def count_fruit(
     visibility: Visibility | None = None,
     progress: Progress = silent,
 ) -> FruitCount:
-    """Count the fruit that the Gaussians with a probability (N,) of at least `config.threshold` make up.
+    """Count the fruit that the Gaussians with a probability (N,) near or above `config.threshold` make up.
+
+    Where a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well.
 
     visibility: how the cameras see the Gaussians, where it is known already; rendered otherwise. Fruit are numbered
     from 1, from top to bottom as the cameras stand. A prompt that no Gaussian satisfies is a count of 0 with one audit

@@ -167,6 +167,8 @@ def covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:
 
 def share_out(shares: FloatArray, budget: int) -> IntArray:
     """Whole numbers (N,) that sum to `budget`, proportional to non-negative `shares` (N,), by largest remainder."""
+    if len(shares) == 0:
+        return np.zeros(0, np.int64)
     total = shares.sum()
     exact = shares * (budget / total) if total > 0 else np.full(len(shares), budget / len(shares))
     counts = np.floor(exact).astype(np.int64)

@@ -26,7 +26,7 @@ from ..errors import EncoderError
 from .colours import colour_words
 from .encoders import Question
 from .network import Network, logits_at
-from .vocabulary import COLOURS, CONCEPTS, FRUITS, SURROUNDINGS, Phrase, parse
+from .vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-1"
@@ -124,7 +124,8 @@ class EmbeddedEncoder:
     def questions(self, prompt: str) -> Sequence[Question]:
         """For a fruit: is it fruit rather than surroundings, and is it this kind rather than another.
 
-        For another thing: is it this rather than anything else. For a colour: is it this rather than another.
+        For another thing: is it this rather than anything else. For a colour: is it this rather than another; of fruit,
+        rather than another that fruit have.
         """
         phrase, fit = parse(prompt), self.calibration
         asked = []
@@ -135,7 +136,12 @@ class EmbeddedEncoder:
         elif phrase.concepts:
             asked.append(_question(phrase.concepts, CONCEPTS, CONCEPTS))
         if phrase.colours:
-            asked.append(_question(phrase.colours, COLOURS, COLOURS))
+            of_fruit = (
+                bool(phrase.concepts)
+                and set(phrase.concepts) <= set(FRUITS)
+                and set(phrase.colours) <= set(FRUIT_COLOURS)
+            )
+            asked.append(_question(phrase.colours, FRUIT_COLOURS if of_fruit else COLOURS, COLOURS))
         return asked
 
     def kinds(self) -> Tensor:

@@ -19,6 +19,8 @@ CONCEPTS = FRUITS + SURROUNDINGS
 """What a pixel can be; exactly one of them."""
 COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "white", "grey", "black")
 """What a pixel can look like; exactly one of them."""
+FRUIT_COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink")
+"""What is said of fruit: one in shade is brown or black to look at, and red to speak of."""
 
 _GENERAL = {"fruit": FRUITS, "plant": ("leaf", "branch", "trunk", "grass"), "ground": ("soil", "grass")}
 _SYNONYMS = {

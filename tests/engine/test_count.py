@@ -181,6 +181,12 @@ def test_a_given_diameter_is_used(small: sim.Simulation) -> None:
     assert f1_of(small, result) >= 0.85
 
 
+def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
+    result = counted(small, dataclasses.replace(CONFIG, diameter=1e-6))
+    assert result.count == 0
+    assert "larger than a fruit of diameter 1e-06" in result.audit[0].reason
+
+
 def test_the_template_method_finds_separate_fruit() -> None:
     tree = sim.simulate(sim.Setting(fruit=10, sheets=0, floaters=0, leaves=0, views=12), seed=2)
     assert f1_of(tree, counted(tree, dataclasses.replace(CONFIG, method="template"))) >= 0.85
