@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -37,14 +38,17 @@ class Passes:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Send what Blender's C code prints to stdout nowhere."""
+    """Send what Blender's C code prints to stdout nowhere, what C still holds back in its buffer included."""
+    libc = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
     sys.stdout.flush()
+    libc.fflush(None)
     kept = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     try:
         yield
     finally:
+        libc.fflush(None)
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)

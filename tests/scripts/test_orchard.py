@@ -265,6 +265,19 @@ def test_truth_is_the_same_bytes_for_the_same_seed(scene: Path, tmp_path: Path) 
 
 
 @needs_bpy
+@pytest.mark.skipif(sys.platform == "win32", reason="finds C's puts as POSIX does")
+def test_what_c_prints_while_quiet_is_lost_even_where_stdout_is_a_file(tmp_path: Path) -> None:
+    code = (
+        "import ctypes, sys; sys.path.insert(0, sys.argv[1]); from orchard.render import quiet\n"
+        "puts = ctypes.CDLL(None).puts; puts(b'before')\nwith quiet(): puts(b'while')\nputs(b'after')"
+    )
+    command = [sys.executable, "-c", code, str(SCRIPT.parent)]
+    with (tmp_path / "log").open("w") as log:
+        subprocess.run(command, stdout=log, timeout=300, check=True)
+    assert (tmp_path / "log").read_text().split() == ["before", "after"]
+
+
+@needs_bpy
 def test_truth_counts_the_pixels_of_the_instance_masks(scene: Path) -> None:
     truth = json.loads((scene / "truth.json").read_text())
     for stem in ("001", "002", "003"):
