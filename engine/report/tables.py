@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import nothing_found
+from .words import nothing_found, place
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -54,7 +54,8 @@ def summary(
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
     else:
         lines.append(f"  {nothing_found(fruit_count, threshold)}")
-        lines += [f"  {entry.verdict}: {entry.reason}" for entry in fruit_count.audit[:rows]]
+        clusters = [entry for entry in fruit_count.audit if place(entry) is not None]
+        lines += [f"  {entry.verdict}: {entry.reason}" for entry in clusters[:rows]]
     lines += ["", "  " + "  ".join(f"{stage} {value:.1f} s" for stage, value in seconds.items())]
     return "\n".join(lines)
 

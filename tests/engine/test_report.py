@@ -115,6 +115,11 @@ def test_a_zero_blames_the_threshold_only_where_nothing_reached_it() -> None:
     assert nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5) == dust.reason
 
 
+def test_the_table_gives_the_reason_of_a_zero_once() -> None:
+    text = summary(NO_FRUIT, prompt="pear", threshold=0.5, metres_per_unit=None, seconds={})
+    assert len([line for line in text.splitlines() if "probability" in line]) == 1
+
+
 def test_an_audit_entry_without_a_place_has_no_centre() -> None:
     document = fruits_document(NO_FRUIT, config={}, provenance={}, files={}, metres_per_unit=None)
     assert document["audit"]["clusters"][0]["center"] is None
