@@ -54,14 +54,12 @@ def upright_matrix(scene: Scene) -> FloatArray:
 
 def looked_at(scene: Scene) -> FloatArray:
     """(3,) the point nearest to all viewing rays by least squares; the points' median where the rays are parallel."""
+    from ..engine.scene.camera import axes_equations
+
     fallback = np.median(scene.points, axis=0) if len(scene.points) else np.zeros(3)
     if not len(scene.cameras):
         return fallback
-    # A ray c + t·d is at distance |(I - ddᵀ)(p - c)| of p: solve the normal equations of their sum of squares.
-    directions = np.stack([camera.forward for camera in scene.cameras])
-    centers = np.stack([camera.center for camera in scene.cameras])
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    normal = across.sum(axis=0)
+    normal, right = axes_equations(scene.cameras)
     if np.linalg.cond(normal) > 1e4:
         return fallback
-    return np.linalg.solve(normal, (across @ centers[:, :, None]).sum(axis=0)[:, 0])
+    return np.linalg.solve(normal, right)

@@ -91,3 +91,14 @@ class Scene:
         """Radius of the cameras about their mean, times 1.1 (3DGS's scene extent), in scene units."""
         centers = np.stack([camera.center for camera in self.cameras])
         return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max() * 1.1)
+
+
+def axes_equations(cameras: Sequence[Camera]) -> tuple[FloatArray, FloatArray]:
+    """(3, 3) matrix and (3,) right side that the point nearest to all viewing axes, by least squares, solves.
+
+    The axis c + t·d is at distance |(I - ddᵀ)(p - c)| of p. With parallel axes the matrix is singular.
+    """
+    centers = np.stack([camera.center for camera in cameras])
+    axes = np.stack([camera.forward for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    return across.sum(0), (across @ centers[:, :, None]).sum(0)[:, 0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import TrainingError
-from ..scene.camera import Scene
+from ..scene.camera import Scene, axes_equations
 from .gaussians import SH_C0, Gaussians
 from .photos import PhotoShelf
 
@@ -101,10 +101,9 @@ def _looked_at(scene: Scene) -> tuple[Points, float]:
     centers = np.stack([camera.center for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
     guess = centers.mean(0) + axes.mean(0) * camera_spread(scene)
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    left = across.sum(0) + 0.01 * len(cameras) * np.eye(3)
-    right = (across @ centers[:, :, None]).sum(0)[:, 0] + 0.01 * len(cameras) * guess
-    center = np.linalg.solve(left, right)
+    left, right = axes_equations(cameras)
+    pull = 0.01 * len(cameras)
+    center = np.linalg.solve(left + pull * np.eye(3), right + pull * guess)
     return center, 0.7 * float(np.linalg.norm(centers - center, axis=1).mean())
 
 
