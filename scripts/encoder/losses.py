@@ -10,7 +10,7 @@ from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 from .pictures import NOT_FRUIT
 
 
-def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 0.5) -> Tensor:
+def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 1.0) -> Tensor:
     """Cross-entropy of (B, K, H, W) logits against (B, H, W) labels.
 
     A pixel known only as no fruit asks for the sum of the surroundings' probabilities. Every word counts by the root of
