@@ -38,6 +38,14 @@ scenes were held out from it.
 
 {runs}
 
+The commands of such a run, and of calibrating its weights on rendered walks that were counted, each with the
+`gaussians.ply` of its count beside its `sparse/` (CONTRIBUTING.md has every step):
+
+    python scripts/make_orchard.py --scenes 1300:1347 --out RENDERS
+    python scripts/train_encoder.py --renders RENDERS --photos PHOTOS --steps 6000 --out NEW/embedded.safetensors
+    python scripts/train_encoder.py --renders RENDERS --photos PHOTOS --lifted WALKS --steps 0 \\
+        --start NEW/embedded.safetensors --out CALIBRATED/embedded.safetensors
+
 Calibrations were fitted on the held-out renders, the validation photos and the rendered walks, so the calibration error
 and the overlap of Gaussians are of the data they were fitted on.
 Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they
