@@ -110,6 +110,8 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         "error_model": "numpy",
         "nogil": True,
         "cache": CACHE_FOLDER is not None,
+        # Whether LLVM inlines a callee must not depend on whether it comes from the cache: sums would round otherwise.
+        "forceinline": not options.get("parallel", False),
     }
     with _cached_in_our_folder():
         try:

@@ -41,6 +41,18 @@ print(all((values == 200).all() for values in arrays))
 """
 
 
+TRAINING = """
+import hashlib
+from pathlib import Path
+from fruitlangs.engine.config import SceneConfig, TrainConfig
+from fruitlangs.engine.scene.read import read_scene
+from fruitlangs.engine.splatting.train import train
+example = Path(compiled.__file__).parents[1] / "examples" / "orchard_tree"
+gaussians = train(read_scene(example, SceneConfig(downscale=4)), TrainConfig(steps=25)).gaussians
+print(hashlib.sha256(gaussians.means.numpy().tobytes()).hexdigest())
+"""
+
+
 def python(folder: Path, program: str, **environment: str) -> str:
     """What a program that declares a kernel prints."""
     (folder / "program.py").write_text(PROGRAM + program)
@@ -86,3 +98,8 @@ def test_a_function_without_a_file_is_compiled_without_cache(tmp_path: Path) -> 
 def test_other_users_of_numba_keep_their_cache_folder(tmp_path: Path) -> None:
     program = "import numba\nbefore = numba.config.CACHE_DIR\ncompiled.njit(lambda x: x)\n"
     assert python(tmp_path, program + "print(numba.config.CACHE_DIR == before)") == "True"
+
+
+def test_the_run_that_compiles_trains_to_the_same_bytes_as_later_ones(tmp_path: Path) -> None:
+    first, later = (python(tmp_path, TRAINING, NUMBA_CACHE_DIR=str(tmp_path / "kernels")) for _ in range(2))
+    assert first == later
