@@ -17,12 +17,9 @@ REQUIRED = {
     "trimesh": "trimesh",
     "scipy": "scipy",
     "sklearn": "scikit-learn",
-    "skimage": "scikit-image",
     "PIL": "pillow",
-    "tqdm": "tqdm",
-    "tyro": "tyro",
 }
-"""{module: pip package}."""
+"""{module: pip package} of what the panel needs; the command line also needs tyro and tqdm, and says so."""
 
 
 def missing_packages() -> list[str]:

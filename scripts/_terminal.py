@@ -14,11 +14,14 @@ from fruitlangs.engine.progress import Progress, silent
 
 
 def import_tyro() -> ModuleType:
-    """tyro, or exit 1 with the command that installs it into this Python."""
+    """tyro, or exit 1 with the command that installs what a terminal needs into this Python."""
     try:
+        import tqdm  # noqa: F401
         import tyro
-    except ImportError:
-        sys.exit(f'the package tyro is missing in this Python; run: "{sys.executable}" -m pip install tyro')
+    except ImportError as error:
+        sys.exit(
+            f'the package {error.name} is missing in this Python; run: "{sys.executable}" -m pip install tqdm tyro'
+        )
     return tyro
 
 
