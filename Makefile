@@ -4,6 +4,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon
+SCRIPT_PACKAGES := orchard encoder
+SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py)))
 
 .PHONY: demo test lint types pytest extension clean
 
@@ -20,6 +22,7 @@ lint: $(READY)
 types: $(READY)
 	mkdir -p .types && ln -sfn "$(CURDIR)" .types/fruitlangs
 	MYPYPATH=.types $(BIN)/mypy $(addprefix -p fruitlangs.,$(PACKAGES))
+	MYPYPATH=.types:scripts $(BIN)/mypy $(addprefix -p ,$(SCRIPT_PACKAGES)) $(addprefix -m ,$(SCRIPTS))
 
 pytest: $(READY)
 	$(BIN)/python -m pytest

@@ -178,7 +178,8 @@ def train(network: Network, material: Material, options: Options) -> int:
     """Adam with a one-cycle learning rate; leaves the averaged weights in `network`. Returns the steps taken."""
     rng = np.random.default_rng([options.seed, 1])
     batches = ahead(material, options)
-    network.to(memory_format=torch.channels_last).train()
+    torch.nn.Module.to(network, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network.train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=1e-3, fused=True)
     average = torch.optim.swa_utils.AveragedModel(network, avg_fn=_moving_average, use_buffers=True)
     autocast = torch.autocast("cpu", torch.bfloat16) if options.bf16 else nullcontext()

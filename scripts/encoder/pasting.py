@@ -15,6 +15,7 @@ from .pictures import IGNORED, Box, Labels, Picture
 
 ALPHA_SHARE = 0.92
 LABEL_SHARE = 0.78
+TURNS = (None, Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180)
 """Of a photo's box: how much of its ellipse is pasted, and how much of that is surely fruit."""
 
 
@@ -96,7 +97,7 @@ def paste(
     Returns the pasted place, None when the cutout does not fit.
     """
     image, marks = Image.fromarray(cutout.pixels), Image.fromarray(cutout.labels)
-    turn = rng.choice([None, Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180])
+    turn = TURNS[rng.integers(len(TURNS))]
     if turn is not None:
         image, marks = image.transpose(turn), marks.transpose(turn)
     scale = size / max(image.size)

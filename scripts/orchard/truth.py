@@ -60,7 +60,7 @@ def silhouette_pixels(view: Viewpoint, mesh: Mesh) -> int:
         return 0
     corners = pixels[mesh.triangles]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    area: FloatArray = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     # A closed surface is covered twice: the half that turns one way is enough.
     a, b, c = a[area > 0], b[area > 0], c[area > 0]
     covered = np.zeros((high[1] - low[1], high[0] - low[0]), dtype=bool)
