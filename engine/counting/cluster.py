@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
 from .sample import SurfacePoints, turn_towards
-from .sphere import REACH, Spheres, fit_spheres, neighborhoods, on_sphere
+from .sphere import CORE, REACH, Spheres, fit_spheres, neighborhoods, on_sphere
 from .visibility import Looks, Picture, look_at
 
 FloatArray = NDArray[np.float64]
@@ -233,7 +233,7 @@ def cover(points: SurfacePoints, tree: cKDTree, spheres: Spheres, merit: FloatAr
     owners = np.full(len(points), -1, np.int64)
     near = neighborhoods(tree, spheres.centers, 1.35 * spheres.radii, 4 * NEIGHBORS)
     on, error, _, distance = on_sphere(points, near, spheres.centers, spheres.radii)
-    inside = (near >= 0) & (distance < 0.65 * spheres.radii[:, None])
+    inside = (near >= 0) & (distance < CORE * spheres.radii[:, None])
     value = on * np.clip(1.0 - np.abs(error) / (0.35 * spheres.radii[:, None]), 0.0, 1.0)
     own = value.sum(axis=1)
     heap = [(-own[index] * spheres.shell[index] * merit[index], index) for index in range(len(spheres))]

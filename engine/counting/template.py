@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from sklearn.cluster import DBSCAN, KMeans
 
 from ..progress import Progress, silent
-from .cluster import Clusters
+from .cluster import NEIGHBORS, Clusters
 from .sample import SurfacePoints
-from .sphere import Spheres, evidence, neighborhoods, unit_directions
+from .sphere import REACH, Spheres, evidence, neighborhoods, unit_directions
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,7 +56,7 @@ def split_by_template(points: SurfacePoints, diameter: float, *, seed: int, prog
     components[components < 0] = count
     places = np.array(centers).reshape(-1, 3)
     radii = np.full(len(places), diameter / 2.0)
-    near = neighborhoods(tree, places, 1.6 * radii, 384)
+    near = neighborhoods(tree, places, REACH * radii, NEIGHBORS)
     spheres = evidence(points, near, places, radii, 0.1 * radii) if len(places) else Spheres.empty()
     likely = np.array([points.probabilities[owners == index].mean() for index in range(len(places))])
     return Clusters(points.positions, spheres, owners, components, likely, refusals)
