@@ -42,7 +42,7 @@ SOLIDITY_WEIGHT, COVERAGE_WEIGHT, SHAPE_BIAS = 8.0, 11.0, 8.3
 """Of the logistic that weighs a sphere's form; fitted by hand to Gaussians trained on generated orchards."""
 LEAST_SHAPE = 0.7
 """Least probability of a fruit by its form."""
-SUREST = 0.7
+SUREST = 0.5
 """The surest tenth of a fruit's points is at least this share of the threshold probable."""
 OVERLAP = 0.8
 """Two fruit's centres are at least this many sums of their radii apart."""

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAST_OPACITY = 0.05
-FAINT = 0.5
+FAINT = 1.0 / 3.0
 """Share of the threshold from which a Gaussian may add to a fruit whose surer Gaussians come near the threshold."""
 SIZING_POINTS = 20_000
 LARGEST_SCALE = 0.5

@@ -156,7 +156,7 @@ def test_a_faint_fruit_counts_where_a_part_of_it_is_sure(sure: float, seen: int)
     tree = sim.simulate(sim.Setting(fruit=3, sheets=0, floaters=0, leaves=0, views=8), seed=3)
     distance = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1)
     on_fruit = distance < 0.6 * tree.truth.diameters[0]
-    faint = np.where(np.random.default_rng(0).random(len(on_fruit)) < sure, 0.9, 0.3)
+    faint = np.where(np.random.default_rng(0).random(len(on_fruit)) < sure, 0.9, 0.2)
     result = counted(dataclasses.replace(tree, probability=np.where(on_fruit, faint, tree.probability)))
     assert result.count == 2 + seen
 
