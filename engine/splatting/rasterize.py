@@ -30,8 +30,11 @@ from .projection_kernels import (
 )
 from .tiling_kernels import depth_order, fill_tiles, list_pairs, pair_starts
 
-NEAR, NEAR_DISTANCE = 0.01, 2.5
-"""A camera with a quarter of the Gaussians within 2.5 units draws nothing nearer than 0.01 (see `near_plane`)."""
+NEAR, NEAR_DISTANCE = 0.2, 2.5
+"""A camera with a quarter of the Gaussians within 2.5 units draws nothing nearer than 0.2, as 3DGS (see `near_plane`).
+
+Nearer still, a single stray Gaussian hides the whole photo from a camera that training did not use.
+"""
 LIFTED_AT_ONCE = 64
 """Channels of a target that `accumulate` sums in one go over the image."""
 
@@ -94,8 +97,8 @@ def camera_values(camera: Camera) -> NDArray[np.float32]:
 def near_plane(means: Tensor, camera: Camera) -> float:
     """The depth, in scene units, up to which a camera draws nothing.
 
-    About 1/250 of the distance within which it has a quarter of the Gaussians: 0.01 × 2ᵏ for 2.5 × 2ᵏ. Whole powers of
-    two, so that it stays while Gaussians move, come and go.
+    About a twelfth of the distance within which it has a quarter of the Gaussians: 0.2 × 2ᵏ for 2.5 × 2ᵏ. Whole powers
+    of two, so that it stays while Gaussians move, come and go.
     """
     if len(means) == 0:
         return NEAR
