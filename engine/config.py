@@ -68,7 +68,7 @@ class SceneConfig(_Checked):
 class TrainConfig(_Checked):
     """How Gaussians are trained from the photos."""
 
-    steps: int = _number(3000, 1, 10_000_000)
+    steps: int = _number(4000, 1, 10_000_000)
     """Optimiser steps, one photo each."""
     max_gaussians: int = _number(100_000, 1, 100_000_000)
     """Densification stops at this many Gaussians."""
