@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from fruitlangs.engine.config import TrainConfig
+
 ROOT = Path(__file__).resolve().parents[2]
 BLENDER = os.environ.get("FRUITLANGS_BLENDER")
 
@@ -107,7 +109,7 @@ def test_blender_validates_installs_and_enables_the_zip(zip_path, tmp_path):
     script.write_text(
         "import bpy\n"
         "assert 'bl_ext.user_default.fruitlangs' in bpy.context.preferences.addons\n"
-        "assert bpy.context.scene.fruitlangs.config.train.steps == 3000\n"
+        f"assert bpy.context.scene.fruitlangs.config.train.steps == {TrainConfig().steps}\n"
         "assert not bpy.ops.fruitlangs.count.poll()\n"
         "bpy.ops.preferences.addon_disable(module='bl_ext.user_default.fruitlangs')\n"
         "assert not hasattr(bpy.types.Scene, 'fruitlangs')\n"
