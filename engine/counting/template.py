@@ -58,7 +58,9 @@ def split_by_template(points: SurfacePoints, diameter: float, *, seed: int, prog
     radii = np.full(len(places), diameter / 2.0)
     near = neighborhoods(tree, places, REACH * radii, NEIGHBORS)
     spheres = evidence(points, near, places, radii, 0.1 * radii) if len(places) else Spheres.empty()
-    likely = np.array([points.probabilities[owners == index].mean() for index in range(len(places))])
+    owned = np.bincount(owners[owners >= 0], minlength=len(places))
+    summed = np.bincount(owners[owners >= 0], points.probabilities[owners >= 0], minlength=len(places))
+    likely = summed / np.maximum(owned, 1)
     return Clusters(points.positions, spheres, owners, components, likely, refusals)
 
 

@@ -129,19 +129,16 @@ class EmbeddedEncoder:
         """
         phrase, fit = parse(prompt), self.calibration
         asked = []
-        if phrase.concepts and set(phrase.concepts) <= set(FRUITS):
+        of_fruit = bool(phrase.concepts) and set(phrase.concepts) <= set(FRUITS)
+        if of_fruit:
             asked.append(_question(FRUITS, SURROUNDINGS, CONCEPTS, fit.temperature, fit.bias))
             if phrase.concepts != FRUITS:
                 asked.append(_question(phrase.concepts, FRUITS, CONCEPTS, fit.kind_temperature))
         elif phrase.concepts:
             asked.append(_question(phrase.concepts, CONCEPTS, CONCEPTS))
         if phrase.colours:
-            of_fruit = (
-                bool(phrase.concepts)
-                and set(phrase.concepts) <= set(FRUITS)
-                and set(phrase.colours) <= set(FRUIT_COLOURS)
-            )
-            asked.append(_question(phrase.colours, FRUIT_COLOURS if of_fruit else COLOURS, COLOURS))
+            against = FRUIT_COLOURS if of_fruit and set(phrase.colours) <= set(FRUIT_COLOURS) else COLOURS
+            asked.append(_question(phrase.colours, against, COLOURS))
         return asked
 
     def kinds(self) -> Tensor:

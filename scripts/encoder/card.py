@@ -33,8 +33,8 @@ Words: {words}; colours, measured from the pixels and not learnt: {colours}.
   P ≥ 0.05); temperature {pixel_temperature:.3f}, bias {pixel_bias:.3f}; temperature of the kind of fruit
   {kind_temperature:.3f}.
 {lifted}
-Trained in {number} (a later run goes on from the weights of the earlier one); {held_out} renders of the last one's
-scenes were held out from it.
+Trained in {number} (a later run goes on from the weights of the earlier one, and is repeatable only from
+those); {held_out} renders of the last one's scenes were held out from it.
 
 {runs}
 
