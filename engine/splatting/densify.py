@@ -114,3 +114,17 @@ def reset_opacity(parameters: Parameters, highest: float) -> None:
     """Lower every opacity to at most `highest`, so that only Gaussians that the photos ask for come back."""
     parameters.values["opacity_logits"].clamp_(max=math.log(highest / (1.0 - highest)))
     parameters.forget("opacity_logits")
+
+
+def hold_sizes(parameters: Parameters, middle: Tensor, extent: float) -> None:
+    """Keep every Gaussian's standard deviations below its distance from `middle`, or below `extent` where it is nearer.
+
+    A Gaussian of the sky may be as large as it is far away. One that grows beyond that lies around the cameras, where
+    photos that training never saw show it as fog.
+    """
+    distances = (parameters.values["means"] - middle).norm(dim=1)
+    torch.minimum(
+        parameters.values["log_scales"],
+        distances.clamp_min(extent).log()[:, None],
+        out=parameters.values["log_scales"],
+    )

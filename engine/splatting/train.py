@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..errors import TrainingError
 from ..progress import Progress, silent
 from ..scene.camera import Scene
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
-from .densify import DensifyRules, Pulls, densify, reset_opacity
+from .densify import DensifyRules, Pulls, densify, hold_sizes, reset_opacity
 from .gaussians import Gaussians
 from .initialise import camera_spread, first_gaussians
 from .losses import photometric_loss, psnr, ssim
@@ -132,11 +133,11 @@ class Schedule:
     config: TrainConfig
     scene: Scene
 
-    @property
+    @cached_property
     def extent(self) -> float:
         return 1.1 * camera_spread(self.scene)
 
-    @property
+    @cached_property
     def middle(self) -> Tensor:
         return torch.from_numpy(np.stack([camera.center for camera in self.scene.cameras]).mean(0)).float()
 
@@ -203,6 +204,7 @@ def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedul
     degree = schedule.sh_degree(step)
     gradients, pulled, radii, loss = _gradients(state.parameters.gaussians(), picture, config, degree)
     state.parameters.update(gradients, schedule.rates(step), degree)
+    hold_sizes(state.parameters, schedule.middle, schedule.extent)
     state.pulls.add(pulled, radii, picture.camera.width, picture.camera.height)
     done = state.step
     if schedule.densifies(done):

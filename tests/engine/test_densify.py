@@ -13,7 +13,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).parent))
 from splats import random_gaussians
 
-from fruitlangs.engine.splatting.densify import DensifyRules, Pulls, densify, reset_opacity
+from fruitlangs.engine.splatting.densify import DensifyRules, Pulls, densify, hold_sizes, reset_opacity
 from fruitlangs.engine.splatting.parameters import NAMES, Parameters
 
 RULES = DensifyRules(gradient=0.5, max_gaussians=1000, small=0.08, opacity=0.005, oversize=10.0, extent=1.0)
@@ -120,3 +120,15 @@ def test_pulls_are_means_over_the_views_that_drew() -> None:
     pulls.add(torch.tensor([[0.3, 0.4], [0.0, 0.0]]), torch.tensor([2.0, 0.0]), 20, 20)
     pulls.add(torch.tensor([[0.0, 0.0], [0.0, 0.0]]), torch.tensor([2.0, 0.0]), 20, 20)
     torch.testing.assert_close(pulls.means, torch.tensor([2.5, 0.0]))
+
+
+def test_no_gaussian_grows_beyond_its_distance_or_the_extent_of_the_cameras() -> None:
+    parameters = Parameters.start(random_gaussians(40, 1, 0))
+    parameters.values["means"][:2] = torch.tensor([[30.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    before = parameters.values["log_scales"].clone()
+    parameters.values["log_scales"][:2] = 9.0
+    hold_sizes(parameters, MIDDLE, 2.0)
+    held = parameters.values["log_scales"]
+    torch.testing.assert_close(held[0].exp(), torch.full((3,), 30.0))
+    torch.testing.assert_close(held[1].exp(), torch.full((3,), 2.0))
+    assert torch.equal(held[2:], before[2:])
