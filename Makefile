@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-PACKAGES := engine operators fruitlangs_addon
+PACKAGES := engine operators fruitlangs_addon benchmarks
 SCRIPT_PACKAGES := orchard encoder
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py)))
 

@@ -62,6 +62,8 @@ class SceneConfig(_Checked):
 
     downscale: float = _number(1.0, 1, 100)
     """Divide the photos' width and height by this (2 = half size)."""
+    max_side: int = _number(1600, 0, LARGEST)
+    """Photos whose longer side has more pixels than this are made smaller, as 3DGS does; 0 takes them as they are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,16 +80,20 @@ class TrainConfig(_Checked):
     """Keep every n-th photo (in name order) out of training to measure quality; 0 trains on all."""
     ssim_weight: float = _number(0.2, 0, 1)
     """Weight of 1 - SSIM in the photometric loss; L1 has the rest."""
-    means_rate: float = _number(5e-4, 0, 10)
+    means_rate: float = _number(8e-4, 0, 10)
     """Learning rate of positions at the start, times the scene's extent; it falls to a hundredth."""
-    scales_rate: float = _number(2e-2, 0, 10)
+    scales_rate: float = _number(3.2e-2, 0, 10)
     """Learning rate of log scales."""
-    quats_rate: float = _number(1e-2, 0, 10)
+    quats_rate: float = _number(1.6e-2, 0, 10)
     """Learning rate of rotations."""
-    opacity_rate: float = _number(0.1, 0, 10)
+    opacity_rate: float = _number(0.16, 0, 10)
     """Learning rate of opacity logits."""
-    sh_rate: float = _number(5e-3, 0, 10)
+    sh_rate: float = _number(8e-3, 0, 10)
     """Learning rate of base colours; harmonics above move at a twentieth of it."""
+    coarse_until: float = _number(0.4, 0, 1)
+    """Share of the steps that are trained on photos of half the width and height."""
+    densify: Literal["gradient", "mcmc"] = "gradient"
+    """How Gaussians come and go: 'gradient' clones and splits where the photos pull (3DGS), 'mcmc' moves the dead."""
     densify_from: float = _number(0.05, 0, 1)
     """Share of the steps after which Gaussians are cloned and split."""
     densify_until: float = _number(0.6, 0, 1)
@@ -102,10 +108,60 @@ class TrainConfig(_Checked):
     """Gaussians fainter than this are removed when densifying."""
     reset_opacity_every: int = _number(0, 0, LARGEST)
     """Steps between two resets of all opacities, which clear floaters in long trainings; 0 for never."""
+    drop_unneeded: float = _number(0.0, 0, 1_000_000)
+    """Remove, when densification ends, what no photo shows with more than this many pixels' weight; 0 keeps all."""
+    pair_alpha: float = _number(1.0, 1, 255)
+    """The paper's τ in 1/255: a Gaussian is drawn in a tile only where its opacity there reaches it; 1 is exact."""
+    literal_pairs: bool = False
+    """Draw a Gaussian only in the tile of its centre, as the paper prints its eq. 3; for comparisons."""
+    antialiased: bool = False
+    """Fade Gaussians smaller than a pixel instead of widening them (Mip-Splatting)."""
+    exposure: bool = False
+    """Learn an affine change of colour for every photo, for light and white balance that vary."""
+    refine_poses: bool = False
+    """Move the cameras along with the Gaussians, for poses that the photos disagree with; those kept aside stay."""
+    forgive: float = _number(0.0, 0, 0.9)
+    """Share of each photo's pixels that are left out because they differ most, for leaves that moved."""
+    opacity_weight: float = _number(0.0, 0, 10)
+    """Weight of the mean opacity in the loss; clears haze."""
+    scale_weight: float = _number(0.0, 0, 10)
+    """Weight of the mean size in the loss, in the scene's extent."""
+    flatness_weight: float = _number(0.0, 0, 10)
+    """Weight of the mean thickness in the loss, in the scene's extent; flat Gaussians make better surfaces."""
+    load_weight: float = _number(0.0, 0, 0.99)
+    """Share of the loss that evens out how many Gaussians pixels blend (the paper's eq. 4; AdR-Gaussian has 0.41)."""
+    check_every: int = _number(0, 0, LARGEST)
+    """Steps between two measurements of the photos kept aside; 0 measures at the end only."""
+    patience: int = _number(0, 0, LARGEST)
+    """Stop when this many measurements in a row brought no 0.02 dB; 0 never stops early."""
     checkpoint_every: int = _number(500, 1, LARGEST)
     """Steps between two checkpoints."""
     seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice in training."""
+
+
+Preset = Literal["quick", "standard", "paper"]
+PRESETS: dict[Preset, TrainConfig] = {
+    "quick": TrainConfig(steps=400, max_gaussians=50_000, coarse_until=0.6),
+    "standard": TrainConfig(),
+    "paper": TrainConfig(
+        steps=30_000,
+        max_gaussians=200_000,
+        sh_degree=3,
+        coarse_until=0.0,
+        means_rate=1.6e-3,
+        scales_rate=5e-3,
+        quats_rate=1e-3,
+        opacity_rate=5e-2,
+        sh_rate=2.5e-3,
+        densify_from=0.016,
+        densify_until=0.5,
+        split_size=0.01,
+        reset_opacity_every=3000,
+    ),
+}
+"""Settings of training by name: a first look, the default, and the paper's 30,000 steps (its position rate of 1.6e-3,
+decaying, and harmonics of degree 3; what it leaves open as in 3DGS)."""
 
 
 @dataclass(frozen=True, kw_only=True)

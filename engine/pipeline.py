@@ -37,6 +37,7 @@ from .report.provenance import run_stamp, versions
 from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
 from .report.tables import fruits_csv
 from .scene.camera import Scene
+from .scene.photo import FilePhoto
 from .scene.read import read_scene, scene_hash
 from .scene.stored import dump_cameras, read_cameras
 from .splatting.gaussians import Gaussians
@@ -183,13 +184,19 @@ def _reconstruct(
     with stages.timed("scene"):
         scene = read_scene(source, config.scene, progress=part(progress, 0.0, 0.03))
         inputs = scene_hash(source)
+    headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
+    largest = max((max(header.width, header.height) for header in headers), default=0)
+    if 0 < config.scene.max_side < largest / config.scene.downscale:
+        stages.notices.append(
+            f"photos with up to {largest} pixels a side were read at {config.scene.max_side}; --scene.max-side sets it"
+        )
     require_writable(cache)
     train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
     gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
     with stages.timed("train"):
         quality = _train_into(gaussians_file, scene, config, stages, part(progress, 0.03, 0.75))
         cameras_file = gaussians_file.with_name(CAMERAS)
-        write_text(cameras_file, dump_cameras(scene))
+        scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
         # Read back even when just trained: the first prompt must see what later ones will.
         gaussians = read_ply(gaussians_file)
     embed_key = stage_key(("language", "splatting"), train_key, encoder.identity, config.embed)
@@ -236,6 +243,7 @@ def _train_into(
     checkpoint = gaussians_file.with_name("checkpoint.safetensors")
     training = train(scene, config.train, checkpoint=checkpoint, progress=progress)
     write_ply(gaussians_file, training.gaussians)
+    write_text(gaussians_file.with_name(CAMERAS), dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
     quality = {
         "steps": training.steps,
         "gaussians": len(training.gaussians),

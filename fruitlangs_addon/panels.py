@@ -68,6 +68,8 @@ class FRUITLANGS_PT_settings(SidebarPanel, bpy.types.Panel):
             group = getattr(context.scene.fruitlangs.config, stage)
             layout.label(text={"embed": "Language"}.get(stage, stage.capitalize()))
             column = layout.column(align=True)
+            if stage == "train":
+                column.prop(context.scene.fruitlangs, "preset")
             for name in STAGES[stage].__annotations__:
                 column.prop(group, name)
 

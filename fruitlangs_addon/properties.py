@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-from bpy.props import FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..operators.settings import config_properties, stage_classes
+from ..operators.settings import apply_preset, config_properties, stage_classes
 
 # Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
 _RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -67,6 +67,17 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     )
     prompt: StringProperty(name="Prompt", default="apple", description="What to count; several words with commas")
     negative: StringProperty(name="Not", description="What must not be counted; several words with commas")
+    preset: EnumProperty(
+        name="Preset",
+        items=[
+            ("quick", "Quick", "A first look, in a few times ten seconds"),
+            ("standard", "Standard", "What counts well, in minutes"),
+            ("paper", "Paper", "The paper's 30,000 steps"),
+        ],
+        default="standard",
+        update=apply_preset,
+        description="Sets every setting of training; change single ones after it",
+    )
     error: StringProperty(name="Error", description="What went wrong last")
     config: PointerProperty(type=FRUITLANGS_PG_config)
     result: PointerProperty(type=FRUITLANGS_PG_result)

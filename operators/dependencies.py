@@ -14,6 +14,7 @@ REQUIRED = {
     "pycolmap": "pycolmap",
     "safetensors": "safetensors",
     "plyfile": "plyfile",
+    "psutil": "psutil",
     "trimesh": "trimesh",
     "scipy": "scipy",
     "sklearn": "scikit-learn",

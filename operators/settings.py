@@ -111,6 +111,14 @@ def read_config(settings: Any) -> Config:
     return Config(**{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()})
 
 
+def apply_preset(settings: Any, _context: Any = None) -> None:
+    """Set training's properties of `scene.fruitlangs` to those of its preset."""
+    from ..engine.config import PRESETS
+
+    for field in dataclasses.fields(PRESETS["standard"]):
+        setattr(settings.config.train, field.name, getattr(PRESETS[settings.preset], field.name))
+
+
 def stage_classes() -> dict[str, type]:
     """{stage: config class} in the order of the chain."""
     from ..engine.config import Config

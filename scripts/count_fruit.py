@@ -8,17 +8,18 @@ Exit code 0: counted (a counted 0 included); 1: could not, with one line that sa
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
 from _terminal import arguments_of, import_tyro, run, terminal_progress
-from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ class Arguments:
     """Folder of the results; its earlier results are replaced when the new ones are complete."""
     negative: tuple[str, ...] = ()
     """What must not be counted, beside what is contrasted by itself (leaf, branch, sky, …)."""
+    preset: Preset = "standard"
+    """Settings of training to start from: quick for a first look, standard, paper for 30,000 steps."""
     blend: bool = True
     """Write scene.blend too (needs Blender or the bpy module; without either it is left out and said so)."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -102,8 +105,17 @@ def main() -> None:
 
 
 def parse() -> Arguments:
-    """The arguments, or exit 2 with a usage message."""
-    return tyro.cli(Arguments, args=arguments_of(__file__), prog="count_fruit.py", description=Arguments.__doc__)
+    """The arguments, or exit 2 with a usage message. A preset goes first: flags of training change it."""
+    given = arguments_of(__file__)
+    first = argparse.ArgumentParser(add_help=False, exit_on_error=False)
+    first.add_argument("--preset", choices=list(PRESETS), default="standard")
+    try:
+        preset: Preset = first.parse_known_args(given)[0].preset
+    except argparse.ArgumentError:
+        preset = "standard"  # tyro says what is wrong
+    needed: Any = tyro.MISSING
+    default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])
+    return tyro.cli(Arguments, args=given, default=default, prog="count_fruit.py", description=Arguments.__doc__)
 
 
 if __name__ == "__main__":

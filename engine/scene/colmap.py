@@ -56,6 +56,7 @@ def read_colmap(
             world_to_camera=_world_to_camera(image, model.files),
             mask_path=model.masks[index],
             downscale=config.downscale,
+            max_side=config.max_side,
         )
     points, colors = _points(model.reconstruction, progress)
     return make_scene(views, points, colors)

@@ -163,9 +163,11 @@ def posed_photos(
     world_to_camera: FloatArray,
     mask_path: Path | None = None,
     downscale: float = 1.0,
+    max_side: int = 0,
 ) -> list[PosedPhoto]:
     """The views of one photo: one, or the six cube faces of a panorama. Only headers are read.
 
+    downscale: divide width and height by this; max_side: and by more where a side would still be longer (0: no limit).
     The photo may be a resized copy of what was calibrated (same shape, other number of pixels), or, where only that
     fits, its EXIF orientation is applied; otherwise EXIF orientation is ignored, as COLMAP does.
 
@@ -190,6 +192,8 @@ def posed_photos(
                 "make the mask for this photo"
             )
     skyward = np.array([*_SKYWARD.get(1 if turn is not None else header.orientation, (0.0, -1.0)), 0.0])
+    if max_side > 0:
+        downscale = max(downscale, max(width, height) / max_side)
     width, height = round(width / downscale), round(height / downscale)
     if min(width, height) < LEAST_SIDE:
         raise SceneError(

@@ -53,6 +53,7 @@ def read_transforms(
             world_to_camera=_world_to_camera(frame.values, f"{source.file}, {frame.name}"),
             mask_path=frame.mask,
             downscale=config.downscale,
+            max_side=config.max_side,
         )
     points, colors = _no_cloud() if source.cloud is None else _cloud(source.cloud)
     return make_scene(views, points, colors)

@@ -1,4 +1,4 @@
-"""One step of Adam over a table of parameters (Kingma & Ba 2015, algorithm 1)."""
+"""One step of Adam over the Gaussians that a view drew (Kingma & Ba 2015, algorithm 1)."""
 
 from __future__ import annotations
 
@@ -8,44 +8,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
+from .lanes import take
 
 BETA_1, BETA_2 = np.float32(0.9), np.float32(0.999)
 EPSILON = np.float32(1e-15)
 ONE = np.float32(1)
+_t = np.maximum(np.arange(20_000), 1)
+CORRECTIONS = np.stack([1 / (1 - 0.9**_t), (1 - 0.999**_t) ** -0.5], 1).astype(np.float32)
+"""(T, 2) 1 / (1 - β₁ᵗ) and (1 - β₂ᵗ)^-½ after t updates; the last row, 1 to seven digits, serves all later ones."""
+BLOCK = 512
+"""Gaussians a thread works on before it asks for more."""
 
 
 @njit
-def _step_run(
+def _step_row(
     parameters: NDArray[np.float32],
     gradients: NDArray[np.float32],
     first: NDArray[np.float32],
     second: NDArray[np.float32],
     rates: NDArray[np.float32],
+    scale: float,
     correction: float,
 ) -> None:
-    for k in range(parameters.shape[0]):
+    for k in range(rates.shape[0]):
         g = gradients[k]
         m = BETA_1 * first[k] + (ONE - BETA_1) * g
         v = BETA_2 * second[k] + (ONE - BETA_2) * g * g
         first[k] = m
         second[k] = v
-        parameters[k] -= rates[k] * m / (math.sqrt(v) * correction + EPSILON)
+        parameters[k] -= rates[k] * scale * m / (math.sqrt(v) * correction + EPSILON)
 
 
 @kernel
 def adam_step(
+    workers: int,
     parameters: NDArray[np.float32],
     gradients: NDArray[np.float32],
     first: NDArray[np.float32],
     second: NDArray[np.float32],
     rates: NDArray[np.float32],
-    correction: float,
+    drawn: NDArray[np.int32],
+    updates: NDArray[np.int32],
+    corrections: NDArray[np.float32],
 ) -> None:
-    """Update flat parameters in place; the gradients and both moments are as long.
+    """Update tables (N, K) in place, only the rows of Gaussians that were drawn.
 
-    rates: learning rates divided by 1 - β₁ᵗ, repeated along the parameters; correction: (1 - β₂ᵗ)^-½.
+    rates: learning rates of the first columns; those beyond are not moved. drawn: (N,) not 0 where a view drew it;
+    updates: (N,) how often each row was moved, this step included: both moments are corrected for their start at zero
+    by it, since a row that was seldom seen still holds young moments. corrections: `CORRECTIONS`.
     """
-    size, run = parameters.shape[0], rates.shape[0]
-    for k in prange((size + run - 1) // run):
-        part = slice(k * run, min((k + 1) * run, size))
-        _step_run(parameters[part], gradients[part], first[part], second[part], rates, correction)
+    n = parameters.shape[0]
+    blocks = (n + BLOCK - 1) // BLOCK
+    counter = np.zeros(1, np.int64)
+    for _worker in prange(workers):
+        while True:
+            block = take(counter)
+            if block >= blocks:
+                break
+            for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+                if drawn[i] == 0:
+                    continue
+                t = min(updates[i], corrections.shape[0] - 1)
+                _step_row(parameters[i], gradients[i], first[i], second[i], rates, corrections[t, 0], corrections[t, 1])

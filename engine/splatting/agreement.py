@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 
 import torch
 from torch import Tensor
 
 from ..scene.camera import Camera
-from .gaussians import Gaussians
+from .gaussians import PARAMETERS, Gaussians
 from .rasterize import Rendering, render
 from .reference import render_reference
 
@@ -29,11 +28,11 @@ def compare_with_twin(gaussians: Gaussians, camera: Camera, *, seed: int = 0) ->
         return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
     n, size = len(gaussians), (camera.height, camera.width)
-    inputs = [getattr(gaussians, field.name).detach().double() for field in fields(gaussians)]
+    inputs = [getattr(gaussians, name).detach().double() for name in PARAMETERS]
     inputs += [random(n, FEATURES), random(3), torch.zeros(n, 2, dtype=torch.float64)]
     weights = [random(*size, 3), random(*size), random(*size), random(*size, FEATURES)]
-    ours = _run(render, inputs, weights, camera, torch.float32)
-    twin = _run(render_reference, inputs, weights, camera, torch.float64)
+    ours = _run(render, inputs, weights, camera, gaussians.antialiased, torch.float32)
+    twin = _run(render_reference, inputs, weights, camera, gaussians.antialiased, torch.float64)
     return {
         name: float((ours[name].double() - twin[name]).abs().max() / twin[name].abs().max().clamp_min(1e-30))
         for name in twin
@@ -41,12 +40,18 @@ def compare_with_twin(gaussians: Gaussians, camera: Camera, *, seed: int = 0) ->
 
 
 def _run(
-    draw: Callable[..., Rendering], inputs: list[Tensor], weights: list[Tensor], camera: Camera, dtype: torch.dtype
+    draw: Callable[..., Rendering],
+    inputs: list[Tensor],
+    weights: list[Tensor],
+    camera: Camera,
+    antialiased: bool,
+    dtype: torch.dtype,
 ) -> dict[str, Tensor]:
     """Outputs and gradients by name."""
     leaves = [value.to(dtype).clone().requires_grad_() for value in inputs]
-    *parameters, features, background, offsets = leaves
-    rendering = draw(Gaussians(*parameters), camera, features=features, background=background, screen_offsets=offsets)
+    features, background, offsets = leaves[len(PARAMETERS) :]
+    gaussians = Gaussians(*leaves[: len(PARAMETERS)], antialiased=antialiased)
+    rendering = draw(gaussians, camera, features=features, background=background, screen_offsets=offsets)
     assert rendering.features is not None
     outputs = {
         "color": rendering.color,
@@ -58,7 +63,7 @@ def _run(
     for output, weight in zip(outputs.values(), weights, strict=True):
         total = total + (output * weight.to(dtype)).sum()
     total.backward()
-    names = [*(field.name for field in fields(Gaussians)), "features", "background", "offsets"]
+    names = [*PARAMETERS, "features", "background", "offsets"]
     found = {name: output.detach() for name, output in outputs.items()}
     for name, leaf in zip(names, leaves, strict=True):
         assert leaf.grad is not None

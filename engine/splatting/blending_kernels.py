@@ -25,6 +25,7 @@ from .lanes import (
     ramp,
     select,
     store,
+    store_totals,
     take,
     total,
 )
@@ -40,6 +41,7 @@ from .projection_kernels import (
     LOG2_OPACITY,
     MEAN_X,
     MEAN_Y,
+    MOMENT,
     RECORD,
     RED,
     TILE_HEIGHT,
@@ -62,7 +64,7 @@ ALL_ROWS = (1 << TILE_HEIGHT) - 1
 
 
 @njit
-def _rows_of(records: NDArray[np.float32], at: int, top: float) -> tuple[int, int]:
+def rows_of(records: NDArray[np.float32], at: int, top: float) -> tuple[int, int]:
     """First and last + 1 row of a tile that a Gaussian's box meets."""
     middle, half = records[at + MEAN_Y] - top, records[at + HALF_HEIGHT]
     first = max(math.floor(middle - half - HALF), ZERO)
@@ -74,6 +76,11 @@ def _rows_of(records: NDArray[np.float32], at: int, top: float) -> tuple[int, in
 def _copy_in(plane: NDArray[np.float32], x0: int, y0: int, tile: NDArray[np.float32], at: int) -> None:
     """Read a tile of a plane (H, W) into a flat scratch array; 0 outside the image."""
     height, width = plane.shape
+    if x0 + TILE_WIDTH <= width and y0 + TILE_HEIGHT <= height:
+        flat = plane.reshape(-1)
+        for y in range(TILE_HEIGHT):
+            store(tile, at + y * TILE_WIDTH, load(flat, (y0 + y) * width + x0))
+        return
     for y in range(TILE_HEIGHT):
         for x in range(TILE_WIDTH):
             inside = y0 + y < height and x0 + x < width
@@ -83,6 +90,12 @@ def _copy_in(plane: NDArray[np.float32], x0: int, y0: int, tile: NDArray[np.floa
 @njit
 def _copy_out(tile: NDArray[np.float32], at: int, x0: int, y0: int, plane: NDArray[np.float32]) -> None:
     """Write a tile from a flat scratch array to a plane (H, W)."""
+    width = plane.shape[1]
+    if x0 + TILE_WIDTH <= width:
+        flat = plane.reshape(-1)
+        for y in range(min(TILE_HEIGHT, plane.shape[0] - y0)):
+            store(flat, (y0 + y) * width + x0, load(tile, at + y * TILE_WIDTH))
+        return
     for y in range(min(TILE_HEIGHT, plane.shape[0] - y0)):
         for x in range(min(TILE_WIDTH, plane.shape[1] - x0)):
             plane[y0 + y, x0 + x] = tile[at + y * TILE_WIDTH + x]
@@ -125,7 +138,7 @@ def _blend_tile(
         c, my = records[at + CONIC_C], records[at + MEAN_Y] - top - HALF
         red, green, blue, depth = records[at + RED], records[at + GREEN], records[at + BLUE], records[at + DEPTH]
         number = fill(np.float32(entry - begin))
-        first, last = _rows_of(records, at, top)
+        first, last = rows_of(records, at, top)
         for y in range(first, last):
             place = y * TILE_WIDTH
             if extra > 0:
@@ -166,6 +179,7 @@ def _blend_tile(
 def _blend_worker(
     counter: NDArray[np.int64],
     columns: int,
+    order: NDArray[np.int64],
     records: NDArray[np.float32],
     features: NDArray[np.float32],
     tile_starts: NDArray[np.int64],
@@ -175,16 +189,17 @@ def _blend_worker(
     scratch = np.empty((CHANNELS + features.shape[1]) * PIXELS, np.float32)
     weights = np.empty(PIXELS, np.float32)
     while True:
-        tile = take(counter)
-        if tile >= tile_starts.shape[0] - 1:
+        place = take(counter)
+        if place >= order.shape[0]:
             break
-        _blend_tile(tile, columns, records, features, tile_starts, gaussian_of, scratch, weights, out)
+        _blend_tile(order[place], columns, records, features, tile_starts, gaussian_of, scratch, weights, out)
 
 
 @kernel
 def blend(
     workers: int,
     columns: int,
+    order: NDArray[np.int64],
     records: NDArray[np.float32],
     features: NDArray[np.float32],
     tile_starts: NDArray[np.int64],
@@ -193,11 +208,11 @@ def blend(
 ) -> None:
     """Fill out (CHANNELS + C, H, W) from flat records (N · RECORD,), features (N, C) and the tiles' lists.
 
-    Tiles are handed out one at a time; each writes only its own pixels, so threads change nothing.
+    Tiles are handed out one at a time in `order`; each writes only its own pixels, so threads change nothing.
     """
     counter = np.zeros(1, np.int64)
     for _ in prange(workers):
-        _blend_worker(counter, columns, records, features, tile_starts, gaussian_of, out)
+        _blend_worker(counter, columns, order, records, features, tile_starts, gaussian_of, out)
 
 
 @njit
@@ -240,6 +255,8 @@ def _blend_tile_backward(
     background: NDArray[np.float32],
     planes: NDArray[np.float32],
     gradients: NDArray[np.float32],
+    with_depth: bool,
+    with_pulls: bool,
     scratch: NDArray[np.float32],
     weights: NDArray[np.float32],
     moments: NDArray[np.float32],
@@ -250,6 +267,7 @@ def _blend_tile_backward(
     deepest = _load_gradients(x0, y0, extra, background, planes, gradients, scratch)
     xs = ramp() + np.float32(x0 + 0.5)
     top = np.float32(y0)
+    flat_moments = moments.reshape(-1)
     begin, end = tile_starts[tile], tile_starts[tile + 1]
     for entry in range(min(begin + deepest + 1, end), end):
         moments[pair_of[entry]] = ZERO
@@ -257,6 +275,7 @@ def _blend_tile_backward(
             feature_moments[pair_of[entry]] = ZERO
     for entry in range(min(begin + deepest, end - 1), begin - 1, -1):
         prefetch(records, gaussian_of[max(entry - AHEAD, begin)] * RECORD)
+        prefetch(flat_moments, pair_of[max(entry - AHEAD, begin)] * MOMENT)
         at = gaussian_of[entry] * RECORD
         dx = xs - records[at + MEAN_X]
         edge = records[at + LOG2_OPACITY] - dx * dx * records[at + CONIC_A]
@@ -266,7 +285,7 @@ def _blend_tile_backward(
         number = np.float32(entry - begin)
         b, steep = records[at + CONIC_B], dx * (TWO * records[at + CONIC_A])
         m0 = m1 = m2 = sum_x = sum_y = sum_red = sum_green = sum_blue = sum_depth = fill(ZERO)
-        first, last = _rows_of(records, at, top)
+        first, last = rows_of(records, at, top)
         for y in range(first, last):
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
@@ -281,8 +300,12 @@ def _blend_tile_backward(
             store(scratch, TRANSMITTANCE * PIXELS + place, transmittance)
             weight = alpha * transmittance
             d_red, d_green = load(scratch, place), load(scratch, PIXELS + place)
-            d_blue, d_depth = load(scratch, 2 * PIXELS + place), load(scratch, 3 * PIXELS + place)
-            here = d_red * red + d_green * green + d_blue * blue + d_depth * depth
+            d_blue = load(scratch, 2 * PIXELS + place)
+            here = d_red * red + d_green * green + d_blue * blue
+            if with_depth:
+                d_depth = load(scratch, 3 * PIXELS + place)
+                here = here + d_depth * depth
+                sum_depth = sum_depth + weight * d_depth
             for channel in range(extra):
                 here = here + load(scratch, (7 + channel) * PIXELS + place) * features[gaussian_of[entry], channel]
             behind = load(scratch, 6 * PIXELS + place)
@@ -290,24 +313,23 @@ def _blend_tile_backward(
             store(scratch, 6 * PIXELS + place, behind + alpha * change)
             v = select(at_least(power, LOG2_MAX_ALPHA), fill(ZERO), weight * change)
             m0 = m0 + v
-            pull_x, pull_y = v * (steep + b * dy), v * (slope + TWO * c * dy)
-            sum_x = sum_x + select(at_least(pull_x, ZERO), pull_x, ZERO - pull_x)
-            sum_y = sum_y + select(at_least(pull_y, ZERO), pull_y, ZERO - pull_y)
+            if with_pulls:
+                pull_x, pull_y = v * (steep + b * dy), v * (slope + TWO * c * dy)
+                sum_x = sum_x + select(at_least(pull_x, ZERO), pull_x, ZERO - pull_x)
+                sum_y = sum_y + select(at_least(pull_y, ZERO), pull_y, ZERO - pull_y)
             v = v * dy
             m1 = m1 + v
             m2 = m2 + v * dy
             sum_red = sum_red + weight * d_red
             sum_green = sum_green + weight * d_green
             sum_blue = sum_blue + weight * d_blue
-            sum_depth = sum_depth + weight * d_depth
             if extra > 0:
                 store(weights, place, weight)
-        pair = moments[pair_of[entry]]
-        pair[0], pair[2], pair[5] = total(m0), total(m1), total(m2)
-        m0 = m0 * dx
-        pair[1], pair[3], pair[4] = total(m0), total(m0 * dx), total(m1 * dx)
-        pair[6], pair[7], pair[8], pair[9] = total(sum_red), total(sum_green), total(sum_blue), total(sum_depth)
-        pair[10], pair[11] = total(sum_x), total(sum_y)
+        along = m0 * dx
+        store_totals(
+            flat_moments, pair_of[entry] * MOMENT, m0, along, m1, along * dx, m1 * dx, m2,
+            sum_red, sum_green, sum_blue, sum_depth, sum_x, sum_y,
+        )  # fmt: skip
         for channel in range(extra):
             collected = fill(ZERO)
             for y in range(first, last):
@@ -320,6 +342,7 @@ def _blend_tile_backward(
 def _backward_worker(
     counter: NDArray[np.int64],
     columns: int,
+    order: NDArray[np.int64],
     records: NDArray[np.float32],
     features: NDArray[np.float32],
     tile_starts: NDArray[np.int64],
@@ -328,18 +351,20 @@ def _backward_worker(
     background: NDArray[np.float32],
     planes: NDArray[np.float32],
     gradients: NDArray[np.float32],
+    with_depth: bool,
+    with_pulls: bool,
     moments: NDArray[np.float32],
     feature_moments: NDArray[np.float32],
 ) -> None:
     scratch = np.empty((7 + features.shape[1]) * PIXELS, np.float32)
     weights = np.empty(PIXELS, np.float32)
     while True:
-        tile = take(counter)
-        if tile >= tile_starts.shape[0] - 1:
+        place = take(counter)
+        if place >= order.shape[0]:
             break
         _blend_tile_backward(
-            tile, columns, records, features, tile_starts, gaussian_of, pair_of,
-            background, planes, gradients, scratch, weights, moments, feature_moments,
+            order[place], columns, records, features, tile_starts, gaussian_of, pair_of,
+            background, planes, gradients, with_depth, with_pulls, scratch, weights, moments, feature_moments,
         )  # fmt: skip
 
 
@@ -347,6 +372,7 @@ def _backward_worker(
 def blend_backward(
     workers: int,
     columns: int,
+    order: NDArray[np.int64],
     records: NDArray[np.float32],
     features: NDArray[np.float32],
     tile_starts: NDArray[np.int64],
@@ -355,19 +381,22 @@ def blend_backward(
     background: NDArray[np.float32],
     planes: NDArray[np.float32],
     gradients: NDArray[np.float32],
+    with_depth: bool,
+    with_pulls: bool,
     moments: NDArray[np.float32],
     feature_moments: NDArray[np.float32],
 ) -> None:
     """Fill moments (P, MOMENT) and feature_moments (P, C): every pair's gradients, summed over its tile.
 
     planes: (CHANNELS + C, H, W) what `blend` wrote; gradients: (5 + C, H, W) of r, g, b, depth, alpha, features, where
-    the colour is the one over `background` (3,).
+    the colour is the one over `background` (3,). with_depth: whether the gradient of the depth is not 0; with_pulls:
+    whether the absolute gradients of the mean are wanted, which are 0 else.
     """
     counter = np.zeros(1, np.int64)
     for _ in prange(workers):
         _backward_worker(
-            counter, columns, records, features, tile_starts, gaussian_of, pair_of,
-            background, planes, gradients, moments, feature_moments,
+            counter, columns, order, records, features, tile_starts, gaussian_of, pair_of,
+            background, planes, gradients, with_depth, with_pulls, moments, feature_moments,
         )  # fmt: skip
 
 
@@ -421,7 +450,7 @@ def _accumulate_tile(
         edge = records[at + LOG2_OPACITY] - dx * dx * records[at + CONIC_A]
         slope = dx * records[at + CONIC_B]
         c, my = records[at + CONIC_C], records[at + MEAN_Y] - top - HALF
-        first, last = _rows_of(records, at, top)
+        first, last = rows_of(records, at, top)
         everything = fill(ZERO)
         for y in range(first, last):
             place = y * TILE_WIDTH
@@ -455,6 +484,7 @@ def _accumulate_tile(
 def _accumulate_worker(
     counter: NDArray[np.int64],
     columns: int,
+    order: NDArray[np.int64],
     records: NDArray[np.float32],
     tile_starts: NDArray[np.int64],
     gaussian_of: NDArray[np.int32],
@@ -466,11 +496,11 @@ def _accumulate_worker(
     weights = np.empty(PIXELS, np.float32)
     pixels = np.empty(PIXELS * ((target.shape[2] + LANES - 1) // LANES) * LANES, np.float32)
     while True:
-        tile = take(counter)
-        if tile >= tile_starts.shape[0] - 1:
+        place = take(counter)
+        if place >= order.shape[0]:
             break
         _accumulate_tile(
-            tile, columns, records, tile_starts, gaussian_of, pair_of, target, scratch, weights, pixels, sums
+            order[place], columns, records, tile_starts, gaussian_of, pair_of, target, scratch, weights, pixels, sums
         )
 
 
@@ -478,6 +508,7 @@ def _accumulate_worker(
 def accumulate_pairs(
     workers: int,
     columns: int,
+    order: NDArray[np.int64],
     records: NDArray[np.float32],
     tile_starts: NDArray[np.int64],
     gaussian_of: NDArray[np.int32],
@@ -491,4 +522,4 @@ def accumulate_pairs(
     """
     counter = np.zeros(1, np.int64)
     for _ in prange(workers):
-        _accumulate_worker(counter, columns, records, tile_starts, gaussian_of, pair_of, target, sums)
+        _accumulate_worker(counter, columns, order, records, tile_starts, gaussian_of, pair_of, target, sums)

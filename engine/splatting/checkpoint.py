@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,22 +18,39 @@ from ..errors import TrainingError
 from ..files import replacing
 from ..scene.camera import Scene
 from .densify import Pulls
-from .parameters import NAMES, Parameters
+from .exposure import Exposures
+from .gaussians import PARAMETERS
+from .parameters import Parameters
+from .poses import Poses
 
-SCHEMA = 1
+SCHEMA = 2
+_PARTS: dict[str, Any] = {"exposures": Exposures, "poses": Poses}
+"""Parts of a state that are there only when asked for."""
 
 
 @dataclass(eq=False)
 class TrainingState:
-    """Everything that changes while training. Random choices are drawn from (seed, step), so no generator is kept."""
+    """Everything that changes while training. Random choices are drawn from (seed, step), so no generator is kept.
+
+    exposures: the photos' learnt colour maps, poses: the refined ones, None where they are not asked for; checks:
+    (step, held-out PSNR in dB) so far.
+    """
 
     parameters: Parameters
     pulls: Pulls
+    exposures: Exposures | None = None
+    poses: Poses | None = None
+    checks: list[tuple[int, float]] = field(default_factory=list)
 
     @property
     def step(self) -> int:
         """Steps done."""
         return self.parameters.step
+
+    def select(self, index: torch.Tensor) -> None:
+        """Keep the Gaussians at `index` (mask or integers)."""
+        self.parameters.select(index)
+        self.pulls = Pulls(self.pulls.sums[index], self.pulls.counts[index])
 
 
 def training_key(scene: Scene, config: TrainConfig) -> str:
@@ -53,10 +71,14 @@ def write_checkpoint(path: Path, state: TrainingState, key: str) -> None:
         OutputError: the folder cannot be written.
     """
     parameters = state.parameters
-    tensors = {"pulls.sums": state.pulls.sums, "pulls.counts": state.pulls.counts}
+    tensors = {"pulls.sums": state.pulls.sums, "pulls.counts": state.pulls.counts, "updates": parameters.updates}
     for group in ("values", "first", "second"):
-        tensors |= {f"{group}.{name}": getattr(parameters, group)[name].contiguous() for name in NAMES}
-    about = {"schema": SCHEMA, "step": parameters.step, "key": key}
+        tensors |= {f"{group}.{name}": getattr(parameters, group)[name].contiguous() for name in PARAMETERS}
+    for part, kind in _PARTS.items():
+        held = getattr(state, part)
+        if held is not None:
+            tensors |= {f"{part}.{entry.name}": torch.from_numpy(getattr(held, entry.name)) for entry in fields(kind)}
+    about = {"schema": SCHEMA, "step": parameters.step, "key": key, "checks": state.checks}
     with replacing(path) as temporary:
         save_file(tensors, str(temporary), metadata={"fruitlangs": json.dumps(about)})
 
@@ -74,14 +96,20 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
         if about["schema"] != SCHEMA or about["key"] != key:
             raise TrainingError(f"{path} belongs to another scene or other settings")
         values, first, second = (
-            {name: tensors[f"{group}.{name}"] for name in NAMES} for group in ("values", "first", "second")
+            {name: tensors[f"{group}.{name}"] for name in PARAMETERS} for group in ("values", "first", "second")
         )
-        parameters = Parameters(values, first, second, step=int(about["step"]))
+        parameters = Parameters(values, first, second, tensors["updates"], step=int(about["step"]))
         pulls = Pulls(tensors["pulls.sums"], tensors["pulls.counts"])
+        parts = {
+            part: kind(**{entry.name: tensors.pop(f"{part}.{entry.name}").numpy() for entry in fields(kind)})
+            for part, kind in _PARTS.items()
+            if any(name.startswith(f"{part}.") for name in tensors)
+        }
+        checks = [(int(step), float(quality)) for step, quality in about["checks"]]
     except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
         raise TrainingError(f"{path} is not a whole checkpoint ({error}); delete it to start anew") from error
     if any(len(tensor) != len(parameters) for tensor in tensors.values()):
         raise TrainingError(f"{path} is not a whole checkpoint (tensors differ in length); delete it to start anew")
     if any(not torch.isfinite(tensor).all() for tensor in parameters.values.values()):
         raise TrainingError(f"{path} holds numbers that are not finite; delete it to start anew")
-    return TrainingState(parameters, pulls)
+    return TrainingState(parameters, pulls, **parts, checks=checks)

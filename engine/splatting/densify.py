@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .gaussians import Gaussians
@@ -48,11 +49,11 @@ class Pulls:
     def none(n: int) -> Pulls:
         return Pulls(torch.zeros(n), torch.zeros(n))
 
-    def add(self, gradients: Tensor, radii: Tensor, width: int, height: int) -> None:
-        """Count one view. gradients: (N, 2) per pixel; radii: (N,) px, 0 where not drawn."""
-        half_image = torch.tensor([0.5 * width, 0.5 * height])
-        self.sums += (gradients * half_image).norm(dim=1)
-        self.counts += radii > 0
+    def add(self, gradients: NDArray[np.float32], drawn: NDArray[np.int32], width: int, height: int) -> None:
+        """Count one view. gradients: (N, 2) per pixel; drawn: (N,) not 0 where the view drew the Gaussian."""
+        half_image = np.array([0.5 * width, 0.5 * height], np.float32)
+        self.sums += torch.from_numpy(np.linalg.norm(gradients * half_image, axis=1))
+        self.counts += torch.from_numpy(drawn > 0)
 
     @property
     def means(self) -> Tensor:

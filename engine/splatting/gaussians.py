@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0]."""
+
+PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
+"""The tensors of `Gaussians`: what training moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +20,8 @@ class Gaussians:
 
     means: (N, 3) scene units; log_scales: (N, 3) natural logarithm of the standard deviations along the own axes;
     quats: (N, 4) rotation w, x, y, z, not necessarily unit; opacity_logits: (N,); sh: (N, K, 3) spherical harmonics of
-    sRGB colour, K = (degree + 1)².
+    sRGB colour, K = (degree + 1)². antialiased: they were trained to fade below a pixel's size, and are drawn so (see
+    `DrawRules`).
     """
 
     means: Tensor
@@ -25,6 +29,7 @@ class Gaussians:
     quats: Tensor
     opacity_logits: Tensor
     sh: Tensor
+    antialiased: bool = field(default=False, kw_only=True)
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -67,4 +72,4 @@ class Gaussians:
 
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at `index` (bool mask (N,) or integer indices)."""
-        return Gaussians(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+        return replace(self, **{name: getattr(self, name)[index] for name in PARAMETERS})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import TrainingError
-from ..scene.camera import Scene, axes_equations
+from ..scene.camera import Camera, Scene, axes_equations
 from .gaussians import SH_C0, Gaussians
 from .photos import PhotoShelf
 
@@ -30,7 +30,7 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
     (sky, hills) starts on a sphere around the scene, where some training photo sees it.
 
     Raises:
-        TrainingError: no camera sees any of the points.
+        TrainingError: no camera sees any of the points, those of the cloud or those added.
         SceneError: a photo cannot be read, or its size is not its camera's.
     """
     scene = shelf.scene
@@ -38,6 +38,11 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
     points, colors = np.asarray(scene.points, np.float64), scene.colors / 255.0
     finite = np.isfinite(points).all(1)
     points, colors = points[finite], colors[finite]
+    if len(points) > 0 and not _seen_by_any(shelf, views, points):
+        raise TrainingError(
+            f"none of the {len(points):,} sparse points lies before any camera; the model's poses and points do not"
+            " belong together"
+        )
     dome = _dome(scene, points, min(DOME_POINTS, limit // 4))
     dome_colors, seen = _colors_in_photos(shelf, views, dome)
     dome, dome_colors = dome[seen], dome_colors[seen]
@@ -126,20 +131,28 @@ def _dome(scene: Scene, points: Points, n: int) -> Points:
     return center + 4.0 * reach * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
+def _in_view(camera: Camera, points: Points) -> tuple[NDArray[np.bool_], Points]:
+    """Which points (P, 3) a camera frames, and (P, 2) their column and row in pixels."""
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    pixel = local @ camera.K.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        places = pixel[:, :2] / pixel[:, 2:]
+    inside = (local[:, 2] > 0.0) & (places >= 0).all(1) & (places < [camera.width, camera.height]).all(1)
+    return inside, places
+
+
+def _seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> bool:
+    return any(_in_view(shelf.scene.cameras[view], points)[0].any() for view in views)
+
+
 def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
     """(P, 3) mean colour of the pixels that points project to, and (P,) whether any photo has such a pixel."""
     sums = np.zeros((len(points), 3))
     counts = np.zeros(len(points))
     for view in views[:: max(len(views) // 40, 1)]:
-        camera = shelf.scene.cameras[view]
-        local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        ahead = local[:, 2] > 0.0
-        pixel = local @ camera.K.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            column, row = (pixel[:, :2] / pixel[:, 2:]).T
-        inside = ahead & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        inside, places = _in_view(shelf.scene.cameras[view], points)
         if inside.any():
-            photo = shelf.picture(view).pixels
-            sums[inside] += photo[row[inside].astype(int), column[inside].astype(int)] / 255.0
+            column, row = places[inside].astype(int).T
+            sums[inside] += shelf.picture(view).pixels[row, column] / 255.0
             counts[inside] += 1
     return sums / np.maximum(counts, 1)[:, None], counts > 0

@@ -221,6 +221,45 @@ def total(typing_context, value):  # type: ignore[no-untyped-def]
     return types.float32(lanes), codegen
 
 
+def _halves(width: int, high: bool) -> ir.Constant:
+    """Which lanes of two vectors, each of segments of `width`, are the lower or upper halves of their segments."""
+    half = width // 2
+    lanes_ = [
+        segment * width + (half if high else 0) + lane for segment in range(2 * LANES // width) for lane in range(half)
+    ]
+    return ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes_)
+
+
+def _all_totals(builder: ir.IRBuilder, vectors: list[ir.Value]) -> ir.Value:
+    """LANES vectors → one of their sums. Two are folded into one at a time, halves onto halves as in `total`."""
+    width = LANES
+    while width > 1:
+        low, high = _halves(width, False), _halves(width, True)
+        vectors = [
+            builder.fadd(builder.shuffle_vector(left, right, low), builder.shuffle_vector(left, right, high))
+            for left, right in zip(vectors[::2], vectors[1::2], strict=True)
+        ]
+        width //= 2
+    return vectors[0]
+
+
+@intrinsic
+def store_totals(typing_context, array, index, a, b, c, d, e, f, g, h, i, j, k, l):  # type: ignore[no-untyped-def]  # noqa: E741
+    """Write the sums of twelve vectors, and four zeros, to a flat float32 array from `index` on."""
+
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        pointer = _pointer(context, builder, signature.args[0], arguments[0], signature.args[1], arguments[1])
+        vectors = [*arguments[2:], *[_constant(0.0)] * 4]
+        for start in range(0, len(vectors), LANES):
+            sums = _all_totals(builder, vectors[start : start + LANES])
+            place = builder.gep(pointer, [ir.Constant(ir.IntType(64), start)])
+            written = builder.store(sums, builder.bitcast(place, _FLOAT.as_pointer()))
+            written.align = 4
+        return context.get_dummy_value()
+
+    return types.void(array, index, *[lanes] * 12), codegen
+
+
 def _exp2_coefficients() -> list[float]:
     """Polynomial of degree 6 for 2^x on [-1/2, 1/2], highest power first (relative error below 1e-7)."""
     nodes = 0.5 * np.cos(np.pi * (np.arange(64) + 0.5) / 64)

@@ -44,53 +44,72 @@ def _fill_row(
     at: int,
 ) -> None:
     """Planes 0 image, 1 photo, 2 valid: where a pixel may not be used, the image is the photo there."""
-    masked = mask.shape[0] > 0
-    for x in range(photo.shape[1]):
-        truth = np.float32(photo[y, x, channel]) * np.float32(1 / 255)
-        usable = not masked or mask[y, x]
-        planes[0, at + x] = image[channel, y, x] if usable else truth
-        planes[1, at + x] = truth
-        planes[2, at + x] = ONE if usable else ZERO
+    width = photo.shape[2]
+    for x in range(width):
+        planes[1, at + x] = np.float32(photo[channel, y, x]) * np.float32(1 / 255)
+    if mask.shape[0] == 0:
+        for x in range(width):
+            planes[0, at + x] = image[channel, y, x]
+            planes[2, at + x] = ONE
+    else:
+        for x in range(width):
+            usable = mask[y, x]
+            planes[0, at + x] = image[channel, y, x] if usable else planes[1, at + x]
+            planes[2, at + x] = ONE if usable else ZERO
 
 
 @njit
 def _blur_products(planes: NDArray[np.float32], blurred: NDArray[np.float32], products: NDArray[np.float32], at: int,
-                   end: int) -> None:  # fmt: skip
-    """Along one row: E of x, y, x², y², xy."""
+                   end: int, known: bool) -> None:  # fmt: skip
+    """Along one row: E of x, x², xy, and of y, y² unless they are known."""
     image, photo = planes[0], planes[1]
-    xx, yy, xy = products[0], products[1], products[2]
-    e_x, e_y, e_xx, e_yy, e_xy = blurred[0], blurred[1], blurred[2], blurred[3], blurred[4]
+    xx, xy, yy = products[0], products[1], products[2]
     shift = LANES - at
     for k in range(at - LANES, end + LANES, LANES):
         x, y = load(image, k), load(photo, k)
         store(xx, k + shift, x * x)
-        store(yy, k + shift, y * y)
         store(xy, k + shift, x * y)
+        if not known:
+            store(yy, k + shift, y * y)
     for k in range(at, end, LANES):
-        store(e_x, k, _blur(image, k, 1))
-        store(e_y, k, _blur(photo, k, 1))
-        store(e_xx, k, _blur(xx, k + shift, 1))
-        store(e_yy, k, _blur(yy, k + shift, 1))
-        store(e_xy, k, _blur(xy, k + shift, 1))
+        store(blurred[0], k, _blur(image, k, 1))
+        store(blurred[1], k, _blur(xx, k + shift, 1))
+        store(blurred[2], k, _blur(xy, k + shift, 1))
+        if not known:
+            store(blurred[3], k, _blur(photo, k, 1))
+            store(blurred[4], k, _blur(yy, k + shift, 1))
+
+
+@njit
+def _truth_row(
+    blurred: NDArray[np.float32], mean: NDArray[np.float32], variance: NDArray[np.float32], at: int, end: int,
+    stride: int,
+) -> None:  # fmt: skip
+    """The photo's window mean and variance along one row."""
+    for k in range(at, end, LANES):
+        my = _blur(blurred[3], k, stride)
+        store(mean, k, my)
+        store(variance, k, _blur(blurred[4], k, stride) - my * my)
 
 
 @njit
 def _ssim_row(
     planes: NDArray[np.float32],
     blurred: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    variance: NDArray[np.float32],
     slopes: NDArray[np.float32],
     at: int,
     end: int,
     stride: int,
 ) -> float:
     """Sum of SSIM over a row's valid pixels; slopes ∂S/∂μ, ∂S/∂E[x²], ∂S/∂E[xy] for the gradient."""
-    e_x, e_y, e_xx, e_yy, e_xy = blurred[0], blurred[1], blurred[2], blurred[3], blurred[4]
+    e_x, e_xx, e_xy = blurred[0], blurred[1], blurred[2]
     d_x, d_xx, d_xy, usable = slopes[0], slopes[1], slopes[2], planes[2]
     collected = fill(ZERO)
     for k in range(at, end, LANES):
-        mx, my = _blur(e_x, k, stride), _blur(e_y, k, stride)
-        vx = _blur(e_xx, k, stride) - mx * mx
-        vy = _blur(e_yy, k, stride) - my * my
+        mx, my = _blur(e_x, k, stride), load(mean, k)
+        vx, vy = _blur(e_xx, k, stride) - mx * mx, load(variance, k)
         covariance = _blur(e_xy, k, stride) - mx * my
         a1, a2 = mx * my * TWO + C1, covariance * TWO + C2
         b1, b2 = mx * mx + my * my + C1, vx + vy + C2
@@ -148,6 +167,20 @@ def _gradient_row(
         gradient[channel, y, x] = row[x]
 
 
+def padded_size(height: int, width: int) -> int:
+    """float32 values of a plane with its borders: rows of whole vectors with one on either side, RADIUS rows around."""
+    return _stride(width) * (height + 2 * RADIUS)
+
+
+@njit
+def _stride(width: int) -> int:
+    return (width + LANES - 1) // LANES * LANES + 2 * LANES
+
+
+PLANES = 14
+"""Padded planes of scratch that the loss needs."""
+
+
 @kernel
 def l1_and_ssim(
     image: NDArray[np.float32],
@@ -155,6 +188,9 @@ def l1_and_ssim(
     mask: NDArray[np.bool_],
     l1_weight: float,
     ssim_weight: float,
+    moments: NDArray[np.float32],
+    known: bool,
+    scratch: NDArray[np.float32],
     gradient: NDArray[np.float32],
     l1_sums: NDArray[np.float64],
     ssim_sums: NDArray[np.float64],
@@ -162,26 +198,28 @@ def l1_and_ssim(
     """Sums by channel and row (3, H) of |x - y| and of SSIM over the valid pixels, and the gradient (3, H, W) of
     l1_weight · Σ|x - y| - ssim_weight · ΣSSIM.
 
-    image: (3, H, W); photo: (H, W, 3); mask: (H, W) True where valid, or (0, 0) for all.
+    image, photo: (3, H, W); mask: (H, W) True where valid, or (0, 0) for all; moments: (2, 3, padded_size) the photo's
+    window means and variances, written unless `known`; scratch: (PLANES, padded_size), zeros or of an earlier call for
+    the same size: the borders are never written.
     """
-    height, width = photo.shape[0], photo.shape[1]
-    stride = (width + LANES - 1) // LANES * LANES + 2 * LANES
-    size = stride * (height + 2 * RADIUS)
-    planes = np.zeros((3, size), np.float32)
-    blurred = np.zeros((5, size), np.float32)
-    slopes = np.zeros((3, size), np.float32)
-    fallen = np.zeros((3, size), np.float32)
+    height, width = photo.shape[1], photo.shape[2]
+    stride = _stride(width)
+    planes, blurred, slopes, fallen = scratch[:3], scratch[3:8], scratch[8:11], scratch[11:14]
     for channel in range(3):
+        mean, variance = moments[0, channel], moments[1, channel]
         for y in prange(height):
             at = (y + RADIUS) * stride + LANES
             end = at + stride - 2 * LANES
             _fill_row(y, channel, image, photo, mask, planes, at)
             l1_sums[channel, y] = _l1_row(planes, at, end)
             products = np.empty((3, stride), np.float32)
-            _blur_products(planes, blurred, products, at, end)
+            _blur_products(planes, blurred, products, at, end, known)
         for y in prange(height):
             at = (y + RADIUS) * stride + LANES
-            ssim_sums[channel, y] = _ssim_row(planes, blurred, slopes, at, at + stride - 2 * LANES, stride)
+            end = at + stride - 2 * LANES
+            if not known:
+                _truth_row(blurred, mean, variance, at, end, stride)
+            ssim_sums[channel, y] = _ssim_row(planes, blurred, mean, variance, slopes, at, end, stride)
         for y in prange(height):
             at = (y + RADIUS) * stride + LANES
             end = at + stride - 2 * LANES

@@ -3,59 +3,96 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Hashable
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .loss_kernels import l1_and_ssim
+from .loss_kernels import PLANES, l1_and_ssim, padded_size
+from .workspace import Workspace
 
 _EVERYWHERE = np.zeros((0, 0), np.bool_)
+REMEMBERED = 400 << 20
+"""Bytes of window means and variances of photos that a loss keeps."""
 
 
-def _sums(
-    color: NDArray[np.float32], photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None, ssim_weight: float
-) -> tuple[float, float, NDArray[np.float32]]:
-    """Mean |x - y|, mean SSIM, and the gradient (3, H, W) of (1 - w) L1 + w (1 - SSIM)."""
-    planes = np.ascontiguousarray(color.transpose(2, 0, 1))
-    valid = photo[..., 0].size if mask is None else int(mask.sum())
-    n = 3 * max(valid, 1)
-    gradient = np.empty_like(planes)
-    l1_sums, ssim_sums = np.empty((2, *planes.shape[:2]))
-    l1_and_ssim(
-        planes, np.ascontiguousarray(photo), _EVERYWHERE if mask is None else np.ascontiguousarray(mask),
-        np.float32((1.0 - ssim_weight) / n), np.float32(ssim_weight / n), gradient, l1_sums, ssim_sums,
-    )  # fmt: skip
-    ssim_mean = float(ssim_sums.sum()) / n if valid else 1.0
-    return float(l1_sums.sum()) / n, ssim_mean, gradient
+class PhotometricLoss:
+    """(1 - w) · L1 + w · (1 - SSIM), the loss of 3DGS, and its gradient.
 
-
-class _Photometric(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, color: Tensor, photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None, ssim_weight: float
-    ) -> Tensor:
-        l1, ssim_mean, gradient = _sums(color.detach().numpy(), photo, mask, ssim_weight)
-        ctx.gradient = gradient
-        return torch.tensor((1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim_mean), dtype=torch.float64)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:  # type: ignore[override]
-        gradient = torch.from_numpy(ctx.gradient.transpose(1, 2, 0))
-        return gradient * grads[0].to(gradient.dtype), None, None, None
-
-
-def photometric_loss(
-    color: Tensor, photo: NDArray[np.uint8], *, ssim_weight: float = 0.2, mask: NDArray[np.bool_] | None = None
-) -> Tensor:
-    """(1 - w) · L1 + w · (1 - SSIM), the loss of 3DGS, with its gradient to the colour.
-
-    color: (H, W, 3) float32 sRGB; photo: (H, W, 3) uint8; mask: (H, W) True where the photo may be used. Both means run
-    over the usable pixels; SSIM windows see the photo itself where it may not be used. Float64 scalar.
+    Both means run over the usable pixels; SSIM windows see the photo itself where it may not be used. What depends on
+    the photo alone is kept between calls, up to a bound.
     """
-    return _Photometric.apply(color, photo, mask, ssim_weight)
+
+    def __init__(self, ssim_weight: float, workspace: Workspace) -> None:
+        self.ssim_weight = ssim_weight
+        self.workspace = workspace
+        self._moments: dict[Hashable, NDArray[np.float32]] = {}
+        self._bytes = 0
+
+    def pull(
+        self,
+        image: NDArray[np.float32],
+        photo: NDArray[np.uint8],
+        mask: NDArray[np.bool_] | None,
+        gradient: NDArray[np.float32],
+        *,
+        key: Hashable | None = None,
+    ) -> float:
+        """The loss of an image (3, H, W), sRGB, against a photo (H, W, 3); its gradient is written to (3, H, W).
+
+        mask: (H, W) True where the photo may be used; key: names the photo among those of one loss, None to keep
+        nothing of it. Photos whose memory lies plane by plane are read fastest.
+        """
+        l1, ssim_mean = self._means(image, photo, mask, gradient, key)
+        return (1.0 - self.ssim_weight) * l1 + self.ssim_weight * (1.0 - ssim_mean)
+
+    def _means(
+        self,
+        image: NDArray[np.float32],
+        photo: NDArray[np.uint8],
+        mask: NDArray[np.bool_] | None,
+        gradient: NDArray[np.float32],
+        key: Hashable | None,
+    ) -> tuple[float, float]:
+        """Mean |x - y| and mean SSIM over the usable pixels."""
+        height, width = photo.shape[:2]
+        valid = height * width if mask is None else int(mask.sum())
+        n = 3 * max(valid, 1)
+        moments, known = self._photo_moments(key, (2, 3, padded_size(height, width)))
+        l1_sums, ssim_sums = np.empty((2, 3, height))
+        l1_and_ssim(
+            image, np.ascontiguousarray(photo.transpose(2, 0, 1)),
+            _EVERYWHERE if mask is None else np.ascontiguousarray(mask),
+            np.float32((1.0 - self.ssim_weight) / n), np.float32(self.ssim_weight / n), moments, known,
+            self.workspace.zeros("loss", (PLANES, moments.shape[2])), gradient, l1_sums, ssim_sums,
+        )  # fmt: skip
+        return float(l1_sums.sum()) / n, float(ssim_sums.sum()) / n if valid else 1.0
+
+    def _photo_moments(self, key: Hashable | None, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], bool]:
+        """Where a photo's moments are or shall be, and whether they are there."""
+        kept = self._moments.get(key)
+        if kept is not None and kept.shape == shape:
+            return kept, True
+        size = 4 * math.prod(shape)
+        if key is None or self._bytes + size > REMEMBERED:
+            return self.workspace.take("photo_moments", shape), False
+        self._moments[key] = np.empty(shape, np.float32)
+        self._bytes += size
+        return self._moments[key], False
+
+
+def unevenness(loads: NDArray[np.float32]) -> tuple[float, NDArray[np.float32]]:
+    """Standard deviation over mean of the pixels' loads (H, W), and its gradient.
+
+    What the paper's eq. 4 asks to be small: a step takes as long as its heaviest tiles.
+    """
+    mean, spread = float(loads.mean(dtype=np.float64)), float(loads.std(dtype=np.float64))
+    if mean < 1e-9 or spread < 1e-9:
+        return 0.0, np.zeros_like(loads)
+    gradient = ((loads - np.float32(mean)) / np.float32(spread) - np.float32(spread / mean)) / (loads.size * mean)
+    return spread / mean, gradient.astype(np.float32)
 
 
 def psnr(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | None = None) -> float:
@@ -69,4 +106,5 @@ def psnr(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | N
 
 def ssim(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | None = None) -> float:
     """Structural similarity of a rendering (H, W, 3), clamped to [0, 1], mean over the usable pixels."""
-    return _sums(color.detach().clamp(0.0, 1.0).numpy(), photo, mask, 1.0)[1]
+    planes = color.detach().clamp(0.0, 1.0).float().permute(2, 0, 1).contiguous().numpy()
+    return 1.0 - PhotometricLoss(1.0, Workspace()).pull(planes, photo, mask, np.empty_like(planes))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from .adam_kernels import BETA_1, BETA_2, adam_step
-from .gaussians import Gaussians
-
-RUN = 2048
-"""About how many parameters a thread updates before it asks for more."""
-NAMES = tuple(field.name for field in fields(Gaussians))
+from ..compiled import threads
+from .adam_kernels import CORRECTIONS, adam_step
+from .gaussians import PARAMETERS, Gaussians
 
 
 @dataclass(frozen=True)
@@ -28,27 +26,36 @@ class Rates:
     sh: float
     sh_rest: float
 
+    def columns(self, name: str, sh_degree: int) -> NDArray[np.float32]:
+        """One rate for each value of a Gaussian's parameter; harmonics up to `sh_degree` only."""
+        if name == "sh":
+            return np.array([self.sh] * 3 + [self.sh_rest] * (3 * ((sh_degree + 1) ** 2 - 1)), np.float32)
+        return np.full({"quats": 4, "opacity_logits": 1}.get(name, 3), getattr(self, name), np.float32)
+
 
 @dataclass(eq=False)
 class Parameters:
     """Gaussians under training: values and Adam's first and second moments by the field names of `Gaussians`.
 
-    All tensors are contiguous float32 of one length; step counts the updates so far.
+    All tensors are contiguous float32 of one length. updates: (N,) int32 how often each Gaussian was moved; step: how
+    many updates there were so far.
     """
 
     values: dict[str, Tensor]
     first: dict[str, Tensor]
     second: dict[str, Tensor]
+    updates: Tensor
     step: int = 0
 
     @staticmethod
     def start(gaussians: Gaussians) -> Parameters:
         """Fresh moments for these Gaussians."""
-        values = {name: getattr(gaussians, name).detach().float().contiguous().clone() for name in NAMES}
+        values = {name: getattr(gaussians, name).detach().float().contiguous().clone() for name in PARAMETERS}
         return Parameters(
             values=values,
             first={name: torch.zeros_like(value) for name, value in values.items()},
             second={name: torch.zeros_like(value) for name, value in values.items()},
+            updates=torch.zeros(len(gaussians), dtype=torch.int32),
         )
 
     def __len__(self) -> int:
@@ -56,37 +63,50 @@ class Parameters:
 
     def gaussians(self) -> Gaussians:
         """The current values; the tensors are shared."""
-        return Gaussians(**self.values)
+        means, log_scales, quats, opacity_logits, sh = (self.values[name] for name in PARAMETERS)
+        return Gaussians(means, log_scales, quats, opacity_logits, sh)
+
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """The current values; the memory is shared."""
+        return {name: value.numpy() for name, value in self.values.items()}
 
     def select(self, index: Tensor) -> None:
         """Keep the Gaussians at `index` (mask or integers) with their moments."""
         for table in (self.values, self.first, self.second):
             for name, value in table.items():
                 table[name] = value[index].contiguous()
+        self.updates = self.updates[index].contiguous()
 
     def append(self, gaussians: Gaussians) -> None:
         """Add Gaussians with moments of zero, as 3DGS does."""
-        for name in NAMES:
+        for name in PARAMETERS:
             added = getattr(gaussians, name).detach().float()
             self.values[name] = torch.cat([self.values[name], added])
             for moments in (self.first, self.second):
                 moments[name] = torch.cat([moments[name], torch.zeros_like(added)])
+        self.updates = torch.cat([self.updates, torch.zeros(len(gaussians), dtype=torch.int32)])
 
     def forget(self, name: str) -> None:
         """Set one parameter's moments to zero."""
         self.first[name].zero_()
         self.second[name].zero_()
 
-    def update(self, gradients: Mapping[str, Tensor], rates: Rates, sh_degree: int) -> None:
-        """One step of Adam; harmonics above `sh_degree` stay as they are."""
+    def update(
+        self, gradients: Mapping[str, NDArray[np.float32]], rates: Rates, sh_degree: int, drawn: NDArray[np.int32]
+    ) -> None:
+        """One step of Adam for the Gaussians that were drawn; harmonics above `sh_degree` stay as they are.
+
+        drawn: (N,) not 0 where a view drew the Gaussian; other rows of the gradients are not read. A Gaussian out of
+        sight keeps its moments: to it, the steps between two sights have not been.
+        """
         self.step += 1
-        correction = np.float32((1.0 - float(BETA_2) ** self.step) ** -0.5)
-        for name in NAMES:
-            tables = [table[name].reshape(-1).numpy() for table in (self.values, gradients, self.first, self.second)]
-            width = self.values[name][0].numel() if len(self) > 0 else 1
-            columns = np.full(width, getattr(rates, name), np.float32)
-            if name == "sh":
-                columns[3:] = rates.sh_rest
-                columns[3 * (sh_degree + 1) ** 2 :] = 0.0
-            columns /= np.float32(1.0 - float(BETA_1) ** self.step)
-            adam_step(*tables, np.tile(columns, -(-RUN // width)), correction)
+        self.updates += torch.from_numpy(drawn != 0)
+        n = len(self)
+        for name in PARAMETERS:
+            tables = (
+                table.reshape(n, -1)
+                for table in (
+                    self.values[name].numpy(), gradients[name], self.first[name].numpy(), self.second[name].numpy()
+                )
+            )  # fmt: skip
+            adam_step(threads(), *tables, rates.columns(name, sh_degree), drawn, self.updates.numpy(), CORRECTIONS)

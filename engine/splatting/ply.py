@@ -15,6 +15,8 @@ from .gaussians import Gaussians
 
 _GEOMETRY = ("x", "y", "z", "opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)))
 _BASE = tuple(f"f_dc_{k}" for k in range(3))
+ANTIALIASED = "antialiased: fade Gaussians below a pixel"
+"""Comment in the head of a file whose Gaussians were trained so."""
 _REST_COUNTS = {3 * ((degree + 1) ** 2 - 1) for degree in range(4)}
 
 
@@ -41,8 +43,9 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
     table = torch.cat([column.detach().float() for column in columns], 1).numpy()
     names = _properties(rest.shape[1])
     vertices = np.ascontiguousarray(table, "<f4").view([(name, "<f4") for name in names]).reshape(n)
+    comments = [ANTIALIASED] if gaussians.antialiased else []
     with replacing(path) as temporary:
-        PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(str(temporary))
+        PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(str(temporary))
 
 
 def read_ply(path: Path) -> Gaussians:
@@ -51,7 +54,7 @@ def read_ply(path: Path) -> Gaussians:
     Raises:
         FormatError: the file is missing, cut short, not a `.ply`, or lacks what makes it Gaussians.
     """
-    vertices = _vertices(path)
+    vertices, comments = _vertices(path)
     names = set(vertices.dtype.names or ())
     missing = [name for name in (*_GEOMETRY, *_BASE) if name not in names]
     if missing:
@@ -76,19 +79,21 @@ def read_ply(path: Path) -> Gaussians:
         quats=_tensor(path, "rot", _columns(vertices, [f"rot_{k}" for k in range(4)])),
         opacity_logits=_tensor(path, "opacity", _columns(vertices, ["opacity"])[:, 0]),
         sh=_tensor(path, "f_dc, f_rest", sh),
+        antialiased=ANTIALIASED in comments,
     )
 
 
-def _vertices(path: Path) -> NDArray[np.void]:
+def _vertices(path: Path) -> tuple[NDArray[np.void], list[str]]:
     try:
-        element = PlyData.read(str(path), mmap=False)["vertex"]
+        data = PlyData.read(str(path), mmap=False)
+        element = data["vertex"]
     except FileNotFoundError as error:
         raise FormatError(f"{path} is not there; give the .ply of a trained scene") from error
     except KeyError as error:
         raise FormatError(f"{path} has no vertices; give a .ply of Gaussians") from error
     except (PlyParseError, ValueError, OSError, UnicodeError, TypeError) as error:
         raise FormatError(f"{path} cannot be read as .ply ({error}); it is cut short or of another kind") from error
-    return element.data
+    return element.data, data.comments
 
 
 def _columns(vertices: NDArray[np.void], names: tuple[str, ...] | list[str]) -> NDArray[np.float32]:

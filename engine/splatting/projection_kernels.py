@@ -15,13 +15,26 @@ from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
 from .harmonics_kernels import basis, pull_direction
-from .lanes import LANES
+from .lanes import LANES, take
 
 RECORD = 16
 """float32 values of a record: one cache line."""
-MEAN_X, MEAN_Y, CONIC_A, CONIC_B, CONIC_C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, REACH = (
-    range(13)
-)
+(
+    MEAN_X,
+    MEAN_Y,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    LOG2_OPACITY,
+    RED,
+    GREEN,
+    BLUE,
+    DEPTH,
+    HALF_WIDTH,
+    HALF_HEIGHT,
+    REACH,
+    SHRINK,
+) = range(14)
 
 MOMENT = 16
 USED_MOMENTS = 12
@@ -37,6 +50,8 @@ LOW_PASS = np.float32(0.3)
 MAX_QUATERNION_ERROR = np.float32(1e-24)
 LOG2_E = np.float32(math.log2(math.e))
 LOG2_255 = np.float32(math.log2(255.0))
+THINNEST = np.float32(1e-6)
+"""Least share of the opacity that a Gaussian thinner than a pixel keeps when antialiased; below nothing is drawn."""
 SLACK = np.float32(1e-3)
 """Pixels added around each box, so that rounding never cuts off a pixel that blending would draw."""
 ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
@@ -70,13 +85,13 @@ def _limits(camera: NDArray[np.float32]) -> tuple[float, ...]:
 
 @njit(fastmath=False)
 def _band(record: NDArray[np.float32], top: float, bottom: float) -> tuple[float, float]:
-    """Leftmost and rightmost x at which the ellipse α = 1/255 meets the band top ≤ y ≤ bottom.
+    """Leftmost and rightmost x at which the ellipse α = τ meets the band top ≤ y ≤ bottom.
 
     Without fast arithmetic, as all that ends in a tile's number: it would assume that nothing is NaN.
     """
     a, b, c, reach = record[CONIC_A], record[CONIC_B], record[CONIC_C], record[REACH]
     low, high = top - record[MEAN_Y], bottom - record[MEAN_Y]
-    extreme = b * record[HALF_WIDTH] / (TWO * c)
+    extreme = b * record[HALF_WIDTH] * record[SHRINK] / (TWO * c)
     right_y = min(max(-extreme, low), high)
     left_y = min(max(extreme, low), high)
     right_root = math.sqrt(max(b * b * right_y * right_y - np.float32(4) * a * (c * right_y * right_y - reach), ZERO))
@@ -91,8 +106,9 @@ def _band(record: NDArray[np.float32], top: float, bottom: float) -> tuple[float
 @njit(fastmath=False)
 def tile_rows(record: NDArray[np.float32], height: int) -> tuple[int, int]:
     """First and last + 1 row of tiles that the ellipse meets."""
-    first = max(math.ceil(record[MEAN_Y] - record[HALF_HEIGHT] - HALF - SLACK), 0)
-    last = min(math.floor(record[MEAN_Y] + record[HALF_HEIGHT] - HALF + SLACK), height - 1)
+    half = record[HALF_HEIGHT] * record[SHRINK]
+    first = max(math.ceil(record[MEAN_Y] - half - HALF - SLACK), 0)
+    last = min(math.floor(record[MEAN_Y] + half - HALF + SLACK), height - 1)
     if not first <= last:
         return 0, 0
     return int(first) // TILE_HEIGHT, int(last) // TILE_HEIGHT + 1
@@ -102,9 +118,10 @@ def tile_rows(record: NDArray[np.float32], height: int) -> tuple[int, int]:
 def tile_columns(record: NDArray[np.float32], tile_row: int, width: int) -> tuple[int, int]:
     """First and last + 1 tile of a row of tiles that the ellipse meets (exactly: its extent within those rows)."""
     top = np.float32(tile_row * TILE_HEIGHT) + HALF
-    top = max(top, record[MEAN_Y] - record[HALF_HEIGHT])
+    half = record[HALF_HEIGHT] * record[SHRINK]
+    top = max(top, record[MEAN_Y] - half)
     bottom = np.float32(tile_row * TILE_HEIGHT + TILE_HEIGHT) - HALF
-    bottom = min(bottom, record[MEAN_Y] + record[HALF_HEIGHT])
+    bottom = min(bottom, record[MEAN_Y] + half)
     if top > bottom + SLACK:
         return 0, 0
     left, right = _band(record, top, bottom)
@@ -113,6 +130,13 @@ def tile_columns(record: NDArray[np.float32], tile_row: int, width: int) -> tupl
     if not first <= last:
         return 0, 0
     return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH + 1
+
+
+@njit
+def holds_mean(record: NDArray[np.float32], tile_row: int, tile_column: int) -> bool:
+    """Whether a Gaussian's projected mean lies in a tile."""
+    x, y = record[MEAN_X] - np.float32(tile_column * TILE_WIDTH), record[MEAN_Y] - np.float32(tile_row * TILE_HEIGHT)
+    return x >= ZERO and x < np.float32(TILE_WIDTH) and y >= ZERO and y < np.float32(TILE_HEIGHT)
 
 
 @njit(fastmath=False)
@@ -150,22 +174,24 @@ def _project_one(
     log_scales: NDArray[np.float32],
     quats: NDArray[np.float32],
     opacity_logits: NDArray[np.float32],
+    antialiased: bool,
     offsets: NDArray[np.float32],
     camera: NDArray[np.float32],
     near: float,
+    pair_alpha: float,
     r: NDArray[np.float32],
     record: NDArray[np.float32],
 ) -> bool:
     """Write a Gaussian's ellipse (all but its colour); False when it cannot be seen."""
     if not _usable(i, means, log_scales, quats, opacity_logits):
         return False
-    px, py, pz = means[i, 0], means[i, 1], means[i, 2]
-    x = camera[0] * px + camera[1] * py + camera[2] * pz + camera[9]
-    y = camera[3] * px + camera[4] * py + camera[5] * pz + camera[10]
-    z = camera[6] * px + camera[7] * py + camera[8] * pz + camera[11]
-    opacity = ONE / (ONE + math.exp(-opacity_logits[i]))
-    reach = math.log2(max(opacity, FLOOR)) + LOG2_255
-    if not (z > near and reach > ZERO):
+    # From the camera's centre: far from the origin, R p + t would be a small difference of large numbers.
+    px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
+    x = camera[0] * px + camera[1] * py + camera[2] * pz
+    y = camera[3] * px + camera[4] * py + camera[5] * pz
+    z = camera[6] * px + camera[7] * py + camera[8] * pz
+    log2_opacity = math.log2(max(ONE / (ONE + math.exp(-opacity_logits[i])), FLOOR))
+    if not (z > near and log2_opacity + LOG2_255 > ZERO):
         return False
     _rotation(quats, i, r)
     fx, fy = camera[12], camera[13]
@@ -174,7 +200,8 @@ def _project_one(
     u = min(max(x * inverse_z, left), right)
     v = min(max(y * inverse_z, top), bottom)
     j00, j02, j11, j12 = fx * inverse_z, -fx * u * inverse_z, fy * inverse_z, -fy * v * inverse_z
-    xx, xy, yy = ZERO, ZERO, ZERO
+    xx, xy, yy, area = ZERO, ZERO, ZERO, ZERO
+    q0, q1, o0, o1 = ZERO, ZERO, ZERO, ZERO
     for k in range(3):
         s = math.exp(log_scales[i, k])
         m0, m1, m2 = r[k] * s, r[3 + k] * s, r[6 + k] * s
@@ -185,23 +212,37 @@ def _project_one(
         xx += p0 * p0
         xy += p0 * p1
         yy += p1 * p1
+        # det C as the sum of squares that it is (Cauchy and Binet): no difference of large numbers.
+        area += (q0 * p1 - q1 * p0) * (q0 * p1 - q1 * p0) + (o0 * p1 - o1 * p0) * (o0 * p1 - o1 * p0)
+        q0, q1, o0, o1 = p0, p1, q0, q1
+    # det(C + 0.3 I) = det C + 0.3 trace C + 0.09
+    whole = area + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
     xx += LOW_PASS
     yy += LOW_PASS
     if max(xx, yy) > WIDEST:
         return False
-    # Rounding must not take the determinant of C + 0.3 I below its least value, 0.3 trace(C) + 0.09.
-    inverse = ONE / max(xx * yy - xy * xy, LOW_PASS * (xx + yy) - LOW_PASS * LOW_PASS)
-    record[MEAN_X] = fx * x * inverse_z + camera[14] + offsets[i, 0]
-    record[MEAN_Y] = fy * y * inverse_z + camera[15] + offsets[i, 1]
+    inverse = ONE / whole
+    if antialiased:
+        log2_opacity += HALF * math.log2(max(area * inverse, THINNEST * THINNEST))
+    reach = log2_opacity + LOG2_255
+    listed = log2_opacity - math.log2(pair_alpha)
+    if not (reach > ZERO and listed > ZERO):
+        return False
+    record[MEAN_X] = fx * x * inverse_z + camera[14]
+    record[MEAN_Y] = fy * y * inverse_z + camera[15]
+    if offsets.shape[0] > 0:
+        record[MEAN_X] += offsets[i, 0]
+        record[MEAN_Y] += offsets[i, 1]
     record[CONIC_A] = HALF * LOG2_E * yy * inverse
     record[CONIC_B] = -LOG2_E * xy * inverse
     record[CONIC_C] = HALF * LOG2_E * xx * inverse
-    record[LOG2_OPACITY] = reach - LOG2_255
+    record[LOG2_OPACITY] = log2_opacity
     record[DEPTH] = z
     squared = TWO * reach / LOG2_E
     record[HALF_WIDTH] = math.sqrt(squared * xx)
     record[HALF_HEIGHT] = math.sqrt(squared * yy)
-    record[REACH] = reach
+    record[REACH] = listed
+    record[SHRINK] = math.sqrt(listed / reach)
     return (
         record[MEAN_X] + record[HALF_WIDTH] > ZERO
         and record[MEAN_X] - record[HALF_WIDTH] < camera[16]
@@ -220,45 +261,68 @@ def _direction(means: NDArray[np.float32], i: int, camera: NDArray[np.float32]) 
 
 @kernel
 def project(
+    workers: int,
     means: NDArray[np.float32],
     log_scales: NDArray[np.float32],
     quats: NDArray[np.float32],
     opacity_logits: NDArray[np.float32],
     sh: NDArray[np.float32],
     degree: int,
+    antialiased: bool,
     offsets: NDArray[np.float32],
     camera: NDArray[np.float32],
     near: float,
+    pair_alpha: float,
     records: NDArray[np.float32],
     room: NDArray[np.int32],
 ) -> None:
     """Fill records (N, RECORD) and room (N,): how many tiles each Gaussian's box meets, 0 for those not drawn.
 
-    offsets: (N, 2) px added to the projected means; camera: (21,) see `rasterize.camera_values`; near: float32, depth
-    up to which nothing is drawn.
+    antialiased: opacity · √(det C / det(C + 0.3 I)) for opacity; offsets: (N, 2) px added to the projected means, or
+    (0, 2); camera: (21,) see `drawing.camera_values`; near: float32, depth up to which nothing is drawn; pair_alpha:
+    float32, α from which a Gaussian is listed in a tile, at least 1/255.
     """
     n = means.shape[0]
     terms = (degree + 1) * (degree + 1)
     height = int(camera[17])
     width = int(camera[16])
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    blocks = (n + BLOCK - 1) // BLOCK
+    counter = np.zeros(1, np.int64)
+    for _worker in prange(workers):
         values = np.empty(16, np.float32)
         r = np.empty(14, np.float32)
-        for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
-            record = records[i]
-            room[i] = 0
-            if not _project_one(i, means, log_scales, quats, opacity_logits, offsets, camera, near, r, record):
-                continue
-            room[i] = box_tiles(record, width, height)
-            if room[i] == 0:
-                continue
-            x, y, z, _ = _direction(means, i, camera)
-            basis(degree, x, y, z, values)
-            for c in range(3):
-                color = HALF
-                for k in range(terms):
-                    color += values[k] * sh[i, k, c]
-                record[RED + c] = max(color, ZERO)
+        while True:
+            block = take(counter)
+            if block >= blocks:
+                break
+            for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+                record = records[i]
+                room[i] = 0
+                if not _project_one(
+                    i,
+                    means,
+                    log_scales,
+                    quats,
+                    opacity_logits,
+                    antialiased,
+                    offsets,
+                    camera,
+                    near,
+                    pair_alpha,
+                    r,
+                    record,
+                ):
+                    continue
+                room[i] = box_tiles(record, width, height)
+                if room[i] == 0:
+                    continue
+                x, y, z, _ = _direction(means, i, camera)
+                basis(degree, x, y, z, values)
+                for c in range(3):
+                    color = HALF
+                    for k in range(terms):
+                        color += values[k] * sh[i, k, c]
+                    record[RED + c] = max(color, ZERO)
 
 
 @njit
@@ -315,11 +379,49 @@ def _conic_to_covariance(record: NDArray[np.float32], g: NDArray[np.float32]) ->
 
 
 @njit
+def _fading(
+    i: int,
+    log_scales: NDArray[np.float32],
+    camera: NDArray[np.float32],
+    r: NDArray[np.float32],
+    j00: float,
+    j02: float,
+    j11: float,
+    j12: float,
+) -> tuple[float, float, float]:
+    """Gradient of ½ ln(det C / det(C + 0.3 I)) with respect to C (xx, xy counted once, yy)."""
+    xx, xy, yy, area = ZERO, ZERO, ZERO, ZERO
+    q0, q1, o0, o1 = ZERO, ZERO, ZERO, ZERO
+    for k in range(3):
+        s = math.exp(log_scales[i, k])
+        m0, m1, m2 = r[k] * s, r[3 + k] * s, r[6 + k] * s
+        v0 = camera[0] * m0 + camera[1] * m1 + camera[2] * m2
+        v1 = camera[3] * m0 + camera[4] * m1 + camera[5] * m2
+        v2 = camera[6] * m0 + camera[7] * m1 + camera[8] * m2
+        p0, p1 = j00 * v0 + j02 * v2, j11 * v1 + j12 * v2
+        xx += p0 * p0
+        xy += p0 * p1
+        yy += p1 * p1
+        area += (q0 * p1 - q1 * p0) * (q0 * p1 - q1 * p0) + (o0 * p1 - o1 * p0) * (o0 * p1 - o1 * p0)
+        q0, q1, o0, o1 = p0, p1, q0, q1
+    whole = ONE / (area + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS)
+    if area * whole <= THINNEST * THINNEST:
+        return ZERO, ZERO, ZERO
+    narrow = ONE / area
+    return (
+        HALF * (yy * narrow - (yy + LOW_PASS) * whole),
+        -xy * (narrow - whole),
+        HALF * (xx * narrow - (xx + LOW_PASS) * whole),
+    )
+
+
+@njit
 def _pull_geometry(
     i: int,
     means: NDArray[np.float32],
     log_scales: NDArray[np.float32],
     quats: NDArray[np.float32],
+    antialiased: bool,
     camera: NDArray[np.float32],
     record: NDArray[np.float32],
     g: NDArray[np.float32],
@@ -328,11 +430,13 @@ def _pull_geometry(
     d_log_scales: NDArray[np.float32],
     d_quats: NDArray[np.float32],
     d_offsets: NDArray[np.float32],
+    pose: NDArray[np.float32],
 ) -> tuple[float, float, float]:
-    """Gradients of an ellipse: into scales, rotation and offset, and with respect to the position in the camera."""
-    px, py, pz = means[i, 0], means[i, 1], means[i, 2]
-    x = camera[0] * px + camera[1] * py + camera[2] * pz + camera[9]
-    y = camera[3] * px + camera[4] * py + camera[5] * pz + camera[10]
+    """Gradients of an ellipse: into scales, rotation and offset, and with respect to the position in the camera; the
+    camera's own are added to `pose` (see `poses.twist_gradient`)."""
+    px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
+    x = camera[0] * px + camera[1] * py + camera[2] * pz
+    y = camera[3] * px + camera[4] * py + camera[5] * pz
     z = record[DEPTH]
     fx, fy = camera[12], camera[13]
     left, right, top, bottom = _limits(camera)
@@ -348,6 +452,9 @@ def _pull_geometry(
     gxx, gxy, gyy = _conic_to_covariance(record, g)
 
     _rotation(quats, i, r)
+    if antialiased:
+        axx, axy, ayy = _fading(i, log_scales, camera, r, j00, j02, j11, j12)
+        gxx, gxy, gyy = gxx + g[0] * axx, gxy + g[0] * axy, gyy + g[0] * ayy
     d00, d02, d11, d12 = ZERO, ZERO, ZERO, ZERO
     for k in range(3):
         s = math.exp(log_scales[i, k])
@@ -365,6 +472,15 @@ def _pull_geometry(
         dm0 = camera[0] * dv0 + camera[3] * dv1 + camera[6] * dv2
         dm1 = camera[1] * dv0 + camera[4] * dv1 + camera[7] * dv2
         dm2 = camera[2] * dv0 + camera[5] * dv1 + camera[8] * dv2
+        pose[3] += dv0 * m0
+        pose[4] += dv0 * m1
+        pose[5] += dv0 * m2
+        pose[6] += dv1 * m0
+        pose[7] += dv1 * m1
+        pose[8] += dv1 * m2
+        pose[9] += dv2 * m0
+        pose[10] += dv2 * m1
+        pose[11] += dv2 * m2
         d_log_scales[i, k] = dm0 * m0 + dm1 * m1 + dm2 * m2
         turned[k], turned[3 + k], turned[6 + k] = dm0 * s, dm1 * s, dm2 * s
     _pull_quaternion(r, turned, i, d_quats)
@@ -378,16 +494,31 @@ def _pull_geometry(
     if top < y * w and y * w < bottom:
         dy -= d12 * fy * w * w
         dz += d12 * fy * w * w * v
+    pose[0] += dx
+    pose[1] += dy
+    pose[2] += dz
+    pose[3] += dx * px
+    pose[4] += dx * py
+    pose[5] += dx * pz
+    pose[6] += dy * px
+    pose[7] += dy * py
+    pose[8] += dy * pz
+    pose[9] += dz * px
+    pose[10] += dz * py
+    pose[11] += dz * pz
     return dx, dy, dz
 
 
 @kernel
 def project_backward(
+    workers: int,
     means: NDArray[np.float32],
     log_scales: NDArray[np.float32],
     quats: NDArray[np.float32],
+    opacity_logits: NDArray[np.float32],
     sh: NDArray[np.float32],
     degree: int,
+    antialiased: bool,
     camera: NDArray[np.float32],
     records: NDArray[np.float32],
     starts: NDArray[np.int64],
@@ -400,42 +531,52 @@ def project_backward(
     d_sh: NDArray[np.float32],
     d_offsets: NDArray[np.float32],
     pulls: NDArray[np.float32],
+    pose_sums: NDArray[np.float32],
 ) -> None:
     """Add up each Gaussian's pairs, in the order of its tiles, and pull the sums back to its parameters.
 
     starts, counts: (N,) where each Gaussian's pairs begin in moments (P, MOMENT) and how many they are.
-    pulls: (N, 2) sums over pixels of the absolute gradients of the projected means. What is not drawn gets 0.
+    pulls: (N, 2) sums over pixels of the absolute gradients of the projected means. What is not drawn gets 0 in
+    d_offsets and pulls; its rows in the others stay as they were. pose_sums: (blocks, 15) see `poses.twist_gradient`,
+    by block of Gaussians, so that their order is fixed.
     """
     n = means.shape[0]
-    for block in prange((n + BLOCK - 1) // BLOCK):
+    blocks = (n + BLOCK - 1) // BLOCK
+    counter = np.zeros(1, np.int64)
+    for _worker in prange(workers):
         g = np.empty(MOMENT, np.float32)
         values = np.empty(16, np.float32)
         pulled = np.empty(16, np.float32)
         r = np.empty(14, np.float32)
         turned = np.empty(9, np.float32)
-        for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
-            d_sh[i] = ZERO
-            if counts[i] == 0:
-                d_means[i] = ZERO
-                d_log_scales[i] = ZERO
-                d_quats[i] = ZERO
-                d_opacity_logits[i] = ZERO
+        while True:
+            block = take(counter)
+            if block >= blocks:
+                break
+            pose = pose_sums[block]
+            pose[:] = ZERO
+            for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
                 d_offsets[i] = ZERO
                 pulls[i] = ZERO
-                continue
-            record = records[i]
-            g[:] = ZERO
-            for pair in range(starts[i], starts[i] + counts[i]):
-                for k in range(USED_MOMENTS):
-                    g[k] += moments[pair, k]
-            opacity = np.float32(2) ** record[LOG2_OPACITY]
-            d_opacity_logits[i] = g[0] * (ONE - opacity)
-            pulls[i, 0] = g[10] / LOG2_E
-            pulls[i, 1] = g[11] / LOG2_E
-            x, y, z = _pull_geometry(
-                i, means, log_scales, quats, camera, record, g, r, turned, d_log_scales, d_quats, d_offsets
-            )
-            dx, dy, dz = _pull_color(i, means, sh, degree, camera, record, g, values, pulled, d_sh)
-            d_means[i, 0] = dx + camera[0] * x + camera[3] * y + camera[6] * z
-            d_means[i, 1] = dy + camera[1] * x + camera[4] * y + camera[7] * z
-            d_means[i, 2] = dz + camera[2] * x + camera[5] * y + camera[8] * z
+                if counts[i] == 0:
+                    continue
+                d_sh[i] = ZERO
+                record = records[i]
+                g[:] = ZERO
+                for pair in range(starts[i], starts[i] + counts[i]):
+                    for k in range(USED_MOMENTS):
+                        g[k] += moments[pair, k]
+                d_opacity_logits[i] = g[0] / (ONE + math.exp(opacity_logits[i]))
+                pulls[i, 0] = g[10] / LOG2_E
+                pulls[i, 1] = g[11] / LOG2_E
+                x, y, z = _pull_geometry(
+                    i, means, log_scales, quats, antialiased, camera, record, g, r, turned, d_log_scales, d_quats,
+                    d_offsets, pose,
+                )  # fmt: skip
+                dx, dy, dz = _pull_color(i, means, sh, degree, camera, record, g, values, pulled, d_sh)
+                pose[12] += dx
+                pose[13] += dy
+                pose[14] += dz
+                d_means[i, 0] = dx + camera[0] * x + camera[3] * y + camera[6] * z
+                d_means[i, 1] = dy + camera[1] * x + camera[4] * y + camera[7] * z
+                d_means[i, 2] = dz + camera[2] * x + camera[5] * y + camera[8] * z

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from ..scene.camera import Camera
+from .drawing import near_plane
 from .gaussians import SH_C0, Gaussians
-from .rasterize import Rendering, near_plane
+from .rasterize import Rendering
 
 _C1 = 0.4886025119029199
 _C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -33,8 +34,9 @@ def harmonics(degree: int, directions: Tensor) -> Tensor:
     return torch.stack(rows, -1)
 
 
-def _ellipses(gaussians: Gaussians, camera: Camera) -> tuple[Tensor, Tensor]:
-    """(N, 2) projected means in pixels, and (N, 2, 2) covariances J W Σ Wᵀ Jᵀ + 0.3 I."""
+def _ellipses(gaussians: Gaussians, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """(N, 2) projected means in pixels, (N, 2, 2) covariances C + 0.3 I with C = J W Σ Wᵀ Jᵀ, and (N,) opacities, times
+    √(det C / det(C + 0.3 I)) when antialiased."""
     K = torch.from_numpy(camera.K)
     pose = torch.from_numpy(camera.world_to_camera)
     local = gaussians.means @ pose[:3, :3].T + pose[:3, 3]
@@ -46,8 +48,12 @@ def _ellipses(gaussians: Gaussians, camera: Camera) -> tuple[Tensor, Tensor]:
     zero = torch.zeros_like(z)
     J = torch.stack([torch.stack([fx / z, zero, -fx * u / z], -1), torch.stack([zero, fy / z, -fy * v / z], -1)], -2)
     A = J @ pose[:3, :3]
-    covariances = A @ gaussians.covariances @ A.transpose(-1, -2) + 0.3 * torch.eye(2, dtype=torch.float64)
-    return torch.stack([fx * x / z + cx, fy * y / z + cy], -1), covariances
+    narrow = A @ gaussians.covariances @ A.transpose(-1, -2)
+    covariances = narrow + 0.3 * torch.eye(2, dtype=torch.float64)
+    opacities = gaussians.opacities
+    if gaussians.antialiased:
+        opacities = opacities * (torch.linalg.det(narrow) / torch.linalg.det(covariances)).clamp_min(1e-12).sqrt()
+    return torch.stack([fx * x / z + cx, fy * y / z + cy], -1), covariances, opacities
 
 
 def blending_weights(gaussians: Gaussians, camera: Camera, offsets: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -55,9 +61,9 @@ def blending_weights(gaussians: Gaussians, camera: Camera, offsets: Tensor | Non
     pose = torch.from_numpy(camera.world_to_camera)
     depths = gaussians.means @ pose[2, :3] + pose[2, 3]
     order = depths.argsort(stable=True)
-    order = order[depths[order] > near_plane(gaussians.means, camera)]
+    order = order[depths[order] > near_plane(gaussians.means.detach().numpy(), camera)]
     nearest_first = gaussians.select(order)
-    means, covariances = _ellipses(nearest_first, camera)
+    means, covariances, opacities = _ellipses(nearest_first, camera)
     if offsets is not None:
         means = means + offsets[order]
     y, x = torch.meshgrid(
@@ -67,7 +73,7 @@ def blending_weights(gaussians: Gaussians, camera: Camera, offsets: Tensor | Non
     )
     d = torch.stack([x, y], -1) - means[:, None, None, :]
     power = -0.5 * torch.einsum("nhwi,nij,nhwj->nhw", d, torch.linalg.inv(covariances), d)
-    alpha = (nearest_first.opacities[:, None, None] * power.exp()).clamp_max(0.99)
+    alpha = (opacities[:, None, None] * power.exp()).clamp_max(0.99)
     alpha = torch.where(alpha >= 1 / 255, alpha, 0.0)
     before = torch.cumprod(torch.cat([torch.ones_like(alpha[:1]), 1 - alpha[:-1]]), 0)
     # A pixel that stopped adds nothing more; up to there the transmittance is the plain product.

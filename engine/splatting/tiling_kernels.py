@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .projection_kernels import BLOCK, DEPTH, tile_columns, tile_rows
+from .lanes import take
+from .projection_kernels import BLOCK, DEPTH, holds_mean, tile_columns, tile_rows
 
 _BITS = 11
 _BUCKETS = 1 << _BITS
@@ -64,29 +65,46 @@ def pair_starts(room: NDArray[np.int32]) -> NDArray[np.int64]:
 
 @kernel
 def list_pairs(
+    workers: int,
     records: NDArray[np.float32],
     starts: NDArray[np.int64],
     width: int,
     height: int,
     columns: int,
+    literal: bool,
     tile_of: NDArray[np.int32],
     counts: NDArray[np.int32],
 ) -> None:
-    """Write the tiles that each Gaussian's ellipse meets, row by row, into its part of tile_of; counts (N,) of them."""
+    """Write the tiles that each Gaussian's ellipse meets, row by row, into its part of tile_of; counts (N,) of them.
+
+    literal: only the tile that holds the mean.
+    """
     n = counts.shape[0]
-    for block in prange((n + BLOCK - 1) // BLOCK):
-        for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
-            pair = starts[i]
-            end = starts[i + 1]
-            if pair < end:
-                first, last = tile_rows(records[i], height)
-                for row in range(first, last):
-                    begin, stop = tile_columns(records[i], row, width)
-                    for column in range(begin, stop):
-                        if pair < end:
-                            tile_of[pair] = row * columns + column
-                            pair += 1
-            counts[i] = pair - starts[i]
+    blocks = (n + BLOCK - 1) // BLOCK
+    counter = np.zeros(1, np.int64)
+    for _worker in prange(workers):
+        while True:
+            block = take(counter)
+            if block >= blocks:
+                break
+            for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+                pair = starts[i]
+                end = starts[i + 1]
+                if pair < end:
+                    first, last = tile_rows(records[i], height)
+                    for row in range(first, last):
+                        begin, stop = tile_columns(records[i], row, width)
+                        for column in range(begin, stop):
+                            if pair < end and (not literal or holds_mean(records[i], row, column)):
+                                tile_of[pair] = row * columns + column
+                                pair += 1
+                counts[i] = pair - starts[i]
+
+
+@njit
+def heaviest_first(tile_starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Tiles by the length of their lists, so that the last ones handed out are short (paper, eq. 4: equal loads)."""
+    return np.argsort(tile_starts[:-1] - tile_starts[1:], kind="mergesort")
 
 
 CHUNKS = 16

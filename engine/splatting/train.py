@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..compiled import compiled_before
 from ..config import TrainConfig
 from ..errors import TrainingError
 from ..progress import Progress, silent
-from ..scene.camera import Scene
+from ..scene.camera import Camera, Scene
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
-from .densify import DensifyRules, Pulls, densify, hold_sizes, reset_opacity
-from .gaussians import Gaussians
-from .initialise import camera_spread, first_gaussians
-from .losses import photometric_loss, psnr, ssim
-from .parameters import NAMES, Parameters, Rates
+from .densify import Pulls
+from .exposure import Exposures, fitted
+from .gaussians import PARAMETERS, Gaussians
+from .initialise import first_gaussians
+from .losses import psnr, ssim
+from .memory import require_memory
+from .parameters import Parameters
 from .photos import PhotoShelf, Picture
-from .rasterize import render
+from .poses import Poses
+from .rasterize import accumulate, render
+from .schedule import Schedule, view_at
+from .step import Step
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,8 @@ class Training:
     """Trained Gaussians and what is known of their quality.
 
     held_out: scores of the photos kept aside; psnr, ssim: their means, None where none was kept; steps: optimiser steps
-    behind the Gaussians.
+    behind the Gaussians; checks: (step, held-out PSNR in dB) measured on the way; cameras:
+    the scene's, at the poses that were refined.
     """
 
     gaussians: Gaussians
@@ -49,6 +55,12 @@ class Training:
     psnr: float | None
     ssim: float | None
     steps: int
+    checks: tuple[tuple[int, float], ...] = ()
+    cameras: tuple[Camera, ...] = ()
+
+
+LEAST_GAIN = 0.02
+"""dB of held-out PSNR below which a measurement counts as no progress."""
 
 
 def train(
@@ -61,7 +73,7 @@ def train(
     another scene is passed over, with a message to `progress`.
 
     Raises:
-        TrainingError: there is nothing to train on, or the loss is no longer a number.
+        TrainingError: there is nothing to train on, memory does not suffice, or the loss is no longer a number.
         SceneError: a photo cannot be read.
         OutputError: the checkpoint cannot be written.
         Cancelled: `progress` asked for it; the last checkpoint stays.
@@ -70,45 +82,118 @@ def train(
     views = [view for view in range(len(scene.cameras)) if view not in kept_aside]
     if not views:
         raise TrainingError("the scene has no photo to train on; give at least one")
+    require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
     for view in sorted(kept_aside):
         progress(0.0, "reading the photos kept aside")
         PhotoShelf(scene, limit=0).picture(view)
-    shelf = PhotoShelf(scene)
     key = training_key(scene, config)
-    state = _resume(checkpoint, key, progress)
-    if state is None:
-        progress(0.0, "placing the first Gaussians")
-        gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
-        state = TrainingState(Parameters.start(gaussians), Pulls.none(len(gaussians)))
+    middle = np.stack([camera.center for camera in scene.cameras]).mean(0)
+    near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
+    shelf = PhotoShelf(near)
+    try:
+        training = _train(near, config, shelf, views, sorted(kept_aside), checkpoint, key, progress)
+    finally:
+        shelf.close()
+    gaussians = training.gaussians
+    means = (gaussians.means.double() + torch.from_numpy(middle)).float()
+    cameras = (
+        _shifted(replace(scene, cameras=training.cameras), middle).cameras if config.refine_poses else scene.cameras
+    )
+    return replace(training, gaussians=replace(gaussians, means=means), cameras=tuple(cameras))
+
+
+def _shifted(scene: Scene, offset: NDArray[np.float64]) -> Scene:
+    """The scene with everything in it moved by an offset (3,)."""
+    cameras = []
+    for camera in scene.cameras:
+        pose = camera.world_to_camera.copy()
+        pose[:3, 3] = -pose[:3, :3] @ (camera.center + offset)
+        cameras.append(replace(camera, world_to_camera=pose))
+    return replace(scene, cameras=cameras, points=np.asarray(scene.points, np.float64) + offset)
+
+
+def _train(
+    scene: Scene,
+    config: TrainConfig,
+    shelf: PhotoShelf,
+    views: Sequence[int],
+    kept_aside: Sequence[int],
+    checkpoint: Path | None,
+    key: str,
+    progress: Progress,
+) -> Training:
+    state = _resume(checkpoint, key, progress) or _start(shelf, views, config, progress)
     if not compiled_before():
         progress(0.0, "compiling for this machine, about half a minute, the first time only")
     schedule = Schedule(config, scene)
+    step = Step(schedule)
+    blank = 0
     while state.step < config.steps:
-        loss = _step(state, shelf, views, schedule)
+        picture = _picture(shelf, state.step, views, schedule)
+        blank = blank + 1 if picture.mask is not None and not picture.mask.any() else 0
+        if blank == len(views):
+            raise TrainingError("the masks leave no pixel of any photo to learn from; white is what may be used")
+        loss = step.take(state, picture)
         done = state.step
         if not math.isfinite(loss):
             raise _breakdown(done, f"the loss is {loss}")
+        if schedule.drops_unneeded(done):
+            state.select(_needed(_drawable(state, config), scene, views, config.drop_unneeded))
         if done % 20 == 0 or done == config.steps:
             if not len(finite(state.parameters.gaussians())):
                 raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
+        if schedule.checks(done) and kept_aside:
+            scores = [_score(_drawable(state, config), shelf.picture(view), "", config) for view in kept_aside]
+            state.checks.append((done, float(np.mean([score.psnr for score in scores]))))
+            progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {state.checks[-1][1]:.2f} dB")
+            if stalled([quality for _, quality in state.checks], config.patience):
+                break
         if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(checkpoint, state, key)
-    gaussians = finite(state.parameters.gaussians())
+    gaussians = finite(_drawable(state, config))
+    refined = [
+        camera if state.poses is None else state.poses.camera(view, camera) for view, camera in enumerate(scene.cameras)
+    ]
     progress(0.96, "measuring the photos kept aside")
-    scores = tuple(_score(gaussians, shelf.picture(view), scene.images[view].name) for view in sorted(kept_aside))
+    scores = [_score(gaussians, shelf.picture(view), scene.images[view].name, config) for view in kept_aside]
     return Training(
         gaussians=gaussians,
-        held_out=scores,
+        held_out=tuple(scores),
         psnr=float(np.mean([score.psnr for score in scores])) if scores else None,
         ssim=float(np.mean([score.ssim for score in scores])) if scores else None,
         steps=state.step,
+        checks=tuple(state.checks),
+        cameras=tuple(refined),
     )
+
+
+def _start(shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, progress: Progress) -> TrainingState:
+    progress(0.0, "placing the first Gaussians")
+    gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
+    exposures = Exposures.neutral(len(shelf.scene.cameras)) if config.exposure else None
+    poses = Poses.of(shelf.scene.cameras) if config.refine_poses else None
+    return TrainingState(Parameters.start(gaussians), Pulls.none(len(gaussians)), exposures, poses)
+
+
+def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Schedule) -> Picture:
+    """The step's photo; the next one is decoded meanwhile."""
+    picture = shelf.picture(view_at(step, views, schedule.config.seed), schedule.shrink(step))
+    if step + 1 < schedule.config.steps:
+        shelf.expect(view_at(step + 1, views, schedule.config.seed), schedule.shrink(step + 1))
+    return picture
+
+
+def stalled(checks: Sequence[float], patience: int) -> bool:
+    """Whether the last `patience` measurements (dB) brought nothing over those before."""
+    if patience == 0 or len(checks) <= patience:
+        return False
+    return max(checks[-patience:]) < max(checks[:-patience]) + LEAST_GAIN
 
 
 def finite(gaussians: Gaussians) -> Gaussians:
     """A copy without the Gaussians that hold NaN or infinity."""
-    rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in NAMES]
+    rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in PARAMETERS]
     return gaussians.select(torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1))
 
 
@@ -126,67 +211,6 @@ def held_out_views(scene: Scene, every: int) -> frozenset[int]:
     return frozenset(range(0, len(scene.cameras), every))
 
 
-@dataclass(frozen=True, eq=False)
-class Schedule:
-    """What changes from step to step, all of it a function of the step alone."""
-
-    config: TrainConfig
-    scene: Scene
-
-    @cached_property
-    def extent(self) -> float:
-        return 1.1 * camera_spread(self.scene)
-
-    @cached_property
-    def middle(self) -> Tensor:
-        return torch.from_numpy(np.stack([camera.center for camera in self.scene.cameras]).mean(0)).float()
-
-    def done(self, step: int) -> float:
-        return step / self.config.steps
-
-    def rates(self, step: int) -> Rates:
-        """That of the means is in the scene's extent and falls exponentially to a hundredth; a short training needs
-        higher ones than 3DGS's 30,000 steps."""
-        config = self.config
-        return Rates(
-            means=config.means_rate * self.extent * 0.01 ** self.done(step),
-            log_scales=config.scales_rate,
-            quats=config.quats_rate,
-            opacity_logits=config.opacity_rate,
-            sh=config.sh_rate,
-            sh_rest=config.sh_rate / 20,
-        )
-
-    def sh_degree(self, step: int) -> int:
-        """One degree more with every sixth of the steps."""
-        return min(self.config.sh_degree, int(6 * self.done(step)))
-
-    def densifies(self, step: int) -> bool:
-        config = self.config
-        begun = step >= config.densify_from * config.steps and step <= config.densify_until * config.steps
-        return begun and step % config.densify_every == 0
-
-    def resets_opacity(self, step: int) -> bool:
-        every = self.config.reset_opacity_every
-        return every > 0 and step % every == 0 and step <= self.config.densify_until * self.config.steps
-
-    def rules(self) -> DensifyRules:
-        return DensifyRules(
-            gradient=self.config.densify_gradient,
-            max_gaussians=self.config.max_gaussians,
-            small=self.config.split_size * self.extent,
-            opacity=self.config.prune_opacity,
-            oversize=0.1,
-            extent=self.extent,
-        )
-
-
-def view_at(step: int, views: Sequence[int], seed: int) -> int:
-    """The photo of a step: every round shows all photos once, in an order drawn from (seed, round)."""
-    lap, place = divmod(step, len(views))
-    return views[np.random.default_rng([seed, lap]).permutation(len(views))[place]]
-
-
 def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingState | None:
     if checkpoint is None or not checkpoint.exists():
         return None
@@ -197,41 +221,25 @@ def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingSt
         return None
 
 
-def _step(state: TrainingState, shelf: PhotoShelf, views: Sequence[int], schedule: Schedule) -> float:
-    """One photo: draw, compare, move; densify when it is time. Returns the photometric loss."""
-    config, step = schedule.config, state.step
-    picture = shelf.picture(view_at(step, views, config.seed))
-    degree = schedule.sh_degree(step)
-    gradients, pulled, radii, loss = _gradients(state.parameters.gaussians(), picture, config, degree)
-    state.parameters.update(gradients, schedule.rates(step), degree)
-    hold_sizes(state.parameters, schedule.middle, schedule.extent)
-    state.pulls.add(pulled, radii, picture.camera.width, picture.camera.height)
-    done = state.step
-    if schedule.densifies(done):
-        densify(state.parameters, state.pulls, schedule.rules(), schedule.middle, [config.seed, done])
-        state.pulls = Pulls.none(len(state.parameters))
-    if schedule.resets_opacity(done):
-        reset_opacity(state.parameters, 0.05)
-    return loss
+def _drawable(state: TrainingState, config: TrainConfig) -> Gaussians:
+    return replace(state.parameters.gaussians(), antialiased=config.antialiased)
 
 
-def _gradients(
-    gaussians: Gaussians, picture: Picture, config: TrainConfig, sh_degree: int
-) -> tuple[dict[str, Tensor], Tensor, Tensor, float]:
-    """Gradients by parameter, absolute ones of the projected means, the radii, and the loss."""
-    leaves = {name: getattr(gaussians, name).detach().requires_grad_() for name in NAMES}
-    pulls = torch.zeros(len(gaussians), 2)
-    rendering = render(Gaussians(**leaves), picture.camera, sh_degree=sh_degree, screen_pulls=pulls)
-    loss = photometric_loss(rendering.color, picture.pixels, ssim_weight=config.ssim_weight, mask=picture.mask)
-    loss.backward()
-    gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-    assert len(gradients) == len(NAMES)
-    return gradients, pulls, rendering.radii, loss.item()
+def _needed(gaussians: Gaussians, scene: Scene, views: Sequence[int], least: float) -> Tensor:
+    """(N,) mask of the Gaussians that some view shows with more than `least` pixels' blending weight."""
+    most = torch.zeros(len(gaussians))
+    for view in views:
+        camera = scene.cameras[view]
+        weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
+        most = torch.maximum(most, weights)
+    return most > least
 
 
-def _score(gaussians: Gaussians, picture: Picture, name: str) -> ViewScore:
+def _score(gaussians: Gaussians, picture: Picture, name: str, config: TrainConfig) -> ViewScore:
     with torch.no_grad():
         color = render(gaussians, picture.camera).color
+    if config.exposure:
+        color = torch.from_numpy(fitted(color.numpy(), picture.pixels, picture.mask))
     return ViewScore(
         name=name,
         psnr=psnr(color, picture.pixels, mask=picture.mask),

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.config import PRESETS, Config, TrainConfig
 from fruitlangs.engine.errors import ConfigError, SceneError, VocabularyError
 from fruitlangs.operators import settings as conversions
 
@@ -45,6 +45,14 @@ def test_a_senseless_value_is_the_configs_own_error(extension):
     bpy.context.scene.fruitlangs.config.count.threshold = 1.0
     with pytest.raises(ConfigError, match="threshold"):
         conversions.read_config(bpy.context.scene.fruitlangs)
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_a_preset_sets_training_as_it_does_on_the_command_line(extension, preset):
+    settings = bpy.context.scene.fruitlangs
+    settings.config.train.steps = 77
+    settings.preset = preset
+    assert conversions.read_config(settings).train == PRESETS[preset]
 
 
 def test_words_are_split_at_commas():

@@ -19,7 +19,7 @@ from fruitlangs.engine.counting.visibility import Visibility
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.scene.camera import Camera
-from fruitlangs.engine.splatting.gaussians import Gaussians
+from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 
 sys.path.insert(0, str(Path(__file__).parent))
 import simulated_fruit as sim
@@ -244,8 +244,5 @@ def moved_by(tree: sim.Simulation, turn: np.ndarray, shift: np.ndarray, scale: f
 
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
-    pairs = {
-        field.name: torch.cat([getattr(first, field.name), getattr(second, field.name)])
-        for field in dataclasses.fields(Gaussians)
-    }
+    pairs = {name: torch.cat([getattr(first, name), getattr(second, name)]) for name in PARAMETERS}
     return Gaussians(**pairs)

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,7 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from splats import random_gaussians
 
 from fruitlangs.engine.splatting.densify import DensifyRules, Pulls, densify, hold_sizes, reset_opacity
-from fruitlangs.engine.splatting.parameters import NAMES, Parameters
+from fruitlangs.engine.splatting.gaussians import PARAMETERS
+from fruitlangs.engine.splatting.parameters import Parameters
 
 RULES = DensifyRules(gradient=0.5, max_gaussians=1000, small=0.08, opacity=0.005, oversize=10.0, extent=1.0)
 MIDDLE = torch.zeros(3)
@@ -23,7 +25,7 @@ MIDDLE = torch.zeros(3)
 def started(n: int = 40, seed: int = 0) -> tuple[Parameters, Pulls]:
     """Parameters with moments that tell them apart, every second Gaussian pulled."""
     parameters = Parameters.start(random_gaussians(n, 1, seed))
-    for name in NAMES:
+    for name in PARAMETERS:
         rows = torch.arange(1.0, n + 1).reshape(-1, *[1] * (parameters.first[name].ndim - 1))
         parameters.first[name] += rows
         parameters.second[name] += 2 * rows
@@ -37,7 +39,7 @@ def test_every_pulled_gaussian_adds_one() -> None:
     parameters, pulls = started()
     densify(parameters, pulls, RULES, MIDDLE, [0, 1])
     assert len(parameters) == 60
-    assert all(len(table[name]) == 60 for table in (parameters.values, parameters.first) for name in NAMES)
+    assert all(len(table[name]) == 60 for table in (parameters.values, parameters.first) for name in PARAMETERS)
 
 
 @pytest.mark.parametrize("budget", [40, 41, 47, 60])
@@ -117,8 +119,8 @@ def test_a_reset_lowers_opacity_and_forgets_its_moments() -> None:
 
 def test_pulls_are_means_over_the_views_that_drew() -> None:
     pulls = Pulls.none(2)
-    pulls.add(torch.tensor([[0.3, 0.4], [0.0, 0.0]]), torch.tensor([2.0, 0.0]), 20, 20)
-    pulls.add(torch.tensor([[0.0, 0.0], [0.0, 0.0]]), torch.tensor([2.0, 0.0]), 20, 20)
+    pulls.add(np.array([[0.3, 0.4], [0.0, 0.0]], np.float32), np.array([2, 0], np.int32), 20, 20)
+    pulls.add(np.zeros((2, 2), np.float32), np.array([2, 0], np.int32), 20, 20)
     torch.testing.assert_close(pulls.means, torch.tensor([2.5, 0.0]))
 
 

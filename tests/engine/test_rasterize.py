@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -18,13 +18,14 @@ from splats import random_gaussians, ring_camera
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.agreement import compare_with_twin
-from fruitlangs.engine.splatting.gaussians import Gaussians
-from fruitlangs.engine.splatting.rasterize import accumulate, near_plane, render
+from fruitlangs.engine.splatting.drawing import near_plane
+from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
+from fruitlangs.engine.splatting.rasterize import accumulate, render
 from fruitlangs.engine.splatting.reference import blending_weights
 
 
 def doubled(gaussians: Gaussians) -> Gaussians:
-    return Gaussians(**{field.name: getattr(gaussians, field.name).double() for field in fields(gaussians)})
+    return Gaussians(**{name: getattr(gaussians, name).double() for name in PARAMETERS})
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -32,6 +33,26 @@ def test_values_and_gradients_agree_with_the_twin(degree: int) -> None:
     errors = compare_with_twin(random_gaussians(60, degree, seed=degree), ring_camera(), seed=degree)
     assert set(errors) >= {"color", "depth", "alpha", "features", "d means", "d sh", "d quats", "d offsets"}
     assert max(errors.values()) < 1e-4, errors
+
+
+def test_values_and_gradients_of_antialiased_drawing_agree_with_the_twin() -> None:
+    gaussians = random_gaussians(80, 1, seed=5, log_scale=-3.5)  # many smaller than a pixel
+    errors = compare_with_twin(replace(gaussians, antialiased=True), ring_camera(), seed=5)
+    assert max(errors.values()) < 1e-3, errors
+    assert not torch.equal(
+        render(replace(gaussians, antialiased=True), ring_camera()).color, render(gaussians, ring_camera()).color
+    )
+
+
+def test_listing_pairs_by_a_higher_alpha_draws_less_and_the_exact_one_everything() -> None:
+    gaussians, camera = random_gaussians(200, 0, seed=12), ring_camera()
+    exact = render(gaussians, camera)
+    assert torch.equal(render(gaussians, camera, pair_alpha=1 / 255).color, exact.color)
+    coarse = render(gaussians, camera, pair_alpha=0.2)
+    assert float(coarse.alpha.sum()) < float(exact.alpha.sum())
+    torch.testing.assert_close(coarse.color, exact.color, rtol=0, atol=0.8)
+    literal = render(gaussians, camera, literal_pairs=True)
+    assert float(literal.alpha.sum()) < float(exact.alpha.sum())
 
 
 def test_gaussians_beside_and_behind_the_camera_agree_with_the_twin() -> None:
@@ -92,7 +113,7 @@ def test_a_stray_gaussian_before_the_lens_hides_nothing() -> None:
     before = camera.center + 0.1 * camera.world_to_camera[2, :3]
     gaussians.means[0] = torch.from_numpy(before).float()
     others = gaussians.select(torch.arange(1, 200))
-    assert near_plane(others.means, camera) > 0.1
+    assert near_plane(others.means.numpy(), camera) > 0.1
     assert torch.equal(render(gaussians, camera).color, render(others, camera).color)
 
 
@@ -117,12 +138,12 @@ def test_threads_change_no_byte() -> None:
 
     def everything() -> list[torch.Tensor]:
         gaussians = random_gaussians(3000, 3, seed=11, log_scale=-3.0)
-        for field in fields(gaussians):
-            getattr(gaussians, field.name).requires_grad_()
+        for name in PARAMETERS:
+            getattr(gaussians, name).requires_grad_()
         rendering = render(gaussians, camera)
         (rendering.color.square().sum() + rendering.depth.sum()).backward()
         sums = accumulate(gaussians, camera, torch.ones(120, 200, 5)).sums
-        return [rendering.color.detach(), sums, *(getattr(gaussians, field.name).grad for field in fields(gaussians))]
+        return [rendering.color.detach(), sums, *(getattr(gaussians, name).grad for name in PARAMETERS)]
 
     most = numba.get_num_threads()
     runs = []

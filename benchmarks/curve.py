@@ -1,0 +1,69 @@
+"""Held-out PSNR over seconds of training."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..engine.config import SceneConfig, TrainConfig
+from ..engine.progress import Progress, silent
+from ..engine.scene.read import read_scene
+from ..engine.splatting.train import train
+
+CHECKS = 20
+"""Measurements on the way."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """seconds: spent training up to each measurement, without what measuring took; psnr: held-out, dB."""
+
+    scene: str
+    setting: str
+    steps: int
+    gaussians: int
+    seconds: tuple[float, ...]
+    psnr: tuple[float, ...]
+    peak_bytes: int
+
+
+def training_curve(
+    scene_folder: Path,
+    config: TrainConfig | None = None,
+    *,
+    setting: str = "standard",
+    scene_config: SceneConfig | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+    progress: Progress = silent,
+) -> Curve:
+    """Train on a scene and measure on the way."""
+    config = config or TrainConfig()
+    scene = read_scene(scene_folder, scene_config or SceneConfig())
+    seconds: list[float] = []
+    begun, away = clock(), 0.0
+    last_step = clock()
+
+    def watch(fraction: float, message: str) -> None:
+        nonlocal away, last_step
+        now = clock()
+        if "held-out PSNR" in message:  # what has passed since the last step was measuring
+            seconds.append(last_step - begun - away)
+            away += now - last_step
+        last_step = now
+        progress(fraction, message)
+
+    checked = replace(config, check_every=max(config.steps // CHECKS // 20 * 20, 1))
+    training = train(scene, checked, progress=watch)
+    return Curve(
+        scene=scene_folder.name,
+        setting=setting,
+        steps=training.steps,
+        gaussians=len(training.gaussians),
+        seconds=(*seconds, last_step - begun - away),
+        psnr=(*(quality for _, quality in training.checks), training.psnr or 0.0),
+        peak_bytes=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+    )

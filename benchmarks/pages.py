@@ -1,0 +1,92 @@
+"""Tables and plots of what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+from .curve import Curve
+from .stages import FORWARD_AND_BACKWARD, STAGES, STEP, Row
+
+
+def stage_table(rows: Sequence[Row]) -> str:
+    """Markdown: one line a setting, milliseconds by stage, and how many times longer the peer takes for the sums."""
+    columns = (*STAGES, FORWARD_AND_BACKWARD, STEP)
+    head = ["Gaussians", "image", "threads", *columns, f"peer {FORWARD_AND_BACKWARD}", "ratio", f"peer {STEP}", "ratio"]
+    lines = [_line(head), _line(["---:"] * len(head))]
+    for (n, width, height, threads), group in groupby(
+        rows, lambda row: (row.gaussians, row.width, row.height, row.threads)
+    ):
+        by_stage = {row.stage: row for row in group}
+        cells = [
+            f"{n:,}",
+            f"{width}×{height}",
+            str(threads),
+            *(_milliseconds(by_stage[name].seconds) for name in columns),
+        ]
+        for name in (FORWARD_AND_BACKWARD, STEP):
+            row = by_stage[name]
+            ratio = "" if row.peer_ratio is None else f"{row.peer_ratio:.1f}"
+            cells += [_milliseconds(row.peer), ratio]
+        lines.append(_line(cells))
+    return "Milliseconds a stage, medians.\n\n" + "\n".join(lines)
+
+
+def curve_table(curves: Sequence[Curve]) -> str:
+    """Markdown: held-out PSNR and peak memory of each training."""
+    head = ["scene", "setting", "steps", "Gaussians", "seconds", "held-out PSNR / dB", "peak memory / MB"]
+    lines = [_line(head), _line(["---"] * 2 + ["---:"] * (len(head) - 2))]
+    for curve in curves:
+        cells = [curve.scene, curve.setting, str(curve.steps), f"{curve.gaussians:,}", f"{curve.seconds[-1]:.0f}"]
+        lines.append(_line([*cells, f"{curve.psnr[-1]:.2f}", f"{curve.peak_bytes / 2**20:.0f}"]))
+    return "Training.\n\n" + "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return "" if seconds is None else f"{1000 * seconds:.1f}"
+
+
+def draw_stages(rows: Sequence[Row], path: Path) -> None:
+    """Bars of a step's stages by setting, and the peer's ratio above each."""
+    from matplotlib.figure import Figure
+
+    settings = list(dict.fromkeys((row.gaussians, row.width, row.height, row.threads) for row in rows))
+    table = {(row.gaussians, row.width, row.height, row.threads, row.stage): row for row in rows}
+    figure = Figure(figsize=(max(6.0, 0.6 * len(settings) + 2), 5), layout="constrained")
+    axes = figure.add_subplot()
+    bottom = [0.0] * len(settings)
+    for stage in STAGES:
+        heights = [1000 * table[(*setting, stage)].seconds for setting in settings]
+        axes.bar(range(len(settings)), heights, bottom=bottom, label=stage)
+        bottom = [low + height for low, height in zip(bottom, heights, strict=True)]
+    for place, setting in enumerate(settings):
+        ratio = table[(*setting, STEP)].peer_ratio
+        if ratio is not None:
+            axes.text(place, bottom[place], f"{ratio:.0f}×", ha="center", va="bottom", fontsize=8)
+    names = [f"{n // 1000}k\n{width}×{height}\n{threads} thr." for n, width, height, threads in settings]
+    axes.set_xticks(range(len(settings)), names, fontsize=7)
+    axes.set_ylabel("milliseconds a step")
+    axes.set_yscale("log" if max(bottom) > 20 * min(bottom) else "linear")
+    axes.set_title("A step by stage; above: how many times longer the peer in plain PyTorch takes", fontsize=10)
+    axes.legend(fontsize=8)
+    figure.savefig(path, dpi=120)
+
+
+def draw_curves(curves: Sequence[Curve], path: Path) -> None:
+    """Held-out PSNR over seconds of training."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    for curve in curves:
+        axes.plot(curve.seconds, curve.psnr, marker=".", label=f"{curve.scene}, {curve.setting}")
+    axes.set_xlabel("seconds of training")
+    axes.set_ylabel("held-out PSNR / dB")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.savefig(path, dpi=120)

@@ -1,0 +1,54 @@
+"""How much memory a training will need, and whether it is there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import psutil
+
+from ..errors import TrainingError
+from ..scene.camera import Camera
+from .losses import REMEMBERED
+from .photos import KEPT
+from .projection_kernels import MOMENT, RECORD
+
+TILES_EACH = 6
+"""Tiles that a Gaussian meets in a view, in the mean: 3 to 5 were measured."""
+PLANES = 40
+"""float32 planes of a photo's size that a step keeps: blending, gradients, the loss's scratch."""
+BASE = 400 << 20
+"""Bytes of the program itself, its libraries and the machine code."""
+
+
+def training_bytes(gaussians: int, sh_degree: int, cameras: Sequence[Camera]) -> int:
+    """About how much memory training needs at its peak, in bytes."""
+    values = 11 + 3 * (sh_degree + 1) ** 2
+    # Values, two moments, gradients, and a second copy of the first three while Gaussians are added.
+    a_gaussian = 4 * (7 * values + RECORD + 8) + TILES_EACH * (4 * MOMENT + 12)
+    pixels = [camera.width * camera.height for camera in cameras]
+    photos = min(sum(3 * count for count in pixels), KEPT)
+    moments = min(sum(24 * count for count in pixels), REMEMBERED)
+    return BASE + gaussians * a_gaussian + photos + moments + 4 * PLANES * max(pixels, default=0)
+
+
+def require_memory(gaussians: int, sh_degree: int, cameras: Sequence[Camera], free: int | None = None) -> None:
+    """Refuse a training that cannot fit.
+
+    free: bytes that may be used; what the system says is available when not given.
+
+    Raises:
+        TrainingError: it needs more; says what would fit.
+    """
+    available = psutil.virtual_memory().available if free is None else free
+    needed = training_bytes(gaussians, sh_degree, cameras)
+    if needed <= available:
+        return
+    fixed = training_bytes(0, sh_degree, cameras)
+    each = (needed - fixed) / gaussians
+    fitting = int((available - fixed) / each) // 1000 * 1000
+    advice = f"--train.max-gaussians {fitting}" if fitting >= 1000 else "--scene.downscale 2 or more"
+    raise TrainingError(
+        f"training up to {gaussians:,} Gaussians on photos of up to {max(c.width for c in cameras)}×"
+        f"{max(c.height for c in cameras)} needs about {needed / 2**30:.1f} GB of memory and {available / 2**30:.1f} GB"
+        f" are free; close other programs, or use {advice}"
+    )
