@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,6 +11,7 @@ from ..engine.config import SceneConfig, TrainConfig
 from ..engine.progress import Progress, silent
 from ..engine.scene.read import read_scene
 from ..engine.splatting.train import train
+from .memory import peak_bytes
 
 CHECKS = 20
 """Measurements on the way."""
@@ -65,5 +64,5 @@ def training_curve(
         gaussians=len(training.gaussians),
         seconds=(*seconds, last_step - begun - away),
         psnr=(*(quality for _, quality in training.checks), training.psnr or 0.0),
-        peak_bytes=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+        peak_bytes=peak_bytes(),
     )

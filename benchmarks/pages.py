@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
+from .ablation import Ablation
 from .curve import Curve
 from .stages import FORWARD_AND_BACKWARD, STAGES, STEP, Row
 
@@ -41,6 +42,16 @@ def curve_table(curves: Sequence[Curve]) -> str:
         cells = [curve.scene, curve.setting, str(curve.steps), f"{curve.gaussians:,}", f"{curve.seconds[-1]:.0f}"]
         lines.append(_line([*cells, f"{curve.psnr[-1]:.2f}", f"{curve.peak_bytes / 2**20:.0f}"]))
     return "Training.\n\n" + "\n".join(lines)
+
+
+def ablation_table(rows: Sequence[Ablation]) -> str:
+    """Markdown: seconds and held-out quality of each variant; the first row is what the others are compared with."""
+    head = ["changed", "seconds", "speed", "held-out PSNR / dB", "gain / dB", "SSIM", "Gaussians"]
+    lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
+    for row in rows:
+        cells = [row.name, f"{row.seconds:.1f}", f"{rows[0].seconds / row.seconds:.2f}×", f"{row.psnr:.2f}"]
+        lines.append(_line([*cells, f"{row.psnr - rows[0].psnr:+.2f}", f"{row.ssim:.3f}", f"{row.gaussians:,}"]))
+    return "Training with one part changed.\n\n" + "\n".join(lines)
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -70,9 +70,9 @@ class SceneConfig(_Checked):
 class TrainConfig(_Checked):
     """How Gaussians are trained from the photos."""
 
-    steps: int = _number(4000, 1, 10_000_000)
+    steps: int = _number(1500, 1, 10_000_000)
     """Optimiser steps, one photo each."""
-    max_gaussians: int = _number(100_000, 1, 100_000_000)
+    max_gaussians: int = _number(80_000, 1, 100_000_000)
     """Densification stops at this many Gaussians."""
     sh_degree: int = _number(2, 0, 3)
     """Highest degree of the spherical harmonics that carry view-dependent colour (0-3)."""
@@ -90,13 +90,13 @@ class TrainConfig(_Checked):
     """Learning rate of opacity logits."""
     sh_rate: float = _number(8e-3, 0, 10)
     """Learning rate of base colours; harmonics above move at a twentieth of it."""
-    coarse_until: float = _number(0.4, 0, 1)
+    coarse_until: float = _number(0.6, 0, 1)
     """Share of the steps that are trained on photos of half the width and height."""
     densify: Literal["gradient", "mcmc"] = "gradient"
     """How Gaussians come and go: 'gradient' clones and splits where the photos pull (3DGS), 'mcmc' moves the dead."""
     densify_from: float = _number(0.05, 0, 1)
     """Share of the steps after which Gaussians are cloned and split."""
-    densify_until: float = _number(0.6, 0, 1)
+    densify_until: float = _number(0.5, 0, 1)
     """Share of the steps after which no Gaussian is added any more."""
     densify_every: int = _number(100, 1, LARGEST)
     """Steps between two densifications."""
@@ -142,7 +142,7 @@ class TrainConfig(_Checked):
 
 Preset = Literal["quick", "standard", "paper"]
 PRESETS: dict[Preset, TrainConfig] = {
-    "quick": TrainConfig(steps=400, max_gaussians=50_000, coarse_until=0.6),
+    "quick": TrainConfig(steps=400, max_gaussians=40_000, coarse_until=0.7),
     "standard": TrainConfig(),
     "paper": TrainConfig(
         steps=30_000,

@@ -1,12 +1,13 @@
-"""Measure the speed of training, stage by stage, beside a rasteriser in plain PyTorch.
+"""Measure the trainer: seconds by stage beside a rasteriser in plain PyTorch, curves, memory, what each part gains.
 
     python scripts/benchmark.py --quick
     python scripts/benchmark.py --out results/benchmark --json results/benchmark/stages.json
     python scripts/benchmark.py --out results/benchmark --curve examples/orchard_tree results/orchard2
+    python scripts/benchmark.py --ablation examples/orchard_tree --steps 750
+    python scripts/benchmark.py --memory 200000 100 800 600
 
-Prints a table of seconds, and of how many times longer the peer takes in the same run; with --out it also writes
-benchmark.md and a plot. `--curve` trains on scenes and plots held-out PSNR over seconds of training. Close other
-programs first.
+Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
+vary between runs, so compare within one.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import run, terminal_progress
-from fruitlangs.benchmarks.curve import Curve, training_curve
-from fruitlangs.benchmarks.pages import curve_table, draw_curves, draw_stages, stage_table
+from fruitlangs.benchmarks.ablation import ablate
+from fruitlangs.benchmarks.curve import training_curve
+from fruitlangs.benchmarks.memory import training_peak
+from fruitlangs.benchmarks.pages import ablation_table, curve_table, draw_curves, draw_stages, stage_table
 from fruitlangs.benchmarks.stages import Setting, measure
+from fruitlangs.engine.config import TrainConfig
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.engine.progress import part
 
 SIZES = ((400, 300), (800, 600), (1500, 1000))
 COUNTS = (20_000, 50_000, 200_000, 1_000_000)
@@ -41,32 +44,35 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="threads to measure with (default 1 2)")
     parser.add_argument("--gaussians", type=int, nargs="+", default=list(COUNTS), help="numbers of Gaussians")
     parser.add_argument("--repeats", type=int, default=7, help="runs of each setting, of which the median (default 7)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of the stages there")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and plots there")
-    parser.add_argument("--curve", type=Path, nargs="*", default=[], metavar="SCENE", help="scenes to train on")
-    parser.add_argument("--only-curve", action="store_true", help="leave the stages out")
+    parser.add_argument(
+        "--curve", type=Path, nargs="+", default=[], metavar="SCENE", help="train and measure on the way"
+    )
+    parser.add_argument("--ablation", type=Path, metavar="SCENE", help="train with one part changed at a time")
+    parser.add_argument("--steps", type=int, help="steps of each training (default: the standard's)")
+    parser.add_argument(
+        "--memory", type=int, nargs=4, metavar=("N", "VIEWS", "W", "H"), help="peak memory of training N Gaussians"
+    )
     options = parser.parse_args()
-    if min([*options.threads, *options.gaussians, options.repeats]) < 1:
-        raise ConfigError("--threads, --gaussians and --repeats must be at least 1")
-    settings = [
-        Setting(n, width, height, threads)
-        for n in options.gaussians
-        for width, height in SIZES
-        for threads in options.threads
-    ]
+    if min([*options.threads, *options.gaussians, options.repeats, *(options.memory or [])]) < 1:
+        raise ConfigError("--threads, --gaussians, --repeats and --memory must be at least 1")
     progress = terminal_progress()
+    config = TrainConfig() if options.steps is None else TrainConfig(steps=options.steps)
+    pages = []
+    if options.memory is not None:  # first: the peak is that of the process
+        peak, estimate = training_peak(*options.memory)
+        pages.append(f"Peak memory {peak / 2**20:.0f} MB, estimated {estimate / 2**20:.0f} MB.")
     rows = []
-    if not options.only_curve:
-        stages_end = 0.5 if options.curve else 1.0
-        rows = measure(
-            QUICK if options.quick else settings, repeats=options.repeats, progress=part(progress, 0.0, stages_end)
-        )
-    curves: list[Curve] = []
-    for k, scene in enumerate(options.curve):
-        begin, end = (0.5 + 0.5 * (k + i) / len(options.curve) for i in range(2))
-        curves.append(training_curve(scene, progress=part(progress, begin, end)))
+    if options.quick or not (options.curve or options.ablation or options.memory):
+        rows = measure(QUICK if options.quick else grid(options), repeats=options.repeats, progress=progress)
+        pages.append(stage_table(rows))
+    curves = [training_curve(scene, config, progress=progress) for scene in options.curve]
+    if curves:
+        pages.append(curve_table(curves))
+    if options.ablation is not None:
+        pages.append(ablation_table(ablate(options.ablation, config, progress=progress)))
     progress(1.0, "done")
-    pages = [page for page in (stage_table(rows) if rows else "", curve_table(curves) if curves else "") if page]
     print("\n\n".join(pages))
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
@@ -78,6 +84,16 @@ def main() -> None:
             draw_stages(rows, options.out / "stages.png")
         if curves:
             draw_curves(curves, options.out / "curves.png")
+
+
+def grid(options: argparse.Namespace) -> list[Setting]:
+    """Every number of Gaussians at every size with every number of threads."""
+    return [
+        Setting(n, width, height, threads)
+        for n in options.gaussians
+        for width, height in SIZES
+        for threads in options.threads
+    ]
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
     python scripts/check_rasterizer.py
 
-Every row is one degree of spherical harmonics; columns are the rendered values and the gradient of each parameter.
+Every row is one degree of spherical harmonics, the last (a) drawn antialiased; columns are the rendered values and the
+gradient of each parameter.
 Exits with 1 when any error exceeds 1e-3.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from dataclasses import replace
 
 import _checkout  # noqa: F401
 
@@ -55,12 +57,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="seed of the scene (default 0)")
     options = parser.parse_args()
     worst = 0.0
-    for degree in range(4):
-        scene = random_gaussians(options.gaussians, degree, options.seed)
+    for degree, antialiased in ((0, False), (1, False), (2, False), (3, False), (3, True)):
+        scene = replace(random_gaussians(options.gaussians, degree, options.seed), antialiased=antialiased)
         errors = compare_with_twin(scene, camera(), seed=options.seed)
         if degree == 0:
             print("SH  " + "".join(f"{name:>18}" for name in errors))
-        print(f"{degree:2}  " + "".join(f"{error:18.1e}" for error in errors.values()))
+        print(f"{degree:2}{'a ' if antialiased else '  '}" + "".join(f"{error:18.1e}" for error in errors.values()))
         worst = max(worst, *errors.values())
     print(f"largest relative error {worst:.1e}, allowed {LIMIT:.0e}")
     return 0 if worst <= LIMIT else 1

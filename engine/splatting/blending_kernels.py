@@ -73,7 +73,7 @@ def rows_of(records: NDArray[np.float32], at: int, top: float) -> tuple[int, int
 
 
 @njit
-def _copy_in(plane: NDArray[np.float32], x0: int, y0: int, tile: NDArray[np.float32], at: int) -> None:
+def copy_in(plane: NDArray[np.float32], x0: int, y0: int, tile: NDArray[np.float32], at: int) -> None:
     """Read a tile of a plane (H, W) into a flat scratch array; 0 outside the image."""
     height, width = plane.shape
     if x0 + TILE_WIDTH <= width and y0 + TILE_HEIGHT <= height:
@@ -227,12 +227,12 @@ def _load_gradients(
 ) -> int:
     """Scratch: gradients of r, g, b, depth; T; last; the scalar behind; features' gradients. Returns the last entry."""
     for channel in range(4):
-        _copy_in(gradients[channel], x0, y0, scratch, channel * PIXELS)
-    _copy_in(planes[TRANSMITTANCE], x0, y0, scratch, TRANSMITTANCE * PIXELS)
-    _copy_in(planes[LAST], x0, y0, scratch, LAST * PIXELS)
-    _copy_in(gradients[4], x0, y0, scratch, 6 * PIXELS)
+        copy_in(gradients[channel], x0, y0, scratch, channel * PIXELS)
+    copy_in(planes[TRANSMITTANCE], x0, y0, scratch, TRANSMITTANCE * PIXELS)
+    copy_in(planes[LAST], x0, y0, scratch, LAST * PIXELS)
+    copy_in(gradients[4], x0, y0, scratch, 6 * PIXELS)
     for channel in range(extra):
-        _copy_in(gradients[5 + channel], x0, y0, scratch, (7 + channel) * PIXELS)
+        copy_in(gradients[5 + channel], x0, y0, scratch, (7 + channel) * PIXELS)
     deepest = ZERO
     for p in range(PIXELS):
         behind = -scratch[6 * PIXELS + p]

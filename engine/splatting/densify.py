@@ -10,6 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..compiled import threads
+from .adam_kernels import count_views
 from .gaussians import Gaussians
 from .parameters import Parameters
 
@@ -51,9 +53,8 @@ class Pulls:
 
     def add(self, gradients: NDArray[np.float32], drawn: NDArray[np.int32], width: int, height: int) -> None:
         """Count one view. gradients: (N, 2) per pixel; drawn: (N,) not 0 where the view drew the Gaussian."""
-        half_image = np.array([0.5 * width, 0.5 * height], np.float32)
-        self.sums += torch.from_numpy(np.linalg.norm(gradients * half_image, axis=1))
-        self.counts += torch.from_numpy(drawn > 0)
+        halves = np.float32(0.5 * width), np.float32(0.5 * height)
+        count_views(threads(), gradients, drawn, *halves, self.sums.numpy(), self.counts.numpy())
 
     @property
     def means(self) -> Tensor:

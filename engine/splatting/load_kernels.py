@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .blending_kernels import FAINTEST, HALF, LAST, LOG2_MAX_ALPHA, MAX_ALPHA, ONE, ZERO, rows_of
+from .blending_kernels import FAINTEST, HALF, LAST, LOG2_MAX_ALPHA, MAX_ALPHA, ONE, PIXELS, ZERO, copy_in, rows_of
 from .lanes import anywhere, at_least, at_most, both, exp2, fill, load, ramp, select, store, take, total
 from .projection_kernels import (
     CONIC_A,
@@ -25,16 +25,6 @@ from .projection_kernels import (
 )
 
 SOFT = np.float32(1 / 16)
-PIXELS = TILE_WIDTH * TILE_HEIGHT
-
-
-@njit
-def _copy(plane: NDArray[np.float32], x0: int, y0: int, tile: NDArray[np.float32], at: int, outside: float) -> None:
-    height, width = plane.shape
-    for y in range(TILE_HEIGHT):
-        for x in range(TILE_WIDTH):
-            inside = y0 + y < height and x0 + x < width
-            tile[at + y * TILE_WIDTH + x] = plane[y0 + y, x0 + x] if inside else outside
 
 
 @njit
@@ -51,7 +41,7 @@ def _measure_tile(
     """Scratch: last entry that counted, ℓ, stand-in."""
     x0, y0 = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
     scratch[:] = ZERO
-    _copy(planes[LAST], x0, y0, scratch, 0, -ONE)
+    copy_in(planes[LAST], x0, y0, scratch, 0)
     xs = ramp() + np.float32(x0 + 0.5)
     top = np.float32(y0)
     begin, end = tile_starts[tile], tile_starts[tile + 1]
@@ -116,8 +106,8 @@ def _pull_tile(
 ) -> None:
     """Scratch: last entry that counted, gradient of the stand-in."""
     x0, y0 = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
-    _copy(planes[LAST], x0, y0, scratch, 0, -ONE)
-    _copy(gradient, x0, y0, scratch, PIXELS, ZERO)
+    copy_in(planes[LAST], x0, y0, scratch, 0)
+    copy_in(gradient, x0, y0, scratch, PIXELS)
     xs = ramp() + np.float32(x0 + 0.5)
     top = np.float32(y0)
     begin, end = tile_starts[tile], tile_starts[tile + 1]

@@ -20,6 +20,8 @@ from .relocate import explore, relocate
 from .schedule import Schedule
 from .workspace import Workspace
 
+HOLD_EVERY = 10
+"""Steps between two looks at Gaussians that have grown too large: they grow slowly."""
 _BLACK = np.zeros(3, np.float32)
 
 
@@ -42,7 +44,8 @@ class Step:
             explore(state.parameters, rates.means, [config.seed, step, 0])
         elif schedule.watches_pulls(step):
             state.pulls.add(pulled["pulls"], drawn, picture.camera.width, picture.camera.height)
-        hold_sizes(state.parameters, schedule.middle, schedule.extent)
+        if step % HOLD_EVERY == 0:
+            hold_sizes(state.parameters, schedule.middle, schedule.extent)
         self._come_and_go(state)
         return loss
 

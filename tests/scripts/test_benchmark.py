@@ -1,0 +1,120 @@
+"""The benchmark measures what it says, against a peer that draws the same picture."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+import _checkout  # noqa: F401
+
+from fruitlangs.benchmarks import peer_torch
+from fruitlangs.benchmarks.ablation import VARIANTS, ablate
+from fruitlangs.benchmarks.curve import training_curve
+from fruitlangs.benchmarks.pages import ablation_table, curve_table, draw_curves, draw_stages, stage_table
+from fruitlangs.benchmarks.stages import FORWARD_AND_BACKWARD, STAGES, STEP, Setting, ahead, measure, orchard_like
+from fruitlangs.engine.config import SceneConfig, TrainConfig
+from fruitlangs.engine.splatting.gaussians import PARAMETERS
+from fruitlangs.engine.splatting.losses import PhotometricLoss
+from fruitlangs.engine.splatting.rasterize import render
+from fruitlangs.engine.splatting.workspace import Workspace
+
+SAMPLE = ROOT / "examples" / "orchard_tree"
+SMALL = SceneConfig(downscale=6)
+SHORT = TrainConfig(steps=40, max_gaussians=3000, sh_degree=0, densify_every=10)
+
+
+def test_the_peer_draws_the_same_picture_and_pulls_the_same_way() -> None:
+    gaussians, camera = orchard_like(400), ahead(80, 60)
+    leaves = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
+    view = peer_torch.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
+    splats = peer_torch.project(leaves, view)
+    theirs = peer_torch.blend(splats, *peer_torch.tile_lists(splats, 80, 60), 80, 60)
+    ours_in = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
+    ours = render(type(gaussians)(**ours_in), camera).color
+    assert float((ours - theirs).detach().abs().mean()) < 0.004  # its boxes end at three standard deviations
+    theirs.sum().backward()
+    ours.sum().backward()
+    a, b = (side["opacity_logits"].grad for side in (ours_in, leaves))
+    assert a is not None
+    assert b is not None
+    assert float(torch.nn.functional.cosine_similarity(a, b, dim=0)) > 0.99
+
+
+def test_the_peers_loss_is_ours() -> None:
+    random = np.random.default_rng(0)
+    image, photo = random.random((3, 30, 40)).astype(np.float32), random.integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    ours = PhotometricLoss(0.2, Workspace()).pull(image, photo, None, np.empty_like(image))
+    theirs = peer_torch.loss(torch.from_numpy(image).permute(1, 2, 0), torch.from_numpy(photo).float() / 255)
+    assert ours == pytest.approx(float(theirs), rel=1e-4)
+
+
+def test_every_setting_has_a_row_a_stage_and_the_sums(tmp_path: Path) -> None:
+    rows = measure([Setting(300, 64, 48, 1), Setting(300, 64, 48, 2)], repeats=2)
+    assert [row.stage for row in rows[:8]] == [*STAGES, FORWARD_AND_BACKWARD, STEP]
+    assert [row.threads for row in rows] == [1] * 8 + [2] * 8
+    for row in rows:
+        assert row.seconds > 0
+        assert row.peer is not None
+        assert row.peer_ratio == pytest.approx(row.peer / row.seconds)
+    assert stage_table(rows).count("\n| 300 |") == 2
+    draw_stages(rows, tmp_path / "stages.png")
+    assert (tmp_path / "stages.png").stat().st_size > 1000
+
+
+def test_a_peer_that_does_not_fit_leaves_its_columns_empty() -> None:
+    rows = measure([Setting(300, 64, 48, 1)], repeats=1, peer_memory=1000)
+    assert all(row.peer is None and row.peer_ratio is None for row in rows)
+    assert "|  |" in stage_table(rows)
+
+
+def test_a_curve_has_seconds_that_grow_and_ends_with_the_training(tmp_path: Path) -> None:
+    curve = training_curve(SAMPLE, replace(SHORT, steps=200), scene_config=SMALL)
+    assert curve.steps == 200
+    assert len(curve.seconds) == len(curve.psnr) > 10
+    assert list(curve.seconds) == sorted(curve.seconds)
+    assert curve.psnr[-1] > curve.psnr[0]
+    assert "| orchard_tree |" in curve_table([curve])
+    draw_curves([curve], tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").stat().st_size > 1000
+
+
+def test_an_ablation_trains_once_for_every_name() -> None:
+    names = ["standard", "Adam over all Gaussians", "MCMC"]
+    rows = ablate(SAMPLE, SHORT, names=names, scene_config=SMALL)
+    assert [row.name for row in rows] == names
+    assert len({row.psnr for row in rows}) == 3
+    assert ablation_table(rows).count("×") == 3
+
+
+def test_every_variant_is_a_setting_of_training() -> None:
+    for change in VARIANTS.values():
+        TrainConfig(**change)
+
+
+def test_the_script_writes_rows_as_json(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    command = [
+        sys.executable, str(ROOT / "scripts" / "benchmark.py"),
+        "--memory", "500", "3", "64", "48", "--curve", str(SAMPLE), "--steps", "2", "--json", str(file),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Peak memory" in done.stdout
+    assert "held-out PSNR" in done.stdout
+    assert json.loads(file.read_text()) == []
+
+
+def test_a_setting_below_one_is_one_line() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "benchmark.py"), "--threads", "0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("error: --threads")
