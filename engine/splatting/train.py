@@ -73,7 +73,8 @@ def train(
     another scene is passed over, with a message to `progress`.
 
     Raises:
-        TrainingError: there is nothing to train on, memory does not suffice, or the loss is no longer a number.
+        TrainingError: there is nothing to train on, settings contradict each other, memory does not suffice, or the
+            loss is no longer a number.
         SceneError: a photo cannot be read.
         OutputError: the checkpoint cannot be written.
         Cancelled: `progress` asked for it; the last checkpoint stays.
@@ -82,6 +83,11 @@ def train(
     views = [view for view in range(len(scene.cameras)) if view not in kept_aside]
     if not views:
         raise TrainingError("the scene has no photo to train on; give at least one")
+    if config.patience > 0 and (config.check_every == 0 or not kept_aside):
+        raise TrainingError(
+            "--train.patience stops by measurements of photos kept aside: give --train.check-every, and a"
+            " --train.holdout-every that keeps some"
+        )
     require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
     for view in sorted(kept_aside):
         progress(0.0, "reading the photos kept aside")
@@ -144,27 +150,29 @@ def _train(
                 raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
         if schedule.checks(done) and kept_aside:
-            scores = [_score(_drawable(state, config), shelf.picture(view), "", config) for view in kept_aside]
-            state.checks.append((done, float(np.mean([score.psnr for score in scores]))))
-            progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {state.checks[-1][1]:.2f} dB")
+            quality = float(
+                np.mean([score.psnr for score in _scores(_drawable(state, config), shelf, kept_aside, config)])
+            )
+            state.checks.append((done, quality))
+            progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {quality:.2f} dB")
             if stalled([quality for _, quality in state.checks], config.patience):
                 break
         if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(checkpoint, state, key)
     gaussians = finite(_drawable(state, config))
-    refined = [
-        camera if state.poses is None else state.poses.camera(view, camera) for view, camera in enumerate(scene.cameras)
-    ]
     progress(0.96, "measuring the photos kept aside")
-    scores = [_score(gaussians, shelf.picture(view), scene.images[view].name, config) for view in kept_aside]
+    scores = _scores(gaussians, shelf, kept_aside, config)
+    cameras = scene.cameras
+    if state.poses is not None:
+        cameras = [state.poses.camera(view, camera) for view, camera in enumerate(cameras)]
     return Training(
         gaussians=gaussians,
-        held_out=tuple(scores),
+        held_out=scores,
         psnr=float(np.mean([score.psnr for score in scores])) if scores else None,
         ssim=float(np.mean([score.ssim for score in scores])) if scores else None,
         steps=state.step,
         checks=tuple(state.checks),
-        cameras=tuple(refined),
+        cameras=tuple(cameras),
     )
 
 
@@ -233,6 +241,13 @@ def _needed(gaussians: Gaussians, scene: Scene, views: Sequence[int], least: flo
         weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
         most = torch.maximum(most, weights)
     return most > least
+
+
+def _scores(
+    gaussians: Gaussians, shelf: PhotoShelf, views: Sequence[int], config: TrainConfig
+) -> tuple[ViewScore, ...]:
+    names = [photo.name for photo in shelf.scene.images]
+    return tuple(_score(gaussians, shelf.picture(view), names[view], config) for view in views)
 
 
 def _score(gaussians: Gaussians, picture: Picture, name: str, config: TrainConfig) -> ViewScore:

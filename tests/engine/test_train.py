@@ -305,6 +305,12 @@ def test_training_stops_when_the_photos_kept_aside_gain_nothing(scene: Scene) ->
     assert stopped.psnr == pytest.approx(stopped.checks[-1][1])
 
 
+@pytest.mark.parametrize("settings", [{"check_every": 0}, {"check_every": 10, "holdout_every": 0}])
+def test_patience_without_measurements_is_refused(settings: dict[str, int], scene: Scene) -> None:
+    with pytest.raises(TrainingError, match=r"--train\.patience stops by measurements"):
+        train(scene, replace(QUICK, patience=2, **settings))
+
+
 @pytest.mark.parametrize(
     ("checks", "patience", "expected"),
     [([20, 21, 22], 2, False), ([20, 22, 22, 22.01], 2, True), ([20, 22, 22, 22.01], 0, False), ([22, 21], 2, False)],
