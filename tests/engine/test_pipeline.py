@@ -15,7 +15,7 @@ from fruitlangs.engine.pipeline import Result, count_scene
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
 SMALL = Config(
-    scene=SceneConfig(downscale=2.0),
+    scene=SceneConfig(max_side=240),
     train=TrainConfig(steps=300, max_gaussians=20_000),
     count=CountConfig(threshold=0.3),
 )
@@ -42,6 +42,13 @@ def test_a_run_writes_every_file_of_the_contract_and_nothing_half_made(counted: 
     assert len(list((counted.out / "pictures").glob("view_*.png"))) == 4
     assert not list(counted.out.rglob("*.part*"))
     assert not list((counted.out / "cache").glob("publish-*"))
+
+
+def test_photos_that_were_read_smaller_are_told(counted: Result) -> None:
+    assert [notice for notice in counted.notices if "--scene.max-side" in notice] == [
+        "photos with up to 480 pixels a side were read at 240; --scene.max-side sets it"
+    ]
+    assert max(camera.width for camera in counted.scene.cameras) == 240
 
 
 def test_the_files_agree_on_the_count(counted: Result) -> None:

@@ -43,6 +43,19 @@ def test_half_size_is_the_average_of_four_pixels(tmp_path: Path) -> None:
     assert (posed.camera.width, posed.camera.height) == (16, 12)
 
 
+@pytest.mark.parametrize(
+    ("downscale", "max_side", "width"), [(1, 16, 16), (2, 0, 16), (1, 0, 32), (2, 20, 16), (1, 40, 32)]
+)
+def test_a_photo_larger_than_the_limit_is_read_smaller(
+    downscale: float, max_side: int, width: int, tmp_path: Path
+) -> None:
+    path = save(tmp_path / "a.png", PIXELS)
+    (posed,) = posed_photos(
+        path, name="a", lens=PINHOLE, world_to_camera=np.eye(4), downscale=downscale, max_side=max_side
+    )
+    assert (posed.camera.width, posed.photo.pixels().shape[1]) == (width, width)
+
+
 def test_an_uneven_resize_averages_exact_areas() -> None:
     # 3 pixels into 2: each new one is one and a half old ones
     row = np.array([[[10.0], [20.0], [60.0]]], dtype=np.float32)
