@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..compiled import threads
-from .adam_kernels import count_views
+from .densify_kernels import count_views
 from .gaussians import Gaussians
 from .parameters import Parameters
 
