@@ -41,10 +41,12 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Ablation:
-    """One training: seconds of it, held-out PSNR in dB and SSIM, Gaussians in the end."""
+    """One training: seconds of it, and of all processors together, which other programs disturb less; held-out PSNR in
+    dB and SSIM, Gaussians in the end."""
 
     name: str
     seconds: float
+    cpu_seconds: float
     psnr: float
     ssim: float
     gaussians: int
@@ -66,10 +68,10 @@ def ablate(
     for k, (name, change) in enumerate(chosen.items()):
         share = part(progress, k / len(chosen), (k + 1) / len(chosen))
         with _dense_adam(name == DENSE_ADAM):
-            begun = time.perf_counter()
+            begun, cpu_begun = time.perf_counter(), time.process_time()
             training = train(scene, replace(config, **change), progress=_named(share, name))
-            seconds = time.perf_counter() - begun
-        rows.append(Ablation(name, seconds, training.psnr or 0.0, training.ssim or 0.0, len(training.gaussians)))
+            seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu_begun
+        rows.append(Ablation(name, seconds, cpu, training.psnr or 0.0, training.ssim or 0.0, len(training.gaussians)))
     return rows
 
 

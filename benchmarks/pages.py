@@ -46,10 +46,11 @@ def curve_table(curves: Sequence[Curve]) -> str:
 
 def ablation_table(rows: Sequence[Ablation]) -> str:
     """Markdown: seconds and held-out quality of each variant; the first row is what the others are compared with."""
-    head = ["changed", "seconds", "speed", "held-out PSNR / dB", "gain / dB", "SSIM", "Gaussians"]
+    head = ["changed", "seconds", "CPU seconds", "CPU speed", "held-out PSNR / dB", "gain / dB", "SSIM", "Gaussians"]
     lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
     for row in rows:
-        cells = [row.name, f"{row.seconds:.1f}", f"{rows[0].seconds / row.seconds:.2f}×", f"{row.psnr:.2f}"]
+        speed = rows[0].cpu_seconds / row.cpu_seconds
+        cells = [row.name, f"{row.seconds:.1f}", f"{row.cpu_seconds:.1f}", f"{speed:.2f}×", f"{row.psnr:.2f}"]
         lines.append(_line([*cells, f"{row.psnr - rows[0].psnr:+.2f}", f"{row.ssim:.3f}", f"{row.gaussians:,}"]))
     return "Training with one part changed.\n\n" + "\n".join(lines)
 
@@ -83,7 +84,7 @@ def draw_stages(rows: Sequence[Row], path: Path) -> None:
     axes.set_xticks(range(len(settings)), names, fontsize=7)
     axes.set_ylabel("milliseconds a step")
     axes.set_yscale("log" if max(bottom) > 20 * min(bottom) else "linear")
-    axes.set_title("A step by stage; above: how many times longer the peer in plain PyTorch takes", fontsize=10)
+    axes.set_title("A step by stage, and how many times longer plain PyTorch takes", fontsize=10)
     axes.legend(fontsize=8)
     figure.savefig(path, dpi=120)
 
