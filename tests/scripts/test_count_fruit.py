@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -44,8 +45,15 @@ def test_help_names_every_stage() -> None:
     assert all(f"--{stage}." in done.stdout for stage in ("scene", "train", "count"))
 
 
+def test_a_preset_sets_what_the_flags_of_training_start_from() -> None:
+    said = " ".join(count("--preset", "paper", "--train.sh-degree", "1", "--help").stdout.split())
+    assert re.search(r"--train\.steps INT.*?\(default: 30000\)", said)
+    assert "(default: 1500)" in " ".join(count("--help").stdout.split())
+
+
 def test_wrong_usage_exits_with_2() -> None:
     assert count("--no-such-flag").returncode == 2
+    assert count("--preset", "fast", "x", "--prompt", "apple", "--out", "y").returncode == 2
 
 
 def make_missing(folder: Path) -> str:
