@@ -47,6 +47,7 @@ class FRUITLANGS_PT_count(SidebarPanel, bpy.types.Panel):
         column.prop(settings, "negative")
         column.prop(settings, "out")
         column.separator()
+        column.prop(settings, "preset")
         for stage, name in MAIN_SETTINGS:
             column.prop(getattr(settings.config, stage), name)
         draw_action(layout, running())
@@ -68,8 +69,6 @@ class FRUITLANGS_PT_settings(SidebarPanel, bpy.types.Panel):
             group = getattr(context.scene.fruitlangs.config, stage)
             layout.label(text={"embed": "Language"}.get(stage, stage.capitalize()))
             column = layout.column(align=True)
-            if stage == "train":
-                column.prop(context.scene.fruitlangs, "preset")
             for name in STAGES[stage].__annotations__:
                 column.prop(group, name)
 
