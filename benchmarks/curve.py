@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +21,6 @@ class Curve:
     """seconds: spent training up to each measurement, without what measuring took; psnr: held-out, dB."""
 
     scene: str
-    setting: str
     steps: int
     gaussians: int
     seconds: tuple[float, ...]
@@ -34,21 +32,19 @@ def training_curve(
     scene_folder: Path,
     config: TrainConfig | None = None,
     *,
-    setting: str = "standard",
     scene_config: SceneConfig | None = None,
-    clock: Callable[[], float] = time.perf_counter,
     progress: Progress = silent,
 ) -> Curve:
     """Train on a scene and measure on the way."""
     config = config or TrainConfig()
     scene = read_scene(scene_folder, scene_config or SceneConfig())
     seconds: list[float] = []
-    begun, away = clock(), 0.0
-    last_step = clock()
+    begun, away = time.perf_counter(), 0.0
+    last_step = time.perf_counter()
 
     def watch(fraction: float, message: str) -> None:
         nonlocal away, last_step
-        now = clock()
+        now = time.perf_counter()
         if "held-out PSNR" in message:  # what has passed since the last step was measuring
             seconds.append(last_step - begun - away)
             away += now - last_step
@@ -59,7 +55,6 @@ def training_curve(
     training = train(scene, checked, progress=watch)
     return Curve(
         scene=scene_folder.name,
-        setting=setting,
         steps=training.steps,
         gaussians=len(training.gaussians),
         seconds=(*seconds, last_step - begun - away),

@@ -36,10 +36,10 @@ def stage_table(rows: Sequence[Row]) -> str:
 
 def curve_table(curves: Sequence[Curve]) -> str:
     """Markdown: held-out PSNR and peak memory of each training."""
-    head = ["scene", "setting", "steps", "Gaussians", "seconds", "held-out PSNR / dB", "peak memory / MB"]
-    lines = [_line(head), _line(["---"] * 2 + ["---:"] * (len(head) - 2))]
+    head = ["scene", "steps", "Gaussians", "seconds", "held-out PSNR / dB", "peak memory / MB"]
+    lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
     for curve in curves:
-        cells = [curve.scene, curve.setting, str(curve.steps), f"{curve.gaussians:,}", f"{curve.seconds[-1]:.0f}"]
+        cells = [curve.scene, str(curve.steps), f"{curve.gaussians:,}", f"{curve.seconds[-1]:.0f}"]
         lines.append(_line([*cells, f"{curve.psnr[-1]:.2f}", f"{curve.peak_bytes / 2**20:.0f}"]))
     return "Training.\n\n" + "\n".join(lines)
 
@@ -96,7 +96,7 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> None:
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axes = figure.add_subplot()
     for curve in curves:
-        axes.plot(curve.seconds, curve.psnr, marker=".", label=f"{curve.scene}, {curve.setting}")
+        axes.plot(curve.seconds, curve.psnr, marker=".", label=f"{curve.scene}, {curve.steps} steps")
     axes.set_xlabel("seconds of training")
     axes.set_ylabel("held-out PSNR / dB")
     axes.grid(alpha=0.3)

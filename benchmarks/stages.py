@@ -18,7 +18,7 @@ from torch import Tensor
 from ..engine.progress import Progress, silent
 from ..engine.scene.camera import Camera
 from ..engine.splatting.drawing import DrawRules, blend_view, project_view, pull_view, tile_view
-from ..engine.splatting.gaussians import Gaussians
+from ..engine.splatting.gaussians import PARAMETERS, Gaussians
 from ..engine.splatting.losses import PhotometricLoss
 from ..engine.splatting.parameters import Parameters, Rates
 from ..engine.splatting.workspace import Workspace
@@ -27,7 +27,7 @@ from . import peer_torch
 P = ParamSpec("P")
 T = TypeVar("T")
 STAGES = ("project", "sort", "blend", "backward", "loss", "optimiser")
-FORWARD_BACKWARD = ("project", "sort", "blend", "backward")
+DRAWING = STAGES[:4]
 FORWARD_AND_BACKWARD, STEP = "forward+backward", "step"
 SH_DEGREE = 3
 RATES = Rates(means=1e-6, log_scales=1e-6, quats=1e-6, opacity_logits=1e-6, sh=1e-6, sh_rest=1e-6)
@@ -107,7 +107,7 @@ def measure(
 ) -> list[Row]:
     """Rows of all stages, and of forward+backward and the whole step, for every setting.
 
-    The peer runs once to warm up and then at most thrice; where its tables would need more than `peer_memory` bytes it
+    The peer runs once to warm up and then twice; where its tables would need more than `peer_memory` bytes it
     is left out.
     """
     rows = []
@@ -142,7 +142,7 @@ class _Watch:
         """Of the stages, and of their sums."""
         runs = {stage: np.array(seconds[1:] or seconds) for stage, seconds in self.seconds.items()}
         found = {stage: statistics.median(seconds) for stage, seconds in runs.items()}
-        found[FORWARD_AND_BACKWARD] = float(np.median(sum(runs[stage] for stage in FORWARD_BACKWARD)))
+        found[FORWARD_AND_BACKWARD] = float(np.median(sum(runs[stage] for stage in DRAWING)))
         found[STEP] = float(np.median(sum(runs[stage] for stage in STAGES)))
         return found
 
@@ -176,8 +176,7 @@ def _ours(setting: Setting, repeats: int) -> dict[str, float]:
 
 def _peer(setting: Setting, memory: float) -> dict[str, float] | None:
     gaussians, camera = orchard_like(setting.gaussians), ahead(setting.width, setting.height)
-    names = ("means", "log_scales", "quats", "opacity_logits", "sh")
-    leaves: dict[str, Tensor] = {name: getattr(gaussians, name).requires_grad_() for name in names}
+    leaves: dict[str, Tensor] = {name: getattr(gaussians, name).requires_grad_() for name in PARAMETERS}
     view = peer_torch.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
     photo = torch.from_numpy(_photo(setting)).float() / 255
     optimiser = torch.optim.Adam(leaves.values(), lr=1e-6, fused=True)

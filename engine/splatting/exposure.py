@@ -8,34 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .exposure_kernels import change_colors, pull_colors
+from .view_adam import ViewMoments, falling
 from .workspace import Workspace
 
 RATE, LAST_RATE = 5e-3, 5e-4
 """Adam's learning rate at the first and at the last step; 3DGS's own exposure model ends at the same order."""
 PULL = 0.01
 """Weight of ½|matrix - identity|²: photos agree on what is neutral unless they differ."""
-BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15
 IDENTITY = np.eye(3, 4, dtype=np.float32)
 
 
 @dataclass(eq=False)
-class Exposures:
-    """Affine colour maps and Adam's moments.
+class Exposures(ViewMoments):
+    """Affine colour maps, with Adam's moments of them.
 
-    matrices, first, second: (V, 3, 4) float32, photo = matrix · (red, green, blue, 1) of the Gaussians; updates: (V,)
-    int32.
+    matrices: (V, 3, 4) float32, photo = matrix · (red, green, blue, 1) of the Gaussians.
     """
 
     matrices: NDArray[np.float32]
-    first: NDArray[np.float32]
-    second: NDArray[np.float32]
-    updates: NDArray[np.int32]
 
     @staticmethod
     def neutral(views: int) -> Exposures:
         """No change of any photo's colours."""
         zeros = np.zeros((views, 3, 4), np.float32)
-        return Exposures(zeros + IDENTITY, zeros.copy(), zeros.copy(), np.zeros(views, np.int32))
+        return Exposures(zeros.copy(), zeros.copy(), np.zeros(views, np.int32), zeros + IDENTITY)
 
     def apply(self, view: int, image: NDArray[np.float32], workspace: Workspace) -> NDArray[np.float32]:
         """The image (3, H, W) as the view's photo would show it."""
@@ -53,13 +49,7 @@ class Exposures:
         row_sums = workspace.take("exposure_rows", (image.shape[1], 3, 4))
         pull_colors(image, self.matrices[view], gradient, row_sums)
         g = row_sums.sum(0, dtype=np.float64) + PULL * (self.matrices[view] - IDENTITY)
-        self.updates[view] += 1
-        t = int(self.updates[view])
-        self.first[view] = BETA_1 * self.first[view] + (1 - BETA_1) * g
-        self.second[view] = BETA_2 * self.second[view] + (1 - BETA_2) * g * g
-        mean = self.first[view] / (1 - BETA_1**t)
-        spread = np.sqrt(self.second[view] / (1 - BETA_2**t)) + EPSILON
-        self.matrices[view] -= (RATE * (LAST_RATE / RATE) ** done * mean / spread).astype(np.float32)
+        self.matrices[view] -= self.step(view, g, falling(RATE, LAST_RATE, done)).astype(np.float32)
 
 
 def fitted(image: NDArray[np.float32], photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> NDArray[np.float32]:

@@ -82,6 +82,11 @@ def _isotropic(points: Points, sizes: NDArray[np.float64], colors: Points, sh_de
     )
 
 
+def camera_middle(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """(3,) mean of the cameras' centres, in scene units."""
+    return np.stack([camera.center for camera in cameras]).mean(0)
+
+
 def camera_spread(scene: Scene) -> float:
     """Radius of the cameras about their mean, in scene units.
 
@@ -120,7 +125,7 @@ def _in_ball(random: np.random.Generator, n: int) -> Points:
 
 def _dome(scene: Scene, points: Points, n: int) -> Points:
     """n evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
-    center = np.stack([camera.center for camera in scene.cameras]).mean(0)
+    center = camera_middle(scene.cameras)
     reach = 1.1 * camera_spread(scene)
     if len(points) > 0:
         reach = max(reach, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.98)))

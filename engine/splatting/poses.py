@@ -10,31 +10,28 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..scene.camera import Camera
+from .view_adam import ViewMoments, falling
 
 RATE, LAST_RATE = 5e-3, 5e-5
 """Adam's rate at the first and at the last step: radians, and scene extents."""
-BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(eq=False)
-class Poses:
+class Poses(ViewMoments):
     """Refined poses and Adam's moments in their tangents (rotation vector, translation; both in the camera's frame).
 
-    world_to_camera: (V, 4, 4); first, second: (V, 6); updates: (V,) int32.
+    world_to_camera: (V, 4, 4); the moments are of (V, 6).
     """
 
     world_to_camera: FloatArray
-    first: FloatArray
-    second: FloatArray
-    updates: NDArray[np.int32]
 
     @staticmethod
     def of(cameras: Sequence[Camera]) -> Poses:
         """The cameras' own poses."""
         n = len(cameras)
         matrices = np.stack([camera.world_to_camera for camera in cameras]).astype(np.float64)
-        return Poses(matrices, np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, np.int32))
+        return Poses(np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, np.int32), matrices)
 
     def camera(self, view: int, camera: Camera) -> Camera:
         """A camera (of any size) at the view's refined pose."""
@@ -47,13 +44,7 @@ class Poses:
         """
         g = twist_gradient(self.world_to_camera[view], sums)
         g[3:] *= extent
-        self.updates[view] += 1
-        t = int(self.updates[view])
-        self.first[view] = BETA_1 * self.first[view] + (1 - BETA_1) * g
-        self.second[view] = BETA_2 * self.second[view] + (1 - BETA_2) * g * g
-        mean = self.first[view] / (1 - BETA_1**t)
-        spread = np.sqrt(self.second[view] / (1 - BETA_2**t)) + EPSILON
-        twist = -RATE * (LAST_RATE / RATE) ** done * mean / spread
+        twist = -self.step(view, g, falling(RATE, LAST_RATE, done))
         twist[3:] *= extent
         self.world_to_camera[view] = moved(self.world_to_camera[view], twist)
 

@@ -14,7 +14,7 @@ from ..config import TrainConfig
 from ..scene.camera import Scene
 from .densify import DensifyRules
 from .drawing import FAINTEST, DrawRules
-from .initialise import camera_spread
+from .initialise import camera_middle, camera_spread
 from .parameters import Rates
 
 
@@ -33,7 +33,7 @@ class Schedule:
     @cached_property
     def middle(self) -> Tensor:
         """(3,) of the cameras."""
-        return torch.from_numpy(np.stack([camera.center for camera in self.scene.cameras]).mean(0)).float()
+        return torch.from_numpy(camera_middle(self.scene.cameras)).float()
 
     def done(self, step: int) -> float:
         """Share of the training that is over."""
@@ -66,26 +66,31 @@ class Schedule:
         """By how much the step's photo is made smaller: 2 in the coarse part of the training."""
         return 2 if self.done(step) < self.config.coarse_until else 1
 
+    @cached_property
+    def last_densified(self) -> int:
+        """The last step after which Gaussians may come and go."""
+        return int(self.config.densify_until * self.config.steps)
+
     def densifies(self, step: int) -> bool:
         config = self.config
-        begun = step >= config.densify_from * config.steps and step <= config.densify_until * config.steps
+        begun = config.densify_from * config.steps <= step <= self.last_densified
         return begun and step % config.densify_every == 0
 
     def watches_pulls(self, step: int) -> bool:
         """Whether a densification by gradient is still to come."""
-        return self.config.densify == "gradient" and self.done(step) <= self.config.densify_until
+        return self.config.densify == "gradient" and step < self.last_densified
 
     def densifications_left(self, step: int) -> int:
         """How many times Gaussians will come and go, that of this step included."""
-        return (int(self.config.densify_until * self.config.steps) - step) // self.config.densify_every + 1
+        return (self.last_densified - step) // self.config.densify_every + 1
 
     def resets_opacity(self, step: int) -> bool:
         every = self.config.reset_opacity_every
-        return every > 0 and step % every == 0 and step <= self.config.densify_until * self.config.steps
+        return every > 0 and step % every == 0 and step <= self.last_densified
 
     def drops_unneeded(self, step: int) -> bool:
         """Once, when no Gaussian comes any more."""
-        return self.config.drop_unneeded > 0 and step == int(self.config.densify_until * self.config.steps) + 1
+        return self.config.drop_unneeded > 0 and step == self.last_densified + 1
 
     def forgives(self, step: int) -> bool:
         """Whether the worst pixels are left out: not before the picture stands roughly."""

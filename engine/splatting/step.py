@@ -117,13 +117,14 @@ def regularise(gradients: dict[str, NDArray[Any]], parameters: Parameters, confi
     scene extents (3DGS-MCMC; PhysGaussian)."""
     n = max(len(parameters), 1)
     gaussians = parameters.gaussians()
+    d_opacity_logits = torch.from_numpy(gradients["opacity_logits"])  # rows of Gaussians not drawn may hold anything
+    d_log_scales = torch.from_numpy(gradients["log_scales"])
     if config.opacity_weight > 0:
         opacities = gaussians.opacities
-        slope = opacities * (1 - opacities) * (config.opacity_weight / n)
-        gradients["opacity_logits"] += slope.numpy()
+        d_opacity_logits += opacities * (1 - opacities) * (config.opacity_weight / n)
     if config.scale_weight > 0:
-        gradients["log_scales"] += (gaussians.scales * (config.scale_weight / (3 * n * extent))).numpy()
+        d_log_scales += gaussians.scales * (config.scale_weight / (3 * n * extent))
     if config.flatness_weight > 0:
         thinnest = gaussians.log_scales.argmin(1, keepdim=True)
         slope = gaussians.scales.gather(1, thinnest) * (config.flatness_weight / (n * extent))
-        gradients["log_scales"] += torch.zeros_like(gaussians.log_scales).scatter_(1, thinnest, slope).numpy()
+        d_log_scales.scatter_add_(1, thinnest, slope)

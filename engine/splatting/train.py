@@ -21,7 +21,7 @@ from .checkpoint import TrainingState, read_checkpoint, training_key, write_chec
 from .densify import Pulls
 from .exposure import Exposures, fitted
 from .gaussians import PARAMETERS, Gaussians
-from .initialise import first_gaussians
+from .initialise import camera_middle, first_gaussians
 from .losses import psnr, ssim
 from .memory import require_memory
 from .parameters import Parameters
@@ -45,18 +45,25 @@ class ViewScore:
 class Training:
     """Trained Gaussians and what is known of their quality.
 
-    held_out: scores of the photos kept aside; psnr, ssim: their means, None where none was kept; steps: optimiser steps
-    behind the Gaussians; checks: (step, held-out PSNR in dB) measured on the way; cameras:
-    the scene's, at the poses that were refined.
+    held_out: scores of the photos kept aside; steps: optimiser steps behind the Gaussians; checks: (step, held-out PSNR
+    in dB) measured on the way; cameras: the scene's, at the poses that were refined.
     """
 
     gaussians: Gaussians
     held_out: tuple[ViewScore, ...]
-    psnr: float | None
-    ssim: float | None
     steps: int
-    checks: tuple[tuple[int, float], ...] = ()
-    cameras: tuple[Camera, ...] = ()
+    checks: tuple[tuple[int, float], ...]
+    cameras: tuple[Camera, ...]
+
+    @property
+    def psnr(self) -> float | None:
+        """Mean over the photos kept aside, in dB; None where none was kept."""
+        return float(np.mean([score.psnr for score in self.held_out])) if self.held_out else None
+
+    @property
+    def ssim(self) -> float | None:
+        """Mean over the photos kept aside; None where none was kept."""
+        return float(np.mean([score.ssim for score in self.held_out])) if self.held_out else None
 
 
 LEAST_GAIN = 0.02
@@ -93,7 +100,7 @@ def train(
         progress(0.0, "reading the photos kept aside")
         PhotoShelf(scene, limit=0).picture(view)
     key = training_key(scene, config)
-    middle = np.stack([camera.center for camera in scene.cameras]).mean(0)
+    middle = camera_middle(scene.cameras)
     near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
@@ -146,30 +153,28 @@ def _train(
         if schedule.drops_unneeded(done):
             state.select(_needed(_drawable(state, config), scene, views, config.drop_unneeded))
         if done % 20 == 0 or done == config.steps:
-            if not len(finite(state.parameters.gaussians())):
+            if not finite(state.parameters.gaussians()).any():
                 raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
         if schedule.checks(done) and kept_aside:
-            quality = float(
-                np.mean([score.psnr for score in _scores(_drawable(state, config), shelf, kept_aside, config)])
-            )
+            scores = _scores(_drawable(state, config), shelf, kept_aside, config)
+            quality = float(np.mean([score.psnr for score in scores]))
             state.checks.append((done, quality))
             progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {quality:.2f} dB")
             if stalled([quality for _, quality in state.checks], config.patience):
                 break
         if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(checkpoint, state, key)
-    gaussians = finite(_drawable(state, config))
+    trained = _drawable(state, config)
+    gaussians = trained.select(finite(trained))
     progress(0.96, "measuring the photos kept aside")
-    scores = _scores(gaussians, shelf, kept_aside, config)
+    held_out = _scores(gaussians, shelf, kept_aside, config)
     cameras = scene.cameras
     if state.poses is not None:
         cameras = [state.poses.camera(view, camera) for view, camera in enumerate(cameras)]
     return Training(
         gaussians=gaussians,
-        held_out=scores,
-        psnr=float(np.mean([score.psnr for score in scores])) if scores else None,
-        ssim=float(np.mean([score.ssim for score in scores])) if scores else None,
+        held_out=held_out,
         steps=state.step,
         checks=tuple(state.checks),
         cameras=tuple(cameras),
@@ -199,10 +204,10 @@ def stalled(checks: Sequence[float], patience: int) -> bool:
     return max(checks[-patience:]) < max(checks[:-patience]) + LEAST_GAIN
 
 
-def finite(gaussians: Gaussians) -> Gaussians:
-    """A copy without the Gaussians that hold NaN or infinity."""
+def finite(gaussians: Gaussians) -> Tensor:
+    """(N,) mask of the Gaussians that hold neither NaN nor infinity."""
     rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in PARAMETERS]
-    return gaussians.select(torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1))
+    return torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1)
 
 
 def _breakdown(step: int, reason: str) -> TrainingError:
