@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .lanes import take
+from .blocks import next_block
 
 BETA_1, BETA_2 = np.float32(0.9), np.float32(0.999)
 EPSILON = np.float32(1e-15)
@@ -16,8 +16,6 @@ ONE = np.float32(1)
 _t = np.maximum(np.arange(20_000), 1)
 CORRECTIONS = np.stack([1 / (1 - 0.9**_t), (1 - 0.999**_t) ** -0.5], 1).astype(np.float32)
 """(T, 2) 1 / (1 - β₁ᵗ) and (1 - β₂ᵗ)^-½ after t updates; the last row, 1 to seven digits, serves all later ones."""
-BLOCK = 512
-"""Gaussians a thread works on before it asks for more."""
 
 
 @njit
@@ -58,15 +56,13 @@ def adam_step(
     by it, since a row that was seldom seen still holds young moments. corrections: `CORRECTIONS`.
     """
     n = parameters.shape[0]
-    blocks = (n + BLOCK - 1) // BLOCK
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
-        while True:
-            block = take(counter)
-            if block >= blocks:
-                break
-            for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+        begin, end = next_block(counter, n)
+        while begin < end:
+            for i in range(begin, end):
                 if drawn[i] == 0:
                     continue
                 t = min(updates[i], corrections.shape[0] - 1)
                 _step_row(parameters[i], gradients[i], first[i], second[i], rates, corrections[t, 0], corrections[t, 1])
+            begin, end = next_block(counter, n)

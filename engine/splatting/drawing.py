@@ -12,20 +12,15 @@ from numpy.typing import NDArray
 
 from ..compiled import threads
 from ..scene.camera import Camera
-from .blending_kernels import CHANNELS, blend, blend_backward, sum_pairs
+from .blending_backward_kernels import blend_backward, sum_pairs
+from .blending_kernels import blend
+from .blocks import BLOCK
 from .gaussians import PARAMETERS
 from .load_kernels import measure_loads, pull_loads
-from .projection_kernels import (
-    BLOCK,
-    HALF_HEIGHT,
-    HALF_WIDTH,
-    MOMENT,
-    RECORD,
-    TILE_HEIGHT,
-    TILE_WIDTH,
-    project,
-    project_backward,
-)
+from .projection_backward_kernels import MOMENT, project_backward
+from .projection_kernels import project
+from .records import HALF_HEIGHT, HALF_WIDTH, RECORD, TILE_HEIGHT, TILE_WIDTH
+from .tile_kernels import CHANNELS
 from .tiling_kernels import depth_order, fill_tiles, heaviest_first, list_pairs, pair_starts
 from .workspace import Workspace
 

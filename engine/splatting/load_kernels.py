@@ -10,19 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .blending_kernels import FAINTEST, HALF, LAST, LOG2_MAX_ALPHA, MAX_ALPHA, ONE, PIXELS, ZERO, copy_in, rows_of
 from .lanes import anywhere, at_least, at_most, both, exp2, fill, load, ramp, select, store, take, total
-from .projection_kernels import (
-    CONIC_A,
-    CONIC_B,
-    CONIC_C,
-    LOG2_OPACITY,
-    MEAN_X,
-    MEAN_Y,
-    RECORD,
-    TILE_HEIGHT,
-    TILE_WIDTH,
-)
+from .records import ONE, RECORD, TILE_HEIGHT, TILE_WIDTH, ZERO
+from .tile_kernels import FAINTEST, LAST, LOG2_MAX_ALPHA, MAX_ALPHA, PIXELS, copy_in, ellipse_over
 
 SOFT = np.float32(1 / 16)
 
@@ -47,11 +37,7 @@ def _measure_tile(
     begin, end = tile_starts[tile], tile_starts[tile + 1]
     for entry in range(begin, end):
         at = gaussian_of[entry] * RECORD
-        dx = xs - records[at + MEAN_X]
-        edge = records[at + LOG2_OPACITY] - dx * dx * records[at + CONIC_A]
-        slope = dx * records[at + CONIC_B]
-        c, my = records[at + CONIC_C], records[at + MEAN_Y] - top - HALF
-        first, last = rows_of(records, at, top)
+        _, edge, slope, c, my, first, last = ellipse_over(records, at, xs, top)
         for y in range(first, last):
             place = y * TILE_WIDTH
             dy = np.float32(y) - my
@@ -113,12 +99,8 @@ def _pull_tile(
     begin, end = tile_starts[tile], tile_starts[tile + 1]
     for entry in range(begin, end):
         at = gaussian_of[entry] * RECORD
-        dx = xs - records[at + MEAN_X]
-        edge = records[at + LOG2_OPACITY] - dx * dx * records[at + CONIC_A]
-        slope = dx * records[at + CONIC_B]
-        c, my = records[at + CONIC_C], records[at + MEAN_Y] - top - HALF
+        dx, edge, slope, c, my, first, last = ellipse_over(records, at, xs, top)
         m0 = m1 = m2 = fill(ZERO)
-        first, last = rows_of(records, at, top)
         for y in range(first, last):
             place = y * TILE_WIDTH
             dy = np.float32(y) - my

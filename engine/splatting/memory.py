@@ -10,7 +10,8 @@ from ..errors import TrainingError
 from ..scene.camera import Camera
 from .losses import REMEMBERED
 from .photos import KEPT
-from .projection_kernels import MOMENT, RECORD
+from .projection_backward_kernels import MOMENT
+from .records import RECORD
 
 TILES_EACH = 6
 """Tiles that a Gaussian meets in a view, in the mean: 3 to 5 were measured."""

@@ -13,10 +13,12 @@ from torch import Tensor
 from ..compiled import threads
 from ..errors import SceneError
 from ..scene.camera import Camera
-from .blending_kernels import CHANNELS, TRANSMITTANCE, accumulate_pairs, sum_pairs
+from .accumulating_kernels import accumulate_pairs
+from .blending_backward_kernels import sum_pairs
 from .drawing import FAINTEST, DrawRules, Tiles, blend_view, project_view, pull_view, tile_view
 from .gaussians import PARAMETERS, Gaussians
 from .lanes import LANES
+from .tile_kernels import CHANNELS, TRANSMITTANCE
 from .workspace import Workspace
 
 LIFTED_AT_ONCE = 64

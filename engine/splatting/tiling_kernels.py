@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .lanes import take
-from .projection_kernels import BLOCK, DEPTH, holds_mean, tile_columns, tile_rows
+from .blocks import next_block
+from .records import DEPTH, holds_mean, tile_columns, tile_rows
 
 _BITS = 11
 _BUCKETS = 1 << _BITS
@@ -80,25 +80,23 @@ def list_pairs(
     literal: only the tile that holds the mean.
     """
     n = counts.shape[0]
-    blocks = (n + BLOCK - 1) // BLOCK
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
-        while True:
-            block = take(counter)
-            if block >= blocks:
-                break
-            for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
+        begin, end = next_block(counter, n)
+        while begin < end:
+            for i in range(begin, end):
                 pair = starts[i]
-                end = starts[i + 1]
-                if pair < end:
+                room_end = starts[i + 1]
+                if pair < room_end:
                     first, last = tile_rows(records[i], height)
                     for row in range(first, last):
-                        begin, stop = tile_columns(records[i], row, width)
-                        for column in range(begin, stop):
-                            if pair < end and (not literal or holds_mean(records[i], row, column)):
+                        left, right = tile_columns(records[i], row, width)
+                        for column in range(left, right):
+                            if pair < room_end and (not literal or holds_mean(records[i], row, column)):
                                 tile_of[pair] = row * columns + column
                                 pair += 1
                 counts[i] = pair - starts[i]
+            begin, end = next_block(counter, n)
 
 
 @njit
