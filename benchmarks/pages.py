@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .ablation import Ablation
 from .curve import Curve
+from .published import Trained
 from .stages import FORWARD_AND_BACKWARD, STAGES, STEP, Row
 
 
@@ -61,6 +62,16 @@ def _line(cells: Sequence[str]) -> str:
 
 def _milliseconds(seconds: float | None) -> str:
     return "" if seconds is None else f"{1000 * seconds:.1f}"
+
+
+def published_table(rows: Sequence[Trained]) -> str:
+    """Markdown: 3DGS as published beside ours, on a scene small enough for the plain rasteriser."""
+    head = ["training", "steps", "seconds", "Gaussians", "held-out PSNR / dB", "SSIM"]
+    lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
+    for row in rows:
+        cells = [row.name, f"{row.steps:,}", f"{row.seconds:.0f}", f"{row.gaussians:,}"]
+        lines.append(_line([*cells, f"{row.psnr:.2f}", f"{row.ssim:.3f}"]))
+    return "A tiny scene, as published and ours.\n\n" + "\n".join(lines)
 
 
 def draw_stages(rows: Sequence[Row], path: Path) -> None:

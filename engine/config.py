@@ -70,9 +70,9 @@ class SceneConfig(_Checked):
 class TrainConfig(_Checked):
     """How Gaussians are trained from the photos."""
 
-    steps: int = _number(1500, 1, 10_000_000)
+    steps: int = _number(1200, 1, 10_000_000)
     """Optimiser steps, one photo each."""
-    max_gaussians: int = _number(80_000, 1, 100_000_000)
+    max_gaussians: int = _number(70_000, 1, 100_000_000)
     """Densification stops at this many Gaussians."""
     sh_degree: int = _number(2, 0, 3)
     """Highest degree of the spherical harmonics that carry view-dependent colour (0-3)."""
@@ -89,7 +89,9 @@ class TrainConfig(_Checked):
     opacity_rate: float = _number(0.16, 0, 10)
     """Learning rate of opacity logits."""
     sh_rate: float = _number(8e-3, 0, 10)
-    """Learning rate of base colours; harmonics above move at a twentieth of it."""
+    """Learning rate of base colours."""
+    sh_rest_rate: float = _number(1.2e-3, 0, 10)
+    """Learning rate of the harmonics above the base colour."""
     coarse_until: float = _number(0.6, 0, 1)
     """Share of the steps that are trained on photos of half the width and height."""
     densify: Literal["gradient", "mcmc"] = "gradient"
@@ -154,6 +156,7 @@ PRESETS: dict[Preset, TrainConfig] = {
         quats_rate=1e-3,
         opacity_rate=5e-2,
         sh_rate=2.5e-3,
+        sh_rest_rate=1.25e-4,
         densify_from=0.016,
         densify_until=0.5,
         split_size=0.01,

@@ -5,6 +5,7 @@
     python scripts/benchmark.py --out results/benchmark --curve examples/orchard_tree results/orchard2
     python scripts/benchmark.py --ablation examples/orchard_tree --steps 750
     python scripts/benchmark.py --memory 200000 100 800 600
+    python scripts/benchmark.py --published examples/orchard_tree
 
 Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
 vary between runs, so compare within one.
@@ -23,7 +24,15 @@ from _terminal import run, terminal_progress
 from fruitlangs.benchmarks.ablation import ablate
 from fruitlangs.benchmarks.curve import training_curve
 from fruitlangs.benchmarks.memory import training_peak
-from fruitlangs.benchmarks.pages import ablation_table, curve_table, draw_curves, draw_stages, stage_table
+from fruitlangs.benchmarks.pages import (
+    ablation_table,
+    curve_table,
+    draw_curves,
+    draw_stages,
+    published_table,
+    stage_table,
+)
+from fruitlangs.benchmarks.published import beside_published
 from fruitlangs.benchmarks.stages import Setting, measure
 from fruitlangs.engine.config import TrainConfig
 from fruitlangs.engine.errors import ConfigError
@@ -54,6 +63,9 @@ def main() -> None:
     parser.add_argument(
         "--memory", type=int, nargs=4, metavar=("N", "VIEWS", "W", "H"), help="peak memory of training N Gaussians"
     )
+    parser.add_argument(
+        "--published", type=Path, metavar="SCENE", help="train it tiny with 3DGS's settings and peer, and with ours"
+    )
     options = parser.parse_args()
     if min([*options.threads, *options.gaussians, options.repeats, *(options.memory or [])]) < 1:
         raise ConfigError("--threads, --gaussians, --repeats and --memory must be at least 1")
@@ -64,7 +76,7 @@ def main() -> None:
         peak, estimate = training_peak(*options.memory)
         pages.append(f"Peak memory {peak / 2**20:.0f} MB, estimated {estimate / 2**20:.0f} MB.")
     rows = []
-    if options.quick or not (options.curve or options.ablation or options.memory):
+    if options.quick or not (options.curve or options.ablation or options.memory or options.published):
         rows = measure(QUICK if options.quick else grid(options), repeats=options.repeats, progress=progress)
         pages.append(stage_table(rows))
     curves = [training_curve(scene, config, progress=progress) for scene in options.curve]
@@ -72,6 +84,8 @@ def main() -> None:
         pages.append(curve_table(curves))
     if options.ablation is not None:
         pages.append(ablation_table(ablate(options.ablation, config, progress=progress)))
+    if options.published is not None:
+        pages.append(published_table(beside_published(options.published, steps=options.steps, progress=progress)))
     progress(1.0, "done")
     print("\n\n".join(pages))
     if options.json is not None:

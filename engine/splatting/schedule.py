@@ -49,7 +49,7 @@ class Schedule:
             quats=config.quats_rate,
             opacity_logits=config.opacity_rate,
             sh=config.sh_rate,
-            sh_rest=config.sh_rate / 20,
+            sh_rest=config.sh_rest_rate,
         )
 
     def rules(self, step: int) -> DrawRules:

@@ -43,6 +43,7 @@ QUICK = TrainConfig(
     checkpoint_every=7,
     reset_opacity_every=25,
     coarse_until=0.0,
+    sh_rest_rate=4e-4,
 )
 
 
@@ -298,7 +299,9 @@ def test_half_the_steps_may_be_coarse(scene: Scene, uninterrupted: Training) -> 
 
 
 def test_training_stops_when_the_photos_kept_aside_gain_nothing(scene: Scene) -> None:
-    frozen = replace(QUICK, means_rate=0, scales_rate=0, quats_rate=0, opacity_rate=0, sh_rate=0, densify_until=0)
+    frozen = replace(
+        QUICK, means_rate=0, scales_rate=0, quats_rate=0, opacity_rate=0, sh_rate=0, sh_rest_rate=0, densify_until=0
+    )
     stopped = train(scene, replace(frozen, reset_opacity_every=0, check_every=10, patience=2))
     assert stopped.steps == 30
     assert [step for step, _ in stopped.checks] == [10, 20, 30]

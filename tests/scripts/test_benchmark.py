@@ -19,7 +19,15 @@ import _checkout  # noqa: F401
 from fruitlangs.benchmarks import peer_torch
 from fruitlangs.benchmarks.ablation import VARIANTS, ablate
 from fruitlangs.benchmarks.curve import training_curve
-from fruitlangs.benchmarks.pages import ablation_table, curve_table, draw_curves, draw_stages, stage_table
+from fruitlangs.benchmarks.pages import (
+    ablation_table,
+    curve_table,
+    draw_curves,
+    draw_stages,
+    published_table,
+    stage_table,
+)
+from fruitlangs.benchmarks.published import DENSIFY_EVERY, DENSIFY_FROM, beside_published
 from fruitlangs.benchmarks.stages import FORWARD_AND_BACKWARD, STAGES, STEP, Setting, ahead, measure, orchard_like
 from fruitlangs.engine.config import SceneConfig, TrainConfig
 from fruitlangs.engine.splatting.gaussians import PARAMETERS
@@ -98,6 +106,17 @@ def test_an_ablation_trains_once_for_every_name() -> None:
 def test_every_variant_is_a_setting_of_training() -> None:
     for change in VARIANTS.values():
         TrainConfig(**change)
+
+
+def test_3dgs_as_published_learns_a_tiny_scene_and_ours_takes_as_many_gaussians() -> None:
+    barely, *_ = beside_published(SAMPLE, steps=1, gaussians=300, downscale=10)
+    steps = DENSIFY_FROM + 2 * DENSIFY_EVERY
+    theirs, standard, ours = beside_published(SAMPLE, steps=steps, gaussians=300, downscale=10)
+    assert theirs.psnr > barely.psnr + 2.0
+    assert 100 < theirs.gaussians <= 300
+    assert max(standard.gaussians, ours.gaussians) <= theirs.gaussians
+    assert (theirs.steps, standard.steps, ours.steps) == (steps, TrainConfig().steps, steps)
+    assert published_table([theirs, standard, ours]).count("| ours |") == 2
 
 
 def test_the_script_writes_rows_as_json(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def test_help_names_every_stage() -> None:
 def test_a_preset_sets_what_the_flags_of_training_start_from() -> None:
     said = " ".join(count("--preset", "paper", "--train.sh-degree", "1", "--help").stdout.split())
     assert re.search(r"--train\.steps INT.*?\(default: 30000\)", said)
-    assert "(default: 1500)" in " ".join(count("--help").stdout.split())
+    assert "(default: 1200)" in " ".join(count("--help").stdout.split())
 
 
 def test_wrong_usage_exits_with_2() -> None:
