@@ -48,11 +48,13 @@ def curve_table(curves: Sequence[Curve]) -> str:
 def ablation_table(rows: Sequence[Ablation]) -> str:
     """Markdown: seconds and held-out quality of each variant; the first row is what the others are compared with."""
     head = ["changed", "seconds", "CPU seconds", "CPU speed", "held-out PSNR / dB", "gain / dB", "SSIM", "Gaussians"]
+    head += ["ℓ", "std(ℓ) / ℓ"]
     lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
     for row in rows:
         speed = rows[0].cpu_seconds / row.cpu_seconds
         cells = [row.name, f"{row.seconds:.1f}", f"{row.cpu_seconds:.1f}", f"{speed:.2f}×", f"{row.psnr:.2f}"]
-        lines.append(_line([*cells, f"{row.psnr - rows[0].psnr:+.2f}", f"{row.ssim:.3f}", f"{row.gaussians:,}"]))
+        cells += [f"{row.psnr - rows[0].psnr:+.2f}", f"{row.ssim:.3f}", f"{row.gaussians:,}"]
+        lines.append(_line([*cells, f"{row.load:.1f}", f"{row.unevenness:.2f}"]))
     return "Training with one part changed.\n\n" + "\n".join(lines)
 
 

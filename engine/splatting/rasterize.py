@@ -15,7 +15,7 @@ from ..errors import SceneError
 from ..scene.camera import Camera
 from .accumulating_kernels import accumulate_pairs
 from .blending_backward_kernels import sum_pairs
-from .drawing import FAINTEST, DrawRules, Tiles, blend_view, project_view, pull_view, tile_view
+from .drawing import FAINTEST, DrawRules, Tiles, blend_view, load_view, project_view, pull_view, tile_view
 from .gaussians import PARAMETERS, Gaussians
 from .lanes import LANES
 from .tile_kernels import CHANNELS, TRANSMITTANCE
@@ -211,6 +211,28 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
         sums[:, begin : begin + columns] = summed[:, :columns]
         weights[:] = summed[:, padded]
     return Accumulated(torch.from_numpy(sums), torch.from_numpy(weights))
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """What drawing a view costs. pixels: (H, W) Gaussians that each pixel blended (the paper's ℓ, eq. 4); tiles:
+    (rows, columns) Gaussians in each tile's list, by which tiles are handed out."""
+
+    pixels: NDArray[np.float32]
+    tiles: NDArray[np.int64]
+
+
+def measure_load(gaussians: Gaussians, camera: Camera, *, pair_alpha: float = FAINTEST) -> Load:
+    """The load of one view. pair_alpha: see `DrawRules`.
+
+    Raises:
+        SceneError: the camera has distortion.
+    """
+    _check_camera(camera)
+    rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased, pair_alpha=pair_alpha), Workspace()
+    tiles = tile_view(project_view(_arrays(gaussians), camera, rules, workspace), camera, rules, workspace)
+    planes = blend_view(tiles, np.zeros((len(gaussians), 0), np.float32), camera, workspace)
+    return Load(load_view(tiles, planes, workspace)[0], np.diff(tiles.tile_starts).reshape(-1, tiles.columns))
 
 
 def _check_camera(camera: Camera) -> None:
