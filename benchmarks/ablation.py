@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ..engine.config import SceneConfig, TrainConfig
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.read import read_scene
-from ..engine.splatting.drawing import FAINTEST
 from ..engine.splatting.parameters import Parameters, Rates
 from ..engine.splatting.rasterize import measure_load
+from ..engine.splatting.schedule import Schedule
 from ..engine.splatting.train import held_out_views, train
 
 DENSE_ADAM = "Adam over all Gaussians"
@@ -76,9 +76,9 @@ def ablate(
             begun, cpu_begun = time.perf_counter(), time.process_time()
             training = train(scene, replace(config, **change), progress=_named(share, name))
             seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu_begun
-        pair_alpha = change.get("pair_alpha", 1.0) * FAINTEST
-        aside = [training.cameras[view] for view in held_out_views(scene, config.holdout_every)]
-        loads = [measure_load(training.gaussians, camera, pair_alpha=pair_alpha).pixels for camera in aside]
+        rules = Schedule(replace(config, **change), scene).rules(config.steps)
+        aside = [training.cameras[view] for view in sorted(held_out_views(scene, config.holdout_every))]
+        loads = [measure_load(training.gaussians, camera, rules).pixels for camera in aside]
         rows.append(
             Ablation(
                 name, seconds, cpu, training.psnr or 0.0, training.ssim or 0.0, len(training.gaussians),

@@ -10,10 +10,9 @@ from ..engine.config import SceneConfig, TrainConfig
 from ..engine.progress import Progress, silent
 from ..engine.scene.read import read_scene
 from ..engine.splatting.train import train
-from .memory import peak_bytes
 
 CHECKS = 20
-"""Measurements on the way."""
+"""About how many measurements on the way, at steps that training tells of: every twentieth."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,6 @@ class Curve:
     gaussians: int
     seconds: tuple[float, ...]
     psnr: tuple[float, ...]
-    peak_bytes: int
 
 
 def training_curve(
@@ -35,9 +33,10 @@ def training_curve(
     scene_config: SceneConfig | None = None,
     progress: Progress = silent,
 ) -> Curve:
-    """Train on a scene and measure on the way."""
+    """Train on a scene and measure on the way, after a short training that compiles."""
     config = config or TrainConfig()
     scene = read_scene(scene_folder, scene_config or SceneConfig())
+    train(scene, replace(config, steps=3, densify_until=0.0))
     seconds: list[float] = []
     begun, away = time.perf_counter(), 0.0
     last_step = time.perf_counter()
@@ -51,7 +50,7 @@ def training_curve(
         last_step = now
         progress(fraction, message)
 
-    checked = replace(config, check_every=max(config.steps // CHECKS // 20 * 20, 1))
+    checked = replace(config, check_every=20 * max(round(config.steps / CHECKS / 20), 1))
     training = train(scene, checked, progress=watch)
     return Curve(
         scene=scene_folder.name,
@@ -59,5 +58,4 @@ def training_curve(
         gaussians=len(training.gaussians),
         seconds=(*seconds, last_step - begun - away),
         psnr=(*(quality for _, quality in training.checks), training.psnr or 0.0),
-        peak_bytes=peak_bytes(),
     )

@@ -25,7 +25,7 @@ def peak_bytes() -> int:
 
 
 def training_peak(gaussians: int, views: int, width: int, height: int) -> tuple[int, int]:
-    """Bytes that a training had at its peak after one round and two densifications, and the estimate of it.
+    """Bytes that a training had at its peak after one round and its three densifications, and the estimate of it.
 
     Call it in a process of its own: the peak is that of the process.
     """
@@ -39,7 +39,12 @@ def training_peak(gaussians: int, views: int, width: int, height: int) -> tuple[
         up=np.array([0.0, -1.0, 0.0]),
     )  # fmt: skip
     config = TrainConfig(
-        steps=views, max_gaussians=gaussians, sh_degree=SH_DEGREE, coarse_until=0.0, densify_every=max(views // 3, 1)
+        steps=views,
+        max_gaussians=gaussians,
+        sh_degree=SH_DEGREE,
+        coarse_until=0.0,
+        densify_every=max(views // 3, 1),
+        densify_until=1.0,
     )
     start = orchard_like(gaussians)
     state = TrainingState(Parameters.start(start), Pulls.none(gaussians))

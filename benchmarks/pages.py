@@ -36,12 +36,12 @@ def stage_table(rows: Sequence[Row]) -> str:
 
 
 def curve_table(curves: Sequence[Curve]) -> str:
-    """Markdown: held-out PSNR and peak memory of each training."""
-    head = ["scene", "steps", "Gaussians", "seconds", "held-out PSNR / dB", "peak memory / MB"]
+    """Markdown: what each training took and reached."""
+    head = ["scene", "steps", "Gaussians", "seconds", "held-out PSNR / dB"]
     lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
     for curve in curves:
         cells = [curve.scene, str(curve.steps), f"{curve.gaussians:,}", f"{curve.seconds[-1]:.0f}"]
-        lines.append(_line([*cells, f"{curve.psnr[-1]:.2f}", f"{curve.peak_bytes / 2**20:.0f}"]))
+        lines.append(_line([*cells, f"{curve.psnr[-1]:.2f}"]))
     return "Training.\n\n" + "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ from ..engine.progress import Progress, part, silent
 from ..engine.scene.camera import Camera, Scene
 from ..engine.scene.read import read_scene
 from ..engine.splatting.gaussians import SH_C0
-from ..engine.splatting.initialise import camera_spread, neighbour_distances
+from ..engine.splatting.initialise import neighbour_distances
 from ..engine.splatting.losses import psnr, ssim
 from ..engine.splatting.photos import PhotoShelf
 from ..engine.splatting.schedule import view_at
@@ -118,7 +118,7 @@ class _Model:
 
     def __init__(self, scene: Scene, most: int, seed: int) -> None:
         self.random = np.random.default_rng(seed)
-        self.extent, self.most = 1.1 * camera_spread(scene), most
+        self.extent, self.most = scene.extent, most
         kept = np.sort(self.random.permutation(len(scene.points))[: most // 3])
         points, n = scene.points[kept], len(kept)
         colors = torch.from_numpy(scene.colors[kept] / 255.0 - 0.5).float() / SH_C0

@@ -6,7 +6,8 @@ import gc
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..engine.errors import ConfigError
 from ..engine.progress import Progress, silent
 from ..engine.scene.camera import Camera
 from ..engine.splatting.drawing import DrawRules, blend_view, project_view, pull_view, tile_view
@@ -32,6 +34,8 @@ FORWARD_AND_BACKWARD, STEP = "forward+backward", "step"
 SH_DEGREE = 3
 RATES = Rates(means=1e-6, log_scales=1e-6, quats=1e-6, opacity_logits=1e-6, sh=1e-6, sh_rest=1e-6)
 """Too small to change what is measured."""
+_config: Any = numba.config  # its attributes appear at run time
+MOST_THREADS: int = _config.NUMBA_NUM_THREADS
 
 
 @dataclass(frozen=True)
@@ -109,14 +113,15 @@ def measure(
 
     The peer runs once to warm up and then twice; where its tables would need more than `peer_memory` bytes it
     is left out.
+
+    Raises:
+        ConfigError: a setting asks for more threads than there are.
     """
     rows = []
     for k, setting in enumerate(settings):
         progress(k / len(settings), f"{setting.gaussians:,} Gaussians at {setting.width}×{setting.height}")
-        numba.set_num_threads(setting.threads)
-        torch.set_num_threads(setting.threads)
-        ours = _ours(setting, repeats)
-        theirs = _peer(setting, peer_memory)
+        with _threads(setting.threads):
+            ours, theirs = _ours(setting, repeats), _peer(setting, peer_memory)
         for stage in (*STAGES, FORWARD_AND_BACKWARD, STEP):
             peer = None if theirs is None else theirs[stage]
             ratio = None if peer is None else peer / ours[stage]
@@ -124,6 +129,25 @@ def measure(
                 Row(stage, setting.gaussians, setting.width, setting.height, setting.threads, ours[stage], peer, ratio)
             )
     return rows
+
+
+@contextmanager
+def _threads(n: int) -> Iterator[None]:
+    """Run with n threads.
+
+    Raises:
+        ConfigError: the machine has fewer.
+    """
+    if n > MOST_THREADS:
+        raise ConfigError(f"--threads {n} is more than the {MOST_THREADS} of this machine; give fewer")
+    before = numba.get_num_threads(), torch.get_num_threads()
+    numba.set_num_threads(n)
+    torch.set_num_threads(n)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before[0])
+        torch.set_num_threads(before[1])
 
 
 class _Watch:

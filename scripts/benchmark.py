@@ -33,24 +33,25 @@ from fruitlangs.benchmarks.pages import (
     stage_table,
 )
 from fruitlangs.benchmarks.published import beside_published
-from fruitlangs.benchmarks.stages import Setting, measure
+from fruitlangs.benchmarks.stages import MOST_THREADS, Setting, measure
 from fruitlangs.engine.config import TrainConfig
 from fruitlangs.engine.errors import ConfigError
 
 SIZES = ((400, 300), (800, 600), (1500, 1000))
 COUNTS = (20_000, 50_000, 200_000, 1_000_000)
+TWO = min(2, MOST_THREADS)
 QUICK = (
-    Setting(20_000, 400, 300, 2),
-    Setting(50_000, 400, 300, 2),
+    Setting(20_000, 400, 300, TWO),
+    Setting(50_000, 400, 300, TWO),
     Setting(50_000, 400, 300, 1),
-    Setting(200_000, 800, 600, 2),
+    Setting(200_000, 800, 600, TWO),
 )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="four settings in under three minutes")
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="threads to measure with (default 1 2)")
+    parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, TWO}), help="threads (default 1 2)")
     parser.add_argument("--gaussians", type=int, nargs="+", default=list(COUNTS), help="numbers of Gaussians")
     parser.add_argument("--repeats", type=int, default=7, help="runs of each setting, of which the median (default 7)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of the stages there")

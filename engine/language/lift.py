@@ -9,12 +9,12 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional
 
 from ..errors import FormatError, SceneError
-from ..files import replacing
+from ..files import write_tensors
 from ..progress import Progress, silent
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
@@ -103,12 +103,7 @@ def save_features(path: Path, features: Features) -> None:
         OutputError: the file cannot be written.
     """
     header = {"format": FORMAT, "encoder_id": features.encoder_id}
-    with replacing(path) as temporary:
-        save_file(
-            {"vectors": features.vectors.contiguous(), "weights": features.weights.contiguous()},
-            temporary,
-            metadata={"fruitlangs": json.dumps(header, sort_keys=True)},
-        )
+    write_tensors(path, {"vectors": features.vectors.contiguous(), "weights": features.weights.contiguous()}, header)
 
 
 def load_features(path: Path) -> Features:

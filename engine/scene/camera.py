@@ -88,9 +88,27 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """Radius of the cameras about their mean, times 1.1 (3DGS's scene extent), in scene units."""
-        centers = np.stack([camera.center for camera in self.cameras])
-        return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max() * 1.1)
+        """`spread` times 1.1 (3DGS's scene extent), in scene units."""
+        return 1.1 * self.spread
+
+    @property
+    def middle(self) -> FloatArray:
+        """(3,) mean of the cameras' centres, in scene units."""
+        return np.stack([camera.center for camera in self.cameras]).mean(0)
+
+    @property
+    def spread(self) -> float:
+        """Radius of the cameras about their middle, in scene units.
+
+        Where they all stand in one place it is the points' median distance from there, and 1 without points.
+        """
+        centers, middle = np.stack([camera.center for camera in self.cameras]), self.middle
+        spread = float(np.linalg.norm(centers - middle, axis=1).max())
+        points = np.asarray(self.points, np.float64)
+        distances = np.linalg.norm(points[np.isfinite(points).all(1)] - middle, axis=1)
+        points_spread = float(np.median(distances)) if distances.any() else 1.0
+        rounding = max(float(np.abs(centers).max()), points_spread)
+        return spread if spread > 1e-6 * rounding else points_spread
 
 
 def axes_equations(cameras: Sequence[Camera]) -> tuple[FloatArray, FloatArray]:

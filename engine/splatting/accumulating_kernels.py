@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..compiled import kernel, njit, prange
 from .lanes import LANES, anywhere, at_least, at_most, both, exp2, fill, load, ramp, select, store, take, total
 from .records import RECORD, TILE_HEIGHT, TILE_WIDTH, ZERO
-from .tile_kernels import CHANNELS, FAINTEST, MAX_ALPHA, PIXELS, STOP, TRANSMITTANCE, ellipse_over, start_tile
+from .tile_kernels import CHANNELS, LOG2_FAINTEST, MAX_ALPHA, PIXELS, STOP, TRANSMITTANCE, ellipse_over, start_tile
 
 
 @njit
@@ -52,7 +52,7 @@ def _accumulate_tile(
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
             transmittance = load(scratch, TRANSMITTANCE * PIXELS + place)
-            counts = both(at_least(power, FAINTEST), at_least(transmittance, STOP))
+            counts = both(at_least(power, LOG2_FAINTEST), at_least(transmittance, STOP))
             if not anywhere(counts):
                 continue
             alpha = select(counts, at_most(exp2(power), MAX_ALPHA), fill(ZERO))

@@ -53,7 +53,9 @@ def adam_step(
 
     rates: learning rates of the first columns; those beyond are not moved. drawn: (N,) not 0 where a view drew it;
     updates: (N,) how often each row was moved, this step included: both moments are corrected for their start at zero
-    by it, since a row that was seldom seen still holds young moments. corrections: `CORRECTIONS`.
+    by it, since a row that was seldom seen still holds young moments. Moments that begin later, of a new degree of the
+    harmonics or after a reset of opacities, are taken for old ones, as in 3DGS: their first steps are up to six times
+    the rate. corrections: `CORRECTIONS`.
     """
     n = parameters.shape[0]
     counter = np.zeros(1, np.int64)

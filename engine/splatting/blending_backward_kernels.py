@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
+from .blocks import BLOCK
 from .lanes import (
     anywhere,
     at_least,
@@ -24,7 +25,17 @@ from .lanes import (
 )
 from .projection_backward_kernels import MOMENT
 from .records import BLUE, CONIC_A, CONIC_B, DEPTH, GREEN, ONE, RECORD, RED, TILE_HEIGHT, TILE_WIDTH, TWO, ZERO
-from .tile_kernels import AHEAD, FAINTEST, LAST, LOG2_MAX_ALPHA, MAX_ALPHA, PIXELS, TRANSMITTANCE, copy_in, ellipse_over
+from .tile_kernels import (
+    AHEAD,
+    LAST,
+    LOG2_FAINTEST,
+    LOG2_MAX_ALPHA,
+    MAX_ALPHA,
+    PIXELS,
+    TRANSMITTANCE,
+    copy_in,
+    ellipse_over,
+)
 
 
 @njit
@@ -98,7 +109,7 @@ def _blend_tile_backward(
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
             place = y * TILE_WIDTH
-            counts = both(at_least(power, FAINTEST), at_least(load(scratch, LAST * PIXELS + place), number))
+            counts = both(at_least(power, LOG2_FAINTEST), at_least(load(scratch, LAST * PIXELS + place), number))
             if not anywhere(counts):
                 if extra > 0:
                     store(weights, place, fill(ZERO))
@@ -214,8 +225,8 @@ def sum_pairs(
 ) -> None:
     """out (N, C): sums of values (P, C) over each Gaussian's pairs, in their order."""
     n, channels = out.shape
-    for block in prange((n + 511) // 512):
-        for i in range(block * 512, min((block + 1) * 512, n)):
+    for block in prange((n + BLOCK - 1) // BLOCK):
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, n)):
             for channel in range(channels):
                 out[i, channel] = ZERO
             for pair in range(starts[i], starts[i] + counts[i]):

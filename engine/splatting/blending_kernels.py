@@ -11,8 +11,8 @@ from .records import BLUE, DEPTH, GREEN, RECORD, RED, TILE_HEIGHT, TILE_WIDTH, Z
 from .tile_kernels import (
     AHEAD,
     CHANNELS,
-    FAINTEST,
     LAST,
+    LOG2_FAINTEST,
     MAX_ALPHA,
     PIXELS,
     STOP,
@@ -56,7 +56,7 @@ def _blend_tile(
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
             transmittance = load(scratch, TRANSMITTANCE * PIXELS + place)
-            counts = both(at_least(power, FAINTEST), at_least(transmittance, STOP))
+            counts = both(at_least(power, LOG2_FAINTEST), at_least(transmittance, STOP))
             if not anywhere(counts):
                 continue
             alpha = select(counts, at_most(exp2(power), MAX_ALPHA), fill(ZERO))

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from ..config import TrainConfig
 from ..errors import TrainingError
-from ..files import replacing
+from ..files import write_tensors
 from ..scene.camera import Scene
 from .densify import Pulls
 from .exposure import Exposures
@@ -79,8 +78,7 @@ def write_checkpoint(path: Path, state: TrainingState, key: str) -> None:
         if held is not None:
             tensors |= {f"{part}.{entry.name}": torch.from_numpy(getattr(held, entry.name)) for entry in fields(kind)}
     about = {"schema": SCHEMA, "step": parameters.step, "key": key, "checks": state.checks}
-    with replacing(path) as temporary:
-        save_file(tensors, str(temporary), metadata={"fruitlangs": json.dumps(about)})
+    write_tensors(path, tensors, about)
 
 
 def read_checkpoint(path: Path, key: str) -> TrainingState:
@@ -110,6 +108,4 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
         raise TrainingError(f"{path} is not a whole checkpoint ({error}); delete it to start anew") from error
     if any(len(tensor) != len(parameters) for tensor in tensors.values()):
         raise TrainingError(f"{path} is not a whole checkpoint (tensors differ in length); delete it to start anew")
-    if any(not torch.isfinite(tensor).all() for tensor in parameters.values.values()):
-        raise TrainingError(f"{path} holds numbers that are not finite; delete it to start anew")
     return TrainingState(parameters, pulls, **parts, checks=checks)

@@ -39,7 +39,7 @@ class Exposures(ViewMoments):
         change_colors(image, self.matrices[view], changed)
         return changed
 
-    def pull(
+    def learn(
         self, view: int, image: NDArray[np.float32], gradient: NDArray[np.float32], done: float, workspace: Workspace
     ) -> None:
         """Turn the gradient of the changed image (3, H, W) into that of the image, in place, and move the view's map.

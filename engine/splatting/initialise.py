@@ -82,25 +82,6 @@ def _isotropic(points: Points, sizes: NDArray[np.float64], colors: Points, sh_de
     )
 
 
-def camera_middle(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """(3,) mean of the cameras' centres, in scene units."""
-    return np.stack([camera.center for camera in cameras]).mean(0)
-
-
-def camera_spread(scene: Scene) -> float:
-    """Radius of the cameras about their mean, in scene units.
-
-    Where they all stand in one place it is the points' median distance from there, and 1 without points.
-    """
-    centers = np.stack([camera.center for camera in scene.cameras])
-    spread = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
-    if spread > 1e-6 * float(np.abs(centers).max()):  # else there is only rounding between them
-        return spread
-    points = np.asarray(scene.points, np.float64)
-    distances = np.linalg.norm(points[np.isfinite(points).all(1)] - centers.mean(axis=0), axis=1)
-    return float(np.median(distances)) if distances.any() else 1.0
-
-
 def _looked_at(scene: Scene) -> tuple[Points, float]:
     """Centre and radius of the ball that the cameras look at: the point nearest to all viewing axes.
 
@@ -110,7 +91,7 @@ def _looked_at(scene: Scene) -> tuple[Points, float]:
     cameras = scene.cameras
     centers = np.stack([camera.center for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
-    guess = centers.mean(0) + axes.mean(0) * camera_spread(scene)
+    guess = centers.mean(0) + axes.mean(0) * scene.spread
     left, right = axes_equations(cameras)
     pull = 0.01 * len(cameras)
     center = np.linalg.solve(left + pull * np.eye(3), right + pull * guess)
@@ -125,8 +106,7 @@ def _in_ball(random: np.random.Generator, n: int) -> Points:
 
 def _dome(scene: Scene, points: Points, n: int) -> Points:
     """n evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
-    center = camera_middle(scene.cameras)
-    reach = 1.1 * camera_spread(scene)
+    center, reach = scene.middle, scene.extent
     if len(points) > 0:
         reach = max(reach, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.98)))
     k = np.arange(n) + 0.5
@@ -151,13 +131,17 @@ def _seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> boo
 
 
 def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
-    """(P, 3) mean colour of the pixels that points project to, and (P,) whether any photo has such a pixel."""
+    """(P, 3) mean colour of the usable pixels that points project to, and (P,) whether any photo has such a one."""
     sums = np.zeros((len(points), 3))
     counts = np.zeros(len(points))
     for view in views[:: max(len(views) // 40, 1)]:
         inside, places = _in_view(shelf.scene.cameras[view], points)
         if inside.any():
+            picture = shelf.picture(view)
             column, row = places[inside].astype(int).T
-            sums[inside] += shelf.picture(view).pixels[row, column] / 255.0
+            if picture.mask is not None:
+                inside[inside] = picture.mask[row, column]
+                column, row = places[inside].astype(int).T
+            sums[inside] += picture.pixels[row, column] / 255.0
             counts[inside] += 1
     return sums / np.maximum(counts, 1)[:, None], counts > 0

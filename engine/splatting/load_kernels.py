@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..compiled import kernel, njit, prange
 from .lanes import anywhere, at_least, at_most, both, exp2, fill, load, ramp, select, store, take, total
 from .records import ONE, RECORD, TILE_HEIGHT, TILE_WIDTH, ZERO
-from .tile_kernels import FAINTEST, LAST, LOG2_MAX_ALPHA, MAX_ALPHA, PIXELS, copy_in, ellipse_over
+from .tile_kernels import LAST, LOG2_FAINTEST, LOG2_MAX_ALPHA, MAX_ALPHA, PIXELS, copy_in, ellipse_over
 
 SOFT = np.float32(1 / 16)
 
@@ -42,7 +42,7 @@ def _measure_tile(
             place = y * TILE_WIDTH
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
-            counts = both(at_least(power, FAINTEST), at_least(load(scratch, place), np.float32(entry - begin)))
+            counts = both(at_least(power, LOG2_FAINTEST), at_least(load(scratch, place), np.float32(entry - begin)))
             if not anywhere(counts):
                 continue
             alpha = select(counts, at_most(exp2(power), MAX_ALPHA), fill(ZERO))
@@ -105,7 +105,7 @@ def _pull_tile(
             place = y * TILE_WIDTH
             dy = np.float32(y) - my
             power = edge - slope * dy - c * dy * dy
-            counts = both(at_least(power, FAINTEST), at_least(load(scratch, place), np.float32(entry - begin)))
+            counts = both(at_least(power, LOG2_FAINTEST), at_least(load(scratch, place), np.float32(entry - begin)))
             if not anywhere(counts):
                 continue
             alpha = select(counts, exp2(power), fill(ZERO))

@@ -177,7 +177,7 @@ def _stride(width: int) -> int:
     return (width + LANES - 1) // LANES * LANES + 2 * LANES
 
 
-PLANES = 14
+SCRATCH_PLANES = 14
 """Padded planes of scratch that the loss needs."""
 
 
@@ -199,8 +199,8 @@ def l1_and_ssim(
     l1_weight · Σ|x - y| - ssim_weight · ΣSSIM.
 
     image, photo: (3, H, W); mask: (H, W) True where valid, or (0, 0) for all; moments: (2, 3, padded_size) the photo's
-    window means and variances, written unless `known`; scratch: (PLANES, padded_size), zeros or of an earlier call for
-    the same size: the borders are never written.
+    window means and variances, written unless `known`; scratch: (SCRATCH_PLANES, padded_size), zeros or of an earlier
+    call for the same size: the borders are never written.
     """
     height, width = photo.shape[1], photo.shape[2]
     stride = _stride(width)

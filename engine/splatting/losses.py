@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .loss_kernels import PLANES, l1_and_ssim, padded_size
+from .loss_kernels import SCRATCH_PLANES, l1_and_ssim, padded_size
 from .workspace import Workspace
 
 _EVERYWHERE = np.zeros((0, 0), np.bool_)
@@ -28,6 +28,7 @@ class PhotometricLoss:
     def __init__(self, ssim_weight: float, workspace: Workspace) -> None:
         self.ssim_weight = ssim_weight
         self.workspace = workspace
+        self._size = (0, 0)
         self._moments: dict[Hashable, NDArray[np.float32]] = {}
         self._bytes = 0
 
@@ -62,11 +63,15 @@ class PhotometricLoss:
         n = 3 * max(valid, 1)
         moments, known = self._photo_moments(key, (2, 3, padded_size(height, width)))
         l1_sums, ssim_sums = np.empty((2, 3, height))
+        scratch = self.workspace.zeros("loss", (SCRATCH_PLANES, moments.shape[2]))
+        if self._size != (height, width):  # another photo's pixels would count at the right edge
+            scratch.fill(0.0)
+            self._size = (height, width)
         l1_and_ssim(
             image, np.ascontiguousarray(photo.transpose(2, 0, 1)),
             _EVERYWHERE if mask is None else np.ascontiguousarray(mask),
             np.float32((1.0 - self.ssim_weight) / n), np.float32(self.ssim_weight / n), moments, known,
-            self.workspace.zeros("loss", (PLANES, moments.shape[2])), gradient, l1_sums, ssim_sums,
+            scratch, gradient, l1_sums, ssim_sums,
         )  # fmt: skip
         return float(l1_sums.sum()) / n, float(ssim_sums.sum()) / n if valid else 1.0
 
@@ -96,12 +101,15 @@ def unevenness(loads: NDArray[np.float32]) -> tuple[float, NDArray[np.float32]]:
 
 
 def psnr(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of a rendering (H, W, 3), clamped to [0, 1], over the usable pixels."""
+    """Peak signal-to-noise ratio in dB of a rendering (H, W, 3), clamped to [0, 1], over the usable pixels.
+
+    At most 120: an error of 0 would be infinite.
+    """
     squared = (color.detach().clamp(0.0, 1.0).double() - torch.from_numpy(photo).double() / 255.0) ** 2
     if mask is not None:
         squared = squared[torch.from_numpy(mask)]
     error = float(squared.mean())
-    return math.inf if error == 0.0 else -10.0 * math.log10(error)
+    return -10.0 * math.log10(max(error, 1e-12))
 
 
 def ssim(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | None = None) -> float:

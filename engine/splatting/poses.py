@@ -37,7 +37,7 @@ class Poses(ViewMoments):
         """A camera (of any size) at the view's refined pose."""
         return replace(camera, world_to_camera=self.world_to_camera[view])
 
-    def pull(self, view: int, sums: FloatArray, done: float, extent: float) -> None:
+    def learn(self, view: int, sums: FloatArray, done: float, extent: float) -> None:
         """Move one pose by Adam.
 
         sums: (15,) see `twist_gradient`; done: share of the training that is over; extent: scene units.

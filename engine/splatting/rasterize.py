@@ -222,14 +222,14 @@ class Load:
     tiles: NDArray[np.int64]
 
 
-def measure_load(gaussians: Gaussians, camera: Camera, *, pair_alpha: float = FAINTEST) -> Load:
-    """The load of one view. pair_alpha: see `DrawRules`.
+def measure_load(gaussians: Gaussians, camera: Camera, rules: DrawRules) -> Load:
+    """The load of one view.
 
     Raises:
         SceneError: the camera has distortion.
     """
     _check_camera(camera)
-    rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased, pair_alpha=pair_alpha), Workspace()
+    workspace = Workspace()
     tiles = tile_view(project_view(_arrays(gaussians), camera, rules, workspace), camera, rules, workspace)
     planes = blend_view(tiles, np.zeros((len(gaussians), 0), np.float32), camera, workspace)
     return Load(load_view(tiles, planes, workspace)[0], np.diff(tiles.tile_starts).reshape(-1, tiles.columns))

@@ -17,8 +17,11 @@ from .parameters import Parameters
 
 DEAD = 0.005
 """A Gaussian fainter than this is moved."""
-NOISE = 5e5
-"""Noise of a position, times its learning rate and its covariance."""
+NOISE = 1280.0
+"""Noise of a position, times its covariance over the scene's extent, at the first step; it falls to a hundredth.
+
+The authors have 5e5 times the learning rate, 1.6e-4 extents: the same where the extent is 4 units. Theirs grows with
+the cube of the unit."""
 SHARPNESS, KNEE = 100.0, 0.995
 """Noise fades with opacity as σ(-100 (opacity - 1 + 0.995))."""
 MOST_COPIES = 51
@@ -84,11 +87,14 @@ def _shared(
     return new, np.clip(opacities / np.maximum(total, 1e-12), 1e-3, 1.0)
 
 
-def explore(parameters: Parameters, means_rate: float, seed: list[int]) -> None:
-    """Noise on the positions: along each Gaussian's covariance, the more the fainter it is (eq. 8)."""
+def explore(parameters: Parameters, extent: float, done: float, seed: list[int]) -> None:
+    """Noise on the positions: along each Gaussian's covariance, the more the fainter it is (eq. 8).
+
+    extent: the scene's; done: share of the training that is over.
+    """
     gaussians: Gaussians = parameters.gaussians()
     drawn = np.random.default_rng(seed).standard_normal((len(parameters), 3), dtype=np.float32)
     fade = torch.sigmoid(-SHARPNESS * (gaussians.opacities - (1.0 - KNEE)))
     turned = gaussians.rotations.transpose(1, 2) @ torch.from_numpy(drawn)[..., None]
     noise = (gaussians.rotations @ (gaussians.scales[..., None] ** 2 * turned))[..., 0]
-    parameters.values["means"] += noise * (fade * NOISE * means_rate)[:, None]
+    parameters.values["means"] += noise * (fade * (NOISE / extent * 0.01**done))[:, None]

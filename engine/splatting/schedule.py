@@ -14,7 +14,6 @@ from ..config import TrainConfig
 from ..scene.camera import Scene
 from .densify import DensifyRules
 from .drawing import FAINTEST, DrawRules
-from .initialise import camera_middle, camera_spread
 from .parameters import Rates
 
 
@@ -28,12 +27,12 @@ class Schedule:
     @cached_property
     def extent(self) -> float:
         """Scene units: a little more than the radius of the cameras."""
-        return 1.1 * camera_spread(self.scene)
+        return self.scene.extent
 
     @cached_property
     def middle(self) -> Tensor:
         """(3,) of the cameras."""
-        return torch.from_numpy(camera_middle(self.scene.cameras)).float()
+        return torch.from_numpy(self.scene.middle).float()
 
     def done(self, step: int) -> float:
         """Share of the training that is over."""
@@ -86,11 +85,11 @@ class Schedule:
 
     def resets_opacity(self, step: int) -> bool:
         every = self.config.reset_opacity_every
-        return every > 0 and step % every == 0 and step <= self.last_densified
+        return every > 0 and step % every == 0 and step < self.last_densified
 
     def drops_unneeded(self, step: int) -> bool:
         """Once, when no Gaussian comes any more."""
-        return self.config.drop_unneeded > 0 and step == self.last_densified + 1
+        return self.config.drop_unneeded > 0 and step == min(self.last_densified + 1, self.config.steps)
 
     def forgives(self, step: int) -> bool:
         """Whether the worst pixels are left out: not before the picture stands roughly."""
@@ -99,6 +98,10 @@ class Schedule:
     def checks(self, step: int) -> bool:
         every = self.config.check_every
         return every > 0 and step % every == 0 and step < self.config.steps
+
+    def settled(self, step: int) -> bool:
+        """Whether quality now tells when to stop: before, it jumps as photos get their full size and Gaussians come."""
+        return self.shrink(step) == 1 and step > self.last_densified
 
     def densify_rules(self) -> DensifyRules:
         return DensifyRules(

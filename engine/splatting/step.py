@@ -38,10 +38,9 @@ class Step:
         schedule, config, step = self.schedule, self.schedule.config, state.step
         drawn, pulled, loss = self._pull(state, picture, step)
         regularise(pulled, state.parameters, config, schedule.extent)
-        rates = schedule.rates(step)
-        state.parameters.update(pulled, rates, schedule.rules(step).sh_degree, drawn)
+        state.parameters.update(pulled, schedule.rates(step), schedule.rules(step).sh_degree, drawn)
         if config.densify == "mcmc":
-            explore(state.parameters, rates.means, [config.seed, step, 0])
+            explore(state.parameters, schedule.extent, schedule.done(step), [config.seed, step, 0])
         elif schedule.watches_pulls(step):
             state.pulls.add(pulled["pulls"], drawn, picture.camera.width, picture.camera.height)
         if step % HOLD_EVERY == 0:
@@ -69,7 +68,7 @@ class Step:
             mask = unforgiven(image, picture, self.schedule.config.forgive)
         loss = self.loss.pull(image, picture.pixels, mask, gradients[:3], key=(picture.view, camera.width))
         if state.exposures is not None:
-            state.exposures.pull(picture.view, planes[:3], gradients[:3], self.schedule.done(step), workspace)
+            state.exposures.learn(picture.view, planes[:3], gradients[:3], self.schedule.done(step), workspace)
         load_gradient = None
         share = self.schedule.config.load_weight
         if share > 0:
@@ -81,7 +80,7 @@ class Step:
             with_depth=False, with_pulls=self.schedule.watches_pulls(step),
         )  # fmt: skip
         if state.poses is not None:
-            state.poses.pull(picture.view, pulled["pose"], self.schedule.done(step), self.schedule.extent)
+            state.poses.learn(picture.view, pulled["pose"], self.schedule.done(step), self.schedule.extent)
         return tiles.counts, pulled, loss
 
     def _come_and_go(self, state: TrainingState) -> None:

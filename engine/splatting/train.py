@@ -21,7 +21,7 @@ from .checkpoint import TrainingState, read_checkpoint, training_key, write_chec
 from .densify import Pulls
 from .exposure import Exposures, fitted
 from .gaussians import PARAMETERS, Gaussians
-from .initialise import camera_middle, first_gaussians
+from .initialise import first_gaussians
 from .losses import psnr, ssim
 from .memory import require_memory
 from .parameters import Parameters
@@ -86,25 +86,29 @@ def train(
         OutputError: the checkpoint cannot be written.
         Cancelled: `progress` asked for it; the last checkpoint stays.
     """
-    kept_aside = held_out_views(scene, config.holdout_every)
-    views = [view for view in range(len(scene.cameras)) if view not in kept_aside]
+    aside = held_out_views(scene, config.holdout_every)
+    views = [view for view in range(len(scene.cameras)) if view not in aside]
     if not views:
         raise TrainingError("the scene has no photo to train on; give at least one")
+    middle = scene.middle
+    require_digits(middle, scene.extent)
+    require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
+    kept_aside = []
+    for view in sorted(aside):
+        progress(0.0, "reading the photos kept aside")
+        mask = PhotoShelf(scene, limit=0).picture(view).mask
+        if mask is None or mask.any():
+            kept_aside.append(view)
     if config.patience > 0 and (config.check_every == 0 or not kept_aside):
         raise TrainingError(
             "--train.patience stops by measurements of photos kept aside: give --train.check-every, and a"
             " --train.holdout-every that keeps some"
         )
-    require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
-    for view in sorted(kept_aside):
-        progress(0.0, "reading the photos kept aside")
-        PhotoShelf(scene, limit=0).picture(view)
     key = training_key(scene, config)
-    middle = camera_middle(scene.cameras)
     near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
-        training = _train(near, config, shelf, views, sorted(kept_aside), checkpoint, key, progress)
+        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, progress)
     finally:
         shelf.close()
     gaussians = training.gaussians
@@ -113,6 +117,25 @@ def train(
         _shifted(replace(scene, cameras=training.cameras), middle).cameras if config.refine_poses else scene.cameras
     )
     return replace(training, gaussians=replace(gaussians, means=means), cameras=tuple(cameras))
+
+
+COARSEST = 1e-3
+"""Largest step of single precision, in scene extents, at which Gaussians may be kept."""
+
+
+def require_digits(middle: NDArray[np.float64], extent: float) -> None:
+    """Refuse a scene so far from its origin that Gaussians there would lie on a coarse grid.
+
+    Raises:
+        TrainingError: it does; says how far away it is.
+    """
+    away = float(np.abs(middle).max())
+    step = float(np.spacing(np.float32(away)))
+    if not step <= COARSEST * extent:
+        raise TrainingError(
+            f"the scene lies {away:.6g} units from its origin, where single precision has steps of {step:.2g} units,"
+            f" too coarse for a scene of {extent:.2g}; move the model to the middle of its cameras"
+        )
 
 
 def _shifted(scene: Scene, offset: NDArray[np.float64]) -> Scene:
@@ -144,14 +167,14 @@ def _train(
     while state.step < config.steps:
         picture = _picture(shelf, state.step, views, schedule)
         blank = blank + 1 if picture.mask is not None and not picture.mask.any() else 0
-        if blank == len(views):
+        if blank == 2 * len(views) - 1:  # a whole round is among them, whatever its order
             raise TrainingError("the masks leave no pixel of any photo to learn from; white is what may be used")
         loss = step.take(state, picture)
         done = state.step
         if not math.isfinite(loss):
             raise _breakdown(done, f"the loss is {loss}")
         if schedule.drops_unneeded(done):
-            state.select(_needed(_drawable(state, config), scene, views, config.drop_unneeded))
+            state.select(_needed(state, config, [_posed(state, scene, view) for view in views]))
         if done % 20 == 0 or done == config.steps:
             if not finite(state.parameters.gaussians()).any():
                 raise _breakdown(done, "no Gaussian has finite values any more")
@@ -161,7 +184,7 @@ def _train(
             quality = float(np.mean([score.psnr for score in scores]))
             state.checks.append((done, quality))
             progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {quality:.2f} dB")
-            if stalled([quality for _, quality in state.checks], config.patience):
+            if stalled([checked for at, checked in state.checks if schedule.settled(at)], config.patience):
                 break
         if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(checkpoint, state, key)
@@ -169,16 +192,18 @@ def _train(
     gaussians = trained.select(finite(trained))
     progress(0.96, "measuring the photos kept aside")
     held_out = _scores(gaussians, shelf, kept_aside, config)
-    cameras = scene.cameras
-    if state.poses is not None:
-        cameras = [state.poses.camera(view, camera) for view, camera in enumerate(cameras)]
     return Training(
         gaussians=gaussians,
         held_out=held_out,
         steps=state.step,
         checks=tuple(state.checks),
-        cameras=tuple(cameras),
+        cameras=tuple(_posed(state, scene, view) for view in range(len(scene.cameras))),
     )
+
+
+def _posed(state: TrainingState, scene: Scene, view: int) -> Camera:
+    """A view's camera at its pose so far."""
+    return scene.cameras[view] if state.poses is None else state.poses.camera(view, scene.cameras[view])
 
 
 def _start(shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, progress: Progress) -> TrainingState:
@@ -238,14 +263,19 @@ def _drawable(state: TrainingState, config: TrainConfig) -> Gaussians:
     return replace(state.parameters.gaussians(), antialiased=config.antialiased)
 
 
-def _needed(gaussians: Gaussians, scene: Scene, views: Sequence[int], least: float) -> Tensor:
-    """(N,) mask of the Gaussians that some view shows with more than `least` pixels' blending weight."""
+def _needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]) -> Tensor:
+    """(N,) mask of the Gaussians that some camera shows with more than `drop_unneeded` pixels' blending weight."""
+    gaussians = _drawable(state, config)
     most = torch.zeros(len(gaussians))
-    for view in views:
-        camera = scene.cameras[view]
+    for camera in cameras:
         weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
         most = torch.maximum(most, weights)
-    return most > least
+    if not bool((most > config.drop_unneeded).any()):
+        raise TrainingError(
+            f"--train.drop-unneeded {config.drop_unneeded:g} would remove every Gaussian: no photo shows one with more"
+            f" than {float(most.max()):.1f} pixels' weight; give less"
+        )
+    return most > config.drop_unneeded
 
 
 def _scores(

@@ -18,7 +18,7 @@ from splats import random_gaussians, ring_camera
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.agreement import compare_with_twin
-from fruitlangs.engine.splatting.drawing import near_plane
+from fruitlangs.engine.splatting.drawing import DrawRules, near_plane
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 from fruitlangs.engine.splatting.rasterize import accumulate, measure_load, render
 from fruitlangs.engine.splatting.reference import blending_weights
@@ -59,10 +59,11 @@ def test_the_load_of_a_pixel_is_how_many_gaussians_it_blends() -> None:
     gaussians, camera = random_gaussians(40, 0, seed=8), ring_camera()
     gaussians.opacity_logits.sub_(3.0)  # no pixel stops early
     alone = [render(gaussians.select([k]), camera).alpha.numpy() > 0 for k in range(40)]
-    load = measure_load(gaussians, camera)
+    load = measure_load(gaussians, camera, DrawRules(sh_degree=0))
     np.testing.assert_array_equal(load.pixels, np.sum(alone, 0))
     assert load.tiles.sum() >= sum(drawn.any() for drawn in alone)
-    assert measure_load(gaussians, camera, pair_alpha=0.02).tiles.sum() < load.tiles.sum()
+    for fewer in (DrawRules(sh_degree=0, pair_alpha=0.02), DrawRules(sh_degree=0, literal_pairs=True)):
+        assert measure_load(gaussians, camera, fewer).tiles.sum() < load.tiles.sum()
 
 
 def test_gaussians_beside_and_behind_the_camera_agree_with_the_twin() -> None:

@@ -30,7 +30,7 @@ from fruitlangs.engine.splatting.drawing import (
 from fruitlangs.engine.splatting.exposure import Exposures, fitted
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 from fruitlangs.engine.splatting.losses import unevenness
-from fruitlangs.engine.splatting.memory import require_memory, training_bytes
+from fruitlangs.engine.splatting.memory import available_bytes, require_memory, training_bytes
 from fruitlangs.engine.splatting.parameters import Parameters, Rates
 from fruitlangs.engine.splatting.photos import PhotoShelf
 from fruitlangs.engine.splatting.poses import Poses, moved, twist_gradient
@@ -144,7 +144,7 @@ def test_a_pose_moves_back_to_where_the_photo_was_taken() -> None:
         here = poses.camera(0, camera)
         gradients = np.zeros((5, camera.height, camera.width), np.float32)
         gradients[:3] = np.sign(drawn(gaussians, here)[3][:3] - target)
-        poses.pull(0, pulled(gaussians, here, gradients)["pose"], step / 120, 4.0)
+        poses.learn(0, pulled(gaussians, here, gradients)["pose"], step / 120, 4.0)
 
     def away(matrix: NDArray[np.float64]) -> float:
         return float(np.linalg.norm(matrix @ np.linalg.inv(camera.world_to_camera) - np.eye(4)))
@@ -160,7 +160,7 @@ def test_an_exposure_is_learnt_and_undone() -> None:
     exposures = Exposures.neutral(2)
     for step in range(600):
         changed = exposures.apply(1, image, Workspace())
-        exposures.pull(1, image, (changed - photo) * 0.5, step / 600, Workspace())
+        exposures.learn(1, image, (changed - photo) * 0.5, step / 600, Workspace())
     np.testing.assert_allclose(exposures.matrices[1], truth, atol=0.03)
     np.testing.assert_array_equal(exposures.matrices[0], np.eye(3, 4, dtype=np.float32))
 
@@ -171,7 +171,7 @@ def test_the_gradient_of_an_exposure_reaches_the_image() -> None:
     exposures = Exposures.neutral(1)
     exposures.matrices[0] = random.random((3, 4)).astype(np.float32)
     expected = np.einsum("ck,chw->khw", exposures.matrices[0][:, :3], gradient)
-    exposures.pull(0, image, gradient, 0.0, Workspace())
+    exposures.learn(0, image, gradient, 0.0, Workspace())
     np.testing.assert_allclose(gradient, expected, rtol=1e-5)
 
 
@@ -253,7 +253,7 @@ def test_noise_moves_the_faint_and_spares_the_solid() -> None:
     gaussians.opacity_logits[:50] = -6.0
     gaussians.opacity_logits[50:] = 4.0
     parameters = Parameters.start(gaussians)
-    explore(parameters, 1e-4, [0])
+    explore(parameters, 4.0, 0.0, [0])
     away = (parameters.values["means"] - gaussians.means).norm(dim=1)
     assert float(away[:50].min()) > 0.0
     assert float(away[50:].max()) < 1e-6
@@ -282,6 +282,19 @@ def test_the_pixels_that_differ_most_are_forgiven() -> None:
     assert not use[6:10, 8:12].any()
     assert use[20:].mean() > 0.9
     assert use.mean() == pytest.approx(0.8, abs=0.02)
+
+
+def test_a_job_has_no_more_memory_than_its_batch_system_gives_it(tmp_path: Path) -> None:
+    job = tmp_path / "groups" / "slurm" / "job_7"
+    (job / "task").mkdir(parents=True)
+    for folder, limit in ((job, "5000000"), (job / "task", "max")):
+        (folder / "memory.max").write_text(limit + "\n")
+        (folder / "memory.current").write_text("3000000\n")
+        (folder / "memory.stat").write_text("anon 2000000\ninactive_file 1000000\n")
+    own = tmp_path / "own"
+    own.write_text("0::/slurm/job_7/task\n")
+    assert available_bytes(tmp_path / "groups", own) == 3_000_000
+    assert available_bytes(tmp_path / "groups", tmp_path / "missing") > 10_000_000
 
 
 def test_memory_is_estimated_and_refused_with_what_would_fit() -> None:

@@ -20,18 +20,18 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parent))
 from splats import drawn_scene
 
-from fruitlangs.engine.config import SceneConfig, TrainConfig
+from fruitlangs.engine.config import PRESETS, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, OutputError, SceneError, TrainingError
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.exposure import fitted
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
-from fruitlangs.engine.splatting.initialise import camera_spread, first_gaussians
+from fruitlangs.engine.splatting.initialise import first_gaussians
 from fruitlangs.engine.splatting.losses import psnr
 from fruitlangs.engine.splatting.photos import PhotoShelf
 from fruitlangs.engine.splatting.poses import moved
 from fruitlangs.engine.splatting.rasterize import render
-from fruitlangs.engine.splatting.schedule import view_at
+from fruitlangs.engine.splatting.schedule import Schedule, view_at
 from fruitlangs.engine.splatting.train import Training, held_out_views, stalled, train
 
 QUICK = TrainConfig(
@@ -253,6 +253,14 @@ def test_a_scene_of_any_scale_is_learnt_alike(scene: Scene, uninterrupted: Train
     assert len(other.gaussians) == pytest.approx(len(uninterrupted.gaussians), rel=0.05)
 
 
+def test_noise_of_faint_gaussians_grows_with_the_scene(scene: Scene) -> None:
+    config = replace(QUICK, densify="mcmc", densify_until=0.0, means_rate=0.0, steps=3)
+    here, large = train(scene, config), train(scaled(scene, 100.0), config)
+    moved_here, moved_large = here.gaussians.means, large.gaussians.means / 100.0
+    torch.testing.assert_close(moved_large, moved_here, rtol=0.05, atol=0.02)
+    assert not torch.allclose(moved_here, train(scene, replace(config, densify="gradient")).gaussians.means, atol=1e-3)
+
+
 def test_a_scene_of_any_scale_starts_alike_from_no_points(scene: Scene) -> None:
     bare = replace(scene, points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
     first, small = (first_gaussians(PhotoShelf(s), range(8), 0, 900, 0) for s in (bare, scaled(bare, 1e-5)))
@@ -264,8 +272,39 @@ def test_cameras_in_one_place_still_spread_the_first_gaussians(scene: Scene) -> 
     for camera in cameras:
         camera.world_to_camera[:3, 3] = camera.world_to_camera[:3, :3] @ [3.0, 0.1, 0.7]
     bare = replace(scene, cameras=cameras, points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
-    assert camera_spread(bare) == 1.0
-    assert camera_spread(replace(bare, points=scene.points)) == pytest.approx(3.2, abs=1.0)
+    assert bare.spread == 1.0
+    assert replace(bare, points=scene.points).spread == pytest.approx(3.2, abs=1.0)
+    around = shifted(replace(bare, points=scene.points), -bare.middle)  # now their centres are nothing but rounding
+    assert around.spread == pytest.approx(3.2, abs=1.0)
+    assert shifted(bare, -bare.middle).spread == 1.0
+
+
+def test_a_scene_too_far_from_its_origin_for_its_size_is_refused(scene: Scene) -> None:
+    with pytest.raises(TrainingError, match=r"lies 5e\+06 units from its origin.* move the model"):
+        train(shifted(scene, np.array([5e6, 0.0, 0.0])), QUICK)
+
+
+def test_dropping_what_no_photo_needs_never_drops_everything(scene: Scene) -> None:
+    with pytest.raises(TrainingError, match=r"--train\.drop-unneeded 1e\+06 would remove every Gaussian"):
+        train(scene, replace(QUICK, drop_unneeded=1e6))
+
+
+def test_what_no_photo_needs_is_dropped_also_when_gaussians_come_to_the_end(scene: Scene) -> None:
+    config = replace(QUICK, densify_until=1.0)
+    assert len(train(scene, replace(config, drop_unneeded=1.0)).gaussians) < len(train(scene, config).gaussians)
+
+
+def test_opacities_are_not_reset_after_the_last_gaussian_came(scene: Scene) -> None:
+    schedule = Schedule(PRESETS["paper"], scene)
+    assert [step for step in range(1, 30_001) if schedule.resets_opacity(step)] == [3000, 6000, 9000, 12_000]
+
+
+def test_no_plateau_before_photos_have_their_full_size_ends_a_training(scene: Scene) -> None:
+    schedule = Schedule(TrainConfig(), scene)
+    settled = [step for step in range(1, 1201) if schedule.settled(step)]
+    assert settled == list(range(720, 1201))
+    assert Schedule(PRESETS["paper"], scene).settled(15_001)
+    assert not Schedule(PRESETS["paper"], scene).settled(15_000)
 
 
 def test_every_round_shows_every_photo_once() -> None:
@@ -404,6 +443,29 @@ def test_one_photo_alone_is_trained(scene: Scene) -> None:
     training = train(alone, replace(QUICK, steps=20))
     assert training.psnr is None
     assert len(training.gaussians) > 0
+
+
+def test_a_photo_kept_aside_that_is_masked_out_is_not_measured(scene: Scene) -> None:
+    blind = [ArrayPhoto(photo.name, photo.pixels(), np.zeros((48, 64), bool)) for photo in scene.images[:1]]
+    config = replace(QUICK, steps=2, exposure=True)
+    training = train(replace(scene, images=[*blind, *scene.images[1:]]), config)
+    assert [score.name for score in training.held_out] == [photo.name for photo in scene.images[4::4]]
+    assert math.isfinite(training.psnr or math.nan)
+
+
+def test_one_usable_photo_among_masked_ones_is_enough(scene: Scene) -> None:
+    blind = [ArrayPhoto(photo.name, photo.pixels(), np.zeros((48, 64), bool)) for photo in scene.images]
+    some = replace(scene, images=[*blind[:-1], scene.images[-1]])
+    assert train(some, replace(QUICK, steps=30, holdout_every=0)).steps == 30
+
+
+def test_masked_pixels_colour_no_first_gaussian(scene: Scene) -> None:
+    half = np.zeros((48, 64), bool)
+    half[:, 32:] = True
+    photos = [ArrayPhoto(photo.name, photo.pixels(), half) for photo in scene.images]
+    whole = first_gaussians(PhotoShelf(scene), range(8), 0, 9000, 0)
+    masked = first_gaussians(PhotoShelf(replace(scene, images=photos)), range(8), 0, 9000, 0)
+    assert len(scene.points) < len(masked) < len(whole)
 
 
 def test_masks_that_leave_nothing_are_refused_within_a_round(scene: Scene) -> None:

@@ -85,8 +85,8 @@ def test_a_peer_that_does_not_fit_leaves_its_columns_empty() -> None:
 
 
 def test_a_curve_has_seconds_that_grow_and_ends_with_the_training(tmp_path: Path) -> None:
-    curve = training_curve(SAMPLE, replace(SHORT, steps=200), scene_config=SMALL)
-    assert curve.steps == 200
+    curve = training_curve(SAMPLE, replace(SHORT, steps=240), scene_config=SMALL)
+    assert curve.steps == 240
     assert len(curve.seconds) == len(curve.psnr) > 10
     assert list(curve.seconds) == sorted(curve.seconds)
     assert curve.psnr[-1] > curve.psnr[0]
