@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..engine.config import SceneConfig, TrainConfig
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.read import read_scene
+from ..engine.splatting.losses import PhotometricLoss
 from ..engine.splatting.parameters import Parameters, Rates
 from ..engine.splatting.rasterize import measure_load
 from ..engine.splatting.schedule import Schedule
 from ..engine.splatting.train import held_out_views, train
+from . import peer_torch
 
 DENSE_ADAM = "Adam over all Gaussians"
+AUTOGRAD_LOSS = "loss by PyTorch's autograd"
 VARIANTS: dict[str, dict[str, Any]] = {
     "standard": {},
     "eq. 3: τ = 4/255": {"pair_alpha": 4.0},
@@ -31,6 +35,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "eq. 4: λ = 0.1": {"load_weight": 0.1},
     "eq. 4: AdR-Gaussian's λ = 0.41": {"load_weight": 0.41},
     "full size from the start": {"coarse_until": 0.0},
+    AUTOGRAD_LOSS: {},
     DENSE_ADAM: {},
     "exposure": {"exposure": True},
     "antialiased": {"antialiased": True},
@@ -72,7 +77,7 @@ def ablate(
     rows = []
     for k, (name, change) in enumerate(chosen.items()):
         share = part(progress, k / len(chosen), (k + 1) / len(chosen))
-        with _dense_adam(name == DENSE_ADAM):
+        with _dense_adam(name == DENSE_ADAM), _autograd_loss(name == AUTOGRAD_LOSS):
             begun, cpu_begun = time.perf_counter(), time.process_time()
             training = train(scene, replace(config, **change), progress=_named(share, name))
             seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu_begun
@@ -116,3 +121,37 @@ def _dense_adam(wanted: bool) -> Iterator[None]:
         yield
     finally:
         Parameters.update = sparse  # type: ignore[method-assign]
+
+
+@contextmanager
+def _autograd_loss(wanted: bool) -> Iterator[None]:
+    """Take the loss and its gradient as the peer does, where no mask is: SSIM anew, by convolutions and autograd."""
+    if not wanted:
+        yield
+        return
+    fused = PhotometricLoss.pull
+
+    def by_autograd(
+        self: PhotometricLoss,
+        image: NDArray[np.float32],
+        photo: NDArray[np.uint8],
+        mask: NDArray[np.bool_] | None,
+        gradient: NDArray[np.float32],
+        *,
+        key: Hashable | None = None,
+    ) -> float:
+        if mask is not None:
+            return fused(self, image, photo, mask, gradient, key=key)
+        color = torch.from_numpy(image).permute(1, 2, 0).clone().requires_grad_()
+        truth = torch.from_numpy(np.ascontiguousarray(photo)).float() / 255
+        value = peer_torch.loss(color, truth, self.ssim_weight)
+        value.backward()  # type: ignore[no-untyped-call]
+        assert color.grad is not None
+        gradient[:] = color.grad.permute(2, 0, 1).numpy()
+        return float(value.detach())
+
+    PhotometricLoss.pull = by_autograd  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        PhotometricLoss.pull = fused  # type: ignore[method-assign]
