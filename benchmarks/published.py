@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -86,18 +87,16 @@ def train_published(
 ) -> Trained:
     """Train on all but every eighth photo; at most `most` Gaussians, from a third as many points of the cloud."""
     begun = time.perf_counter()
-    shelf = PhotoShelf(scene)
     aside = held_out_views(scene, TrainConfig().holdout_every)
     views = [view for view in range(len(scene.cameras)) if view not in aside]
     model = _Model(scene, most, seed)
-    for step in range(steps):
-        view = view_at(step, views, seed)
-        picture = shelf.picture(view)
-        model.step(step, picture.camera, torch.from_numpy(np.ascontiguousarray(picture.pixels)).float() / 255)
-        if step % 20 == 0:
-            progress(step / steps, f"3DGS as published, step {step}/{steps}, {len(model)} Gaussians")
-    scores = [model.score(shelf.picture(view).camera, shelf.picture(view).pixels) for view in sorted(aside)]
-    shelf.close()
+    with closing(PhotoShelf(scene)) as shelf:
+        for step in range(steps):
+            picture = shelf.picture(view_at(step, views, seed))
+            model.step(step, picture.camera, torch.from_numpy(np.ascontiguousarray(picture.pixels)).float() / 255)
+            if step % 20 == 0:
+                progress(step / steps, f"3DGS as published, step {step}/{steps}, {len(model)} Gaussians")
+        scores = [model.score(picture.camera, picture.pixels) for picture in map(shelf.picture, sorted(aside))]
     mean_psnr, mean_ssim = np.mean(scores, 0)
     return Trained(
         "3DGS as published", steps, time.perf_counter() - begun, len(model), float(mean_psnr), float(mean_ssim)
