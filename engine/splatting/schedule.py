@@ -93,7 +93,7 @@ class Schedule:
 
     def forgives(self, step: int) -> bool:
         """Whether the worst pixels are left out: not before the picture stands roughly."""
-        return self.config.forgive > 0 and self.done(step) >= 0.2
+        return self.config.forgive > 0 and self.done(step) >= 0.5
 
     def checks(self, step: int) -> bool:
         every = self.config.check_every

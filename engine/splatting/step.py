@@ -22,6 +22,8 @@ from .workspace import Workspace
 
 HOLD_EVERY = 10
 """Steps between two looks at Gaussians that have grown too large: they grow slowly."""
+PATCH = 15
+"""Side in pixels of the windows that are forgiven as one: as wide as a leaf, so that fine texture is not."""
 _BLACK = np.zeros(3, np.float32)
 
 
@@ -104,7 +106,7 @@ def unforgiven(image: NDArray[np.float32], picture: Picture, share: float) -> ND
     """(H, W) pixels to learn from: all usable ones but the `share` that differ most, in patches (RobustNeRF, Sabour
     et al. 2023): what moves between photos is seldom drawn twice alike."""
     away = np.abs(image - picture.pixels.transpose(2, 0, 1) * np.float32(1 / 255)).mean(0)
-    smooth = uniform_filter(away, 5, mode="nearest")
+    smooth = uniform_filter(away, PATCH, mode="nearest")
     use = np.ones(smooth.shape, bool) if picture.mask is None else picture.mask
     if not use.any():
         return use
