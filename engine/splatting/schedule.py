@@ -109,7 +109,7 @@ class Schedule:
             max_gaussians=self.config.max_gaussians,
             small=self.config.split_size * self.extent,
             opacity=self.config.prune_opacity,
-            oversize=0.1,
+            oversize=0.5,
             extent=self.extent,
         )
 
