@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -77,7 +78,7 @@ def ablate(
     rows = []
     for k, (name, change) in enumerate(chosen.items()):
         share = part(progress, k / len(chosen), (k + 1) / len(chosen))
-        with _dense_adam(name == DENSE_ADAM), _autograd_loss(name == AUTOGRAD_LOSS):
+        with patch.object(*_REPLACED[name]) if name in _REPLACED else nullcontext():
             begun, cpu_begun = time.perf_counter(), time.process_time()
             training = train(scene, replace(config, **change), progress=_named(share, name))
             seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu_begun
@@ -97,61 +98,45 @@ def _named(progress: Progress, name: str) -> Progress:
     return lambda fraction, message: progress(fraction, f"{name}: {message}")
 
 
-@contextmanager
-def _dense_adam(wanted: bool) -> Iterator[None]:
+_sparse_update, _fused_pull = Parameters.update, PhotometricLoss.pull
+
+
+def _update_all(
+    parameters: Parameters,
+    gradients: Mapping[str, NDArray[np.float32]],
+    rates: Rates,
+    sh_degree: int,
+    drawn: NDArray[np.int32],
+) -> None:
     """Move all Gaussians at every step, those out of sight by their momentum."""
-    if not wanted:
-        yield
-        return
-    sparse = Parameters.update
-
-    def dense(
-        self: Parameters,
-        gradients: Mapping[str, NDArray[np.float32]],
-        rates: Rates,
-        sh_degree: int,
-        drawn: NDArray[np.int32],
-    ) -> None:
-        for name in self.values:
-            gradients[name][drawn == 0] = 0.0
-        sparse(self, gradients, rates, sh_degree, np.ones_like(drawn))
-
-    Parameters.update = dense  # type: ignore[method-assign,assignment]
-    try:
-        yield
-    finally:
-        Parameters.update = sparse  # type: ignore[method-assign]
+    for name in parameters.values:
+        gradients[name][drawn == 0] = 0.0
+    _sparse_update(parameters, gradients, rates, sh_degree, np.ones_like(drawn))
 
 
-@contextmanager
-def _autograd_loss(wanted: bool) -> Iterator[None]:
-    """Take the loss and its gradient as the peer does, where no mask is: SSIM anew, by convolutions and autograd."""
-    if not wanted:
-        yield
-        return
-    fused = PhotometricLoss.pull
+def _pull_by_autograd(
+    loss: PhotometricLoss,
+    image: NDArray[np.float32],
+    photo: NDArray[np.uint8],
+    mask: NDArray[np.bool_] | None,
+    gradient: NDArray[np.float32],
+    *,
+    key: Hashable | None = None,
+) -> float:
+    """The loss and its gradient as the peer takes them, where no mask is: SSIM anew, by convolutions and autograd."""
+    if mask is not None:
+        return _fused_pull(loss, image, photo, mask, gradient, key=key)
+    color = torch.from_numpy(image).permute(1, 2, 0).clone().requires_grad_()
+    truth = torch.from_numpy(np.ascontiguousarray(photo)).float() / 255
+    value = peer_torch.loss(color, truth, loss.ssim_weight)
+    value.backward()  # type: ignore[no-untyped-call]
+    assert color.grad is not None
+    gradient[:] = color.grad.permute(2, 0, 1).numpy()
+    return float(value.detach())
 
-    def by_autograd(
-        self: PhotometricLoss,
-        image: NDArray[np.float32],
-        photo: NDArray[np.uint8],
-        mask: NDArray[np.bool_] | None,
-        gradient: NDArray[np.float32],
-        *,
-        key: Hashable | None = None,
-    ) -> float:
-        if mask is not None:
-            return fused(self, image, photo, mask, gradient, key=key)
-        color = torch.from_numpy(image).permute(1, 2, 0).clone().requires_grad_()
-        truth = torch.from_numpy(np.ascontiguousarray(photo)).float() / 255
-        value = peer_torch.loss(color, truth, self.ssim_weight)
-        value.backward()  # type: ignore[no-untyped-call]
-        assert color.grad is not None
-        gradient[:] = color.grad.permute(2, 0, 1).numpy()
-        return float(value.detach())
 
-    PhotometricLoss.pull = by_autograd  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        PhotometricLoss.pull = fused  # type: ignore[method-assign]
+_REPLACED: dict[str, tuple[type, str, Callable[..., Any]]] = {
+    DENSE_ADAM: (Parameters, "update", _update_all),
+    AUTOGRAD_LOSS: (PhotometricLoss, "pull", _pull_by_autograd),
+}
+"""The variants that are no settings: whose method each of them replaces, and by what."""

@@ -16,7 +16,7 @@ def stage_table(rows: Sequence[Row]) -> str:
     """Markdown: one line a setting, milliseconds by stage, and how many times longer the peer takes for the sums."""
     columns = (*STAGES, FORWARD_AND_BACKWARD, STEP)
     head = ["Gaussians", "image", "threads", *columns, f"peer {FORWARD_AND_BACKWARD}", "ratio", f"peer {STEP}", "ratio"]
-    lines = [_line(head), _line(["---:"] * len(head))]
+    lines = []
     for (n, width, height, threads), group in groupby(
         rows, lambda row: (row.gaussians, row.width, row.height, row.threads)
     ):
@@ -31,49 +31,51 @@ def stage_table(rows: Sequence[Row]) -> str:
             row = by_stage[name]
             ratio = "" if row.peer_ratio is None else f"{row.peer_ratio:.1f}"
             cells += [_milliseconds(row.peer), ratio]
-        lines.append(_line(cells))
-    return "Milliseconds a stage, medians.\n\n" + "\n".join(lines)
+        lines.append(cells)
+    return _table("Milliseconds a stage, medians.", head, lines, named=False)
 
 
 def curve_table(curves: Sequence[Curve]) -> str:
     """Markdown: what each training took and reached."""
     head = ["scene", "steps", "Gaussians", "seconds", "held-out PSNR / dB"]
-    lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
+    lines = []
     for curve in curves:
         cells = [curve.scene, str(curve.steps), f"{curve.gaussians:,}", f"{curve.seconds[-1]:.0f}"]
-        lines.append(_line([*cells, f"{curve.psnr[-1]:.2f}"]))
-    return "Training.\n\n" + "\n".join(lines)
+        lines.append([*cells, f"{curve.psnr[-1]:.2f}"])
+    return _table("Training.", head, lines)
 
 
 def ablation_table(rows: Sequence[Ablation]) -> str:
     """Markdown: seconds and held-out quality of each variant; the first row is what the others are compared with."""
     head = ["changed", "seconds", "CPU seconds", "CPU speed", "held-out PSNR / dB", "gain / dB", "SSIM", "Gaussians"]
     head += ["ℓ", "std(ℓ) / ℓ"]
-    lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
+    lines = []
     for row in rows:
         speed = rows[0].cpu_seconds / row.cpu_seconds
         cells = [row.name, f"{row.seconds:.1f}", f"{row.cpu_seconds:.1f}", f"{speed:.2f}×", f"{row.psnr:.2f}"]
         cells += [f"{row.psnr - rows[0].psnr:+.2f}", f"{row.ssim:.3f}", f"{row.gaussians:,}"]
-        lines.append(_line([*cells, f"{row.load:.1f}", f"{row.unevenness:.2f}"]))
-    return "Training with one part changed.\n\n" + "\n".join(lines)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _milliseconds(seconds: float | None) -> str:
-    return "" if seconds is None else f"{1000 * seconds:.1f}"
+        lines.append([*cells, f"{row.load:.1f}", f"{row.unevenness:.2f}"])
+    return _table("Training with one part changed.", head, lines)
 
 
 def published_table(rows: Sequence[Trained]) -> str:
     """Markdown: 3DGS as published beside ours, on a scene small enough for the plain rasteriser."""
     head = ["training", "steps", "seconds", "Gaussians", "held-out PSNR / dB", "SSIM"]
-    lines = [_line(head), _line(["---"] + ["---:"] * (len(head) - 1))]
+    lines = []
     for row in rows:
         cells = [row.name, f"{row.steps:,}", f"{row.seconds:.0f}", f"{row.gaussians:,}"]
-        lines.append(_line([*cells, f"{row.psnr:.2f}", f"{row.ssim:.3f}"]))
-    return "A tiny scene, as published and ours.\n\n" + "\n".join(lines)
+        lines.append([*cells, f"{row.psnr:.2f}", f"{row.ssim:.3f}"])
+    return _table("A tiny scene, as published and ours.", head, lines)
+
+
+def _table(title: str, head: Sequence[str], lines: Sequence[Sequence[str]], *, named: bool = True) -> str:
+    """Markdown: a sentence and a table of numbers. named: the first column is words."""
+    rule = ["---" if named else "---:"] + ["---:"] * (len(head) - 1)
+    return f"{title}\n\n" + "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *lines))
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return "" if seconds is None else f"{1000 * seconds:.1f}"
 
 
 def draw_stages(rows: Sequence[Row], path: Path) -> None:

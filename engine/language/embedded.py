@@ -18,11 +18,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional
 
 from ..errors import EncoderError
+from ..files import write_tensors
 from .colours import colour_words
 from .encoders import Question
 from .network import Network, logits_at
@@ -180,8 +181,7 @@ def save_weights(
         name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
         for name, tensor in network.state_dict().items()
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(tensors, path, metadata={"fruitlangs": json.dumps(header, sort_keys=True)})
+    write_tensors(path, tensors, header)
 
 
 def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:

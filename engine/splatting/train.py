@@ -93,12 +93,7 @@ def train(
     middle = scene.middle
     require_digits(middle, scene.extent)
     require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
-    kept_aside = []
-    for view in sorted(aside):
-        progress(0.0, "reading the photos kept aside")
-        mask = PhotoShelf(scene, limit=0).picture(view).mask
-        if mask is None or mask.any():
-            kept_aside.append(view)
+    kept_aside = _usable(PhotoShelf(scene, limit=0), sorted(aside), progress)
     if config.patience > 0 and (config.check_every == 0 or not kept_aside):
         raise TrainingError(
             "--train.patience stops by measurements of photos kept aside: give --train.check-every, and a"
@@ -206,6 +201,17 @@ def _posed(state: TrainingState, scene: Scene, view: int) -> Camera:
     return scene.cameras[view] if state.poses is None else state.poses.camera(view, scene.cameras[view])
 
 
+def _usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list[int]:
+    """The views whose photos have a pixel that may be used; all are read, so that a broken one is told of at once."""
+    usable = []
+    for view in views:
+        progress(0.0, "reading the photos kept aside")
+        mask = shelf.picture(view).mask
+        if mask is None or mask.any():
+            usable.append(view)
+    return usable
+
+
 def _start(shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, progress: Progress) -> TrainingState:
     progress(0.0, "placing the first Gaussians")
     gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
@@ -270,12 +276,13 @@ def _needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]
     for camera in cameras:
         weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
         most = torch.maximum(most, weights)
-    if not bool((most > config.drop_unneeded).any()):
+    needed = most > config.drop_unneeded
+    if not needed.any():
         raise TrainingError(
             f"--train.drop-unneeded {config.drop_unneeded:g} would remove every Gaussian: no photo shows one with more"
             f" than {float(most.max()):.1f} pixels' weight; give less"
         )
-    return most > config.drop_unneeded
+    return needed
 
 
 def _scores(
