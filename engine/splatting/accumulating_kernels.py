@@ -72,30 +72,6 @@ def _accumulate_tile(
             store(pair, vector * LANES, collected)
 
 
-@njit
-def _accumulate_worker(
-    counter: NDArray[np.int64],
-    columns: int,
-    order: NDArray[np.int64],
-    records: NDArray[np.float32],
-    tile_starts: NDArray[np.int64],
-    gaussian_of: NDArray[np.int32],
-    pair_of: NDArray[np.int32],
-    target: NDArray[np.float32],
-    sums: NDArray[np.float32],
-) -> None:
-    scratch = np.empty(CHANNELS * PIXELS, np.float32)
-    weights = np.empty(PIXELS, np.float32)
-    pixels = np.empty(PIXELS * ((target.shape[2] + LANES - 1) // LANES) * LANES, np.float32)
-    while True:
-        place = take(counter)
-        if place >= order.shape[0]:
-            break
-        _accumulate_tile(
-            order[place], columns, records, tile_starts, gaussian_of, pair_of, target, scratch, weights, pixels, sums
-        )
-
-
 @kernel
 def accumulate_pairs(
     workers: int,
@@ -113,5 +89,15 @@ def accumulate_pairs(
     target: (H, W, D).
     """
     counter = np.zeros(1, np.int64)
-    for _ in prange(workers):
-        _accumulate_worker(counter, columns, order, records, tile_starts, gaussian_of, pair_of, target, sums)
+    for _worker in prange(workers):
+        scratch = np.empty(CHANNELS * PIXELS, np.float32)
+        weights = np.empty(PIXELS, np.float32)
+        pixels = np.empty(PIXELS * ((target.shape[2] + LANES - 1) // LANES) * LANES, np.float32)
+        while True:
+            place = take(counter)
+            if place >= order.shape[0]:
+                break
+            _accumulate_tile(
+                order[place], columns, records, tile_starts, gaussian_of, pair_of,
+                target, scratch, weights, pixels, sums,
+            )  # fmt: skip

@@ -157,36 +157,6 @@ def _blend_tile_backward(
             feature_moments[pair_of[entry], channel] = total(collected)
 
 
-@njit
-def _backward_worker(
-    counter: NDArray[np.int64],
-    columns: int,
-    order: NDArray[np.int64],
-    records: NDArray[np.float32],
-    features: NDArray[np.float32],
-    tile_starts: NDArray[np.int64],
-    gaussian_of: NDArray[np.int32],
-    pair_of: NDArray[np.int32],
-    background: NDArray[np.float32],
-    planes: NDArray[np.float32],
-    gradients: NDArray[np.float32],
-    with_depth: bool,
-    with_pulls: bool,
-    moments: NDArray[np.float32],
-    feature_moments: NDArray[np.float32],
-) -> None:
-    scratch = np.empty((7 + features.shape[1]) * PIXELS, np.float32)
-    weights = np.empty(PIXELS, np.float32)
-    while True:
-        place = take(counter)
-        if place >= order.shape[0]:
-            break
-        _blend_tile_backward(
-            order[place], columns, records, features, tile_starts, gaussian_of, pair_of,
-            background, planes, gradients, with_depth, with_pulls, scratch, weights, moments, feature_moments,
-        )  # fmt: skip
-
-
 @kernel
 def blend_backward(
     workers: int,
@@ -212,11 +182,17 @@ def blend_backward(
     whether the absolute gradients of the mean are wanted, which are 0 else.
     """
     counter = np.zeros(1, np.int64)
-    for _ in prange(workers):
-        _backward_worker(
-            counter, columns, order, records, features, tile_starts, gaussian_of, pair_of,
-            background, planes, gradients, with_depth, with_pulls, moments, feature_moments,
-        )  # fmt: skip
+    for _worker in prange(workers):
+        scratch = np.empty((7 + features.shape[1]) * PIXELS, np.float32)
+        weights = np.empty(PIXELS, np.float32)
+        while True:
+            place = take(counter)
+            if place >= order.shape[0]:
+                break
+            _blend_tile_backward(
+                order[place], columns, records, features, tile_starts, gaussian_of, pair_of,
+                background, planes, gradients, with_depth, with_pulls, scratch, weights, moments, feature_moments,
+            )  # fmt: skip
 
 
 @kernel

@@ -83,26 +83,6 @@ def _blend_tile(
         copy_out(scratch, channel * PIXELS, x0, y0, out[channel])
 
 
-@njit
-def _blend_worker(
-    counter: NDArray[np.int64],
-    columns: int,
-    order: NDArray[np.int64],
-    records: NDArray[np.float32],
-    features: NDArray[np.float32],
-    tile_starts: NDArray[np.int64],
-    gaussian_of: NDArray[np.int32],
-    out: NDArray[np.float32],
-) -> None:
-    scratch = np.empty((CHANNELS + features.shape[1]) * PIXELS, np.float32)
-    weights = np.empty(PIXELS, np.float32)
-    while True:
-        place = take(counter)
-        if place >= order.shape[0]:
-            break
-        _blend_tile(order[place], columns, records, features, tile_starts, gaussian_of, scratch, weights, out)
-
-
 @kernel
 def blend(
     workers: int,
@@ -119,5 +99,11 @@ def blend(
     Tiles are handed out one at a time in `order`; each writes only its own pixels, so threads change nothing.
     """
     counter = np.zeros(1, np.int64)
-    for _ in prange(workers):
-        _blend_worker(counter, columns, order, records, features, tile_starts, gaussian_of, out)
+    for _worker in prange(workers):
+        scratch = np.empty((CHANNELS + features.shape[1]) * PIXELS, np.float32)
+        weights = np.empty(PIXELS, np.float32)
+        while True:
+            place = take(counter)
+            if place >= order.shape[0]:
+                break
+            _blend_tile(order[place], columns, records, features, tile_starts, gaussian_of, scratch, weights, out)

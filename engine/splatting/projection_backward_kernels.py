@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..compiled import kernel, njit, prange
 from .blocks import BLOCK, next_block
 from .harmonics_kernels import basis, pull_direction
-from .projection_kernels import LOW_PASS, THINNEST, covariance, direction, limits, rotation
+from .projection_kernels import LOW_PASS, THINNEST, covariance, direction, limits, rotation, to_camera
 from .records import CONIC_A, CONIC_B, CONIC_C, DEPTH, HALF, LOG2_E, ONE, RED, TWO, ZERO
 
 MOMENT = 16
@@ -97,6 +97,30 @@ def _fading(
 
 
 @njit
+def _add_outer(pose: NDArray[np.float32], x: float, y: float, z: float, a: float, b: float, c: float) -> None:
+    """Add (x, y, z) · (a, b, c)ᵀ to the gradient of the camera's rotation, row by row in pose[3:12]."""
+    pose[3] += x * a
+    pose[4] += x * b
+    pose[5] += x * c
+    pose[6] += y * a
+    pose[7] += y * b
+    pose[8] += y * c
+    pose[9] += z * a
+    pose[10] += z * b
+    pose[11] += z * c
+
+
+@njit
+def _from_camera(camera: NDArray[np.float32], x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector of the camera's frame in that of the world."""
+    return (
+        camera[0] * x + camera[3] * y + camera[6] * z,
+        camera[1] * x + camera[4] * y + camera[7] * z,
+        camera[2] * x + camera[5] * y + camera[8] * z,
+    )
+
+
+@njit
 def _pull_geometry(
     i: int,
     means: NDArray[np.float32],
@@ -116,8 +140,7 @@ def _pull_geometry(
     """Gradients of an ellipse: into scales, rotation and offset, and with respect to the position in the camera; the
     camera's own are added to `pose` (see `poses.twist_gradient`)."""
     px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
-    x = camera[0] * px + camera[1] * py + camera[2] * pz
-    y = camera[3] * px + camera[4] * py + camera[5] * pz
+    x, y, _ = to_camera(camera, px, py, pz)
     z = record[DEPTH]
     fx, fy = camera[12], camera[13]
     left, right, top, bottom = limits(camera)
@@ -140,9 +163,7 @@ def _pull_geometry(
     for k in range(3):
         s = math.exp(log_scales[i, k])
         m0, m1, m2 = r[k] * s, r[3 + k] * s, r[6 + k] * s
-        v0 = camera[0] * m0 + camera[1] * m1 + camera[2] * m2
-        v1 = camera[3] * m0 + camera[4] * m1 + camera[5] * m2
-        v2 = camera[6] * m0 + camera[7] * m1 + camera[8] * m2
+        v0, v1, v2 = to_camera(camera, m0, m1, m2)
         p0, p1 = j00 * v0 + j02 * v2, j11 * v1 + j12 * v2
         dp0, dp1 = TWO * gxx * p0 + gxy * p1, TWO * gyy * p1 + gxy * p0
         d00 += dp0 * v0
@@ -150,18 +171,8 @@ def _pull_geometry(
         d11 += dp1 * v1
         d12 += dp1 * v2
         dv0, dv1, dv2 = j00 * dp0, j11 * dp1, j02 * dp0 + j12 * dp1
-        dm0 = camera[0] * dv0 + camera[3] * dv1 + camera[6] * dv2
-        dm1 = camera[1] * dv0 + camera[4] * dv1 + camera[7] * dv2
-        dm2 = camera[2] * dv0 + camera[5] * dv1 + camera[8] * dv2
-        pose[3] += dv0 * m0
-        pose[4] += dv0 * m1
-        pose[5] += dv0 * m2
-        pose[6] += dv1 * m0
-        pose[7] += dv1 * m1
-        pose[8] += dv1 * m2
-        pose[9] += dv2 * m0
-        pose[10] += dv2 * m1
-        pose[11] += dv2 * m2
+        dm0, dm1, dm2 = _from_camera(camera, dv0, dv1, dv2)
+        _add_outer(pose, dv0, dv1, dv2, m0, m1, m2)
         d_log_scales[i, k] = dm0 * m0 + dm1 * m1 + dm2 * m2
         turned[k], turned[3 + k], turned[6 + k] = dm0 * s, dm1 * s, dm2 * s
     _pull_quaternion(r, turned, i, d_quats)
@@ -178,15 +189,7 @@ def _pull_geometry(
     pose[0] += dx
     pose[1] += dy
     pose[2] += dz
-    pose[3] += dx * px
-    pose[4] += dx * py
-    pose[5] += dx * pz
-    pose[6] += dy * px
-    pose[7] += dy * py
-    pose[8] += dy * pz
-    pose[9] += dz * px
-    pose[10] += dz * py
-    pose[11] += dz * pz
+    _add_outer(pose, dx, dy, dz, px, py, pz)
     return dx, dy, dz
 
 
@@ -247,7 +250,7 @@ def project_backward(
                 d_opacity_logits[i] = g[0] / (ONE + math.exp(opacity_logits[i]))
                 pulls[i, 0] = g[10] / LOG2_E
                 pulls[i, 1] = g[11] / LOG2_E
-                x, y, z = _pull_geometry(
+                local = _pull_geometry(
                     i, means, log_scales, quats, antialiased, camera, record, g, r, turned, d_log_scales, d_quats,
                     d_offsets, pose,
                 )  # fmt: skip
@@ -255,7 +258,6 @@ def project_backward(
                 pose[12] += dx
                 pose[13] += dy
                 pose[14] += dz
-                d_means[i, 0] = dx + camera[0] * x + camera[3] * y + camera[6] * z
-                d_means[i, 1] = dy + camera[1] * x + camera[4] * y + camera[7] * z
-                d_means[i, 2] = dz + camera[2] * x + camera[5] * y + camera[8] * z
+                x, y, z = _from_camera(camera, local[0], local[1], local[2])
+                d_means[i, 0], d_means[i, 1], d_means[i, 2] = dx + x, dy + y, dz + z
             begin, end = next_block(counter, n)

@@ -96,6 +96,16 @@ def direction(means: NDArray[np.float32], i: int, camera: NDArray[np.float32]) -
 
 
 @njit
+def to_camera(camera: NDArray[np.float32], x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector of the world in the camera's frame."""
+    return (
+        camera[0] * x + camera[1] * y + camera[2] * z,
+        camera[3] * x + camera[4] * y + camera[5] * z,
+        camera[6] * x + camera[7] * y + camera[8] * z,
+    )
+
+
+@njit
 def covariance(
     i: int,
     log_scales: NDArray[np.float32],
@@ -112,9 +122,7 @@ def covariance(
     for k in range(3):
         s = math.exp(log_scales[i, k])
         m0, m1, m2 = r[k] * s, r[3 + k] * s, r[6 + k] * s
-        v0 = camera[0] * m0 + camera[1] * m1 + camera[2] * m2
-        v1 = camera[3] * m0 + camera[4] * m1 + camera[5] * m2
-        v2 = camera[6] * m0 + camera[7] * m1 + camera[8] * m2
+        v0, v1, v2 = to_camera(camera, m0, m1, m2)
         p0, p1 = j00 * v0 + j02 * v2, j11 * v1 + j12 * v2
         xx += p0 * p0
         xy += p0 * p1
@@ -145,9 +153,7 @@ def _project_one(
         return False
     # From the camera's centre: far from the origin, R p + t would be a small difference of large numbers.
     px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
-    x = camera[0] * px + camera[1] * py + camera[2] * pz
-    y = camera[3] * px + camera[4] * py + camera[5] * pz
-    z = camera[6] * px + camera[7] * py + camera[8] * pz
+    x, y, z = to_camera(camera, px, py, pz)
     log2_opacity = math.log2(max(ONE / (ONE + math.exp(-opacity_logits[i])), FLOOR))
     if not (z > near and log2_opacity + LOG2_255 > ZERO):
         return False
