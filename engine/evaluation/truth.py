@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +19,16 @@ class Truth:
     """M true fruit in the frame of the COLMAP model.
 
     centers: (M, 3); diameters: (M,) scene units; visible: (M,) at least 3 views show 10 % and 12 pixels of it;
-    visible_fractions: (M,) largest over views of its unoccluded share.
+    visible_fractions: (M,) largest over views of its unoccluded share; ids: (M,) their values in the instance masks,
+    trees: (M,) the number of the tree each belongs to, both None where the truth does not say.
     """
 
     centers: NDArray[np.float64]
     diameters: NDArray[np.float64]
     visible: NDArray[np.bool_]
     visible_fractions: NDArray[np.float64]
+    ids: NDArray[np.int64] | None = None
+    trees: NDArray[np.int64] | None = None
 
     @property
     def mean_diameter(self) -> float:
@@ -38,7 +42,7 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
 
     Raises:
         FormatError: the file is missing, is not JSON, a fruit lacks a field or holds a number that is not finite, or
-            its fruit have none of `labels`.
+            its fruit have none of `labels`; a diameter is not above 0 or two fruit have one id.
     """
     try:
         listed = json.loads(Path(path).read_text(encoding="utf-8"))["fruits"]
@@ -49,6 +53,8 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
             diameters=np.array([fruit["diameter"] for fruit in fruits], dtype=np.float64),
             visible=np.array([fruit["visible"] for fruit in fruits], dtype=bool),
             visible_fractions=np.array([fruit["visible_fraction"] for fruit in fruits], dtype=np.float64),
+            ids=_numbers(fruits, "id"),
+            trees=_numbers(fruits, "tree"),
         )
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error
@@ -63,4 +69,45 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
         )
     if not (np.isfinite(truth.centers).all() and np.isfinite(truth.diameters).all()):
         raise FormatError(f"{path}: a centre or a diameter is not a finite number; make the scene again")
+    if not (truth.diameters > 0.0).all():
+        raise FormatError(f"{path}: a diameter is not above 0; make the scene again")
+    if truth.ids is not None and len(np.unique(truth.ids)) < len(truth.ids):
+        raise FormatError(f"{path}: two fruit have the same id; make the scene again")
     return truth
+
+
+def _numbers(fruits: Sequence[Mapping[str, Any]], field: str) -> NDArray[np.int64] | None:
+    """A field that truths of other origin may lack; None unless every fruit has it."""
+    if not all(field in fruit for fruit in fruits):
+        return None
+    return np.array([fruit[field] for fruit in fruits], dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class TrueView:
+    """Where a picture was truly taken: name of its file, world_to_camera (4, 4) in scene units."""
+
+    name: str
+    world_to_camera: NDArray[np.float64]
+
+
+def read_views(path: Path) -> list[TrueView]:
+    """The true cameras of `truth.json`, where its model's were moved; empty where it lists none.
+
+    Raises:
+        FormatError: as `read_truth`.
+    """
+    try:
+        listed = json.loads(Path(path).read_text(encoding="utf-8")).get("views", [])
+        views = []
+        for view in listed:
+            pose = np.eye(4)
+            pose[:3] = np.array(view["world_to_camera"], dtype=np.float64).reshape(-1, 4)[:3]
+            views.append(TrueView(str(view["name"]), pose))
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise FormatError(f"{path}: its list of views is damaged ({error}); make the scene again") from error
+    if not all(np.isfinite(view.world_to_camera).all() for view in views):
+        raise FormatError(f"{path}: a camera is not finite; make the scene again")
+    return views

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.evaluation.metrics import count_metrics, match_centers
-from fruitlangs.engine.evaluation.truth import Truth, read_truth
+from fruitlangs.engine.errors import CountingError, FormatError
+from fruitlangs.engine.evaluation.calibration import calibration_error, interval_coverage
+from fruitlangs.engine.evaluation.judgement import judge, match_centers
+from fruitlangs.engine.evaluation.metrics import by_visibility, count_metrics
+from fruitlangs.engine.evaluation.summary import summarise
+from fruitlangs.engine.evaluation.truth import Truth, read_truth, read_views
 
 ROW = np.array([[0.0, 0, 0], [1, 0, 0], [5, 0, 0]])
 
@@ -119,3 +122,90 @@ def test_a_truth_without_a_field_names_the_field(tmp_path: Path) -> None:
     (tmp_path / "truth.json").write_text('{"fruits": [{"label": "apple", "center": [0, 0, 0]}]}')
     with pytest.raises(FormatError, match="diameter"):
         read_truth(tmp_path / "truth.json")
+
+
+def test_visible_and_total_truth_are_told_apart() -> None:
+    metrics = measure(ROW[:2], truth_of(ROW, [True, True, False]))
+    assert (metrics.visible, metrics.total) == (2, 3)
+    assert (metrics.relative_count_error, metrics.relative_total_error) == (0.0, pytest.approx(-1 / 3))
+
+
+def test_a_judgement_names_every_prediction_and_every_visible_fruit_once() -> None:
+    truth = truth_of([[0, 0, 0], [0.6, 0, 0], [5, 0, 0], [8, 0, 0], [20, 0, 0]], [True, True, True, True, False])
+    centers = np.array([[0.1, 0, 0], [5, 0, 0], [5.2, 0, 0], [50, 0, 0], [20.1, 0, 0]])
+    judgement = judge(centers, np.full(5, 1.4), truth)
+    assert judgement.pairs.predicted.tolist() == [0, 1]
+    assert judgement.pairs.true.tolist() == [0, 2]
+    assert judgement.doubles.tolist() == [2]
+    assert judgement.false.tolist() == [3]
+    assert judgement.ignored.tolist() == [4]
+    assert judgement.merged.tolist() == [1]
+    assert judgement.missed.tolist() == [3]
+
+
+def test_errors_are_told_by_visible_fraction() -> None:
+    truth = Truth(ROW, np.ones(3), np.ones(3, bool), np.array([0.15, 0.3, 1.0]))
+    judgement = judge(ROW[1:] + [0.1, 0, 0], np.array([1.2, 1.0]), truth)
+    little, some, most = (by_visibility(judgement, truth, (0.1, 0.25, 0.5, 1.0))[k] for k in range(3))
+    assert (little.visible, little.recall, np.isnan(little.center_error)) == (1, 0.0, True)
+    assert (some.recall, some.center_error, some.diameter_error) == (1.0, pytest.approx(0.1), pytest.approx(0.2))
+    assert (most.visible, most.diameter_error) == (1, 0.0)
+
+
+@pytest.mark.parametrize("broken", [float("nan"), float("inf")])
+def test_a_prediction_without_a_finite_place_is_an_error(broken: float) -> None:
+    with pytest.raises(CountingError, match="1 of 3 predictions"):
+        measure([[0, 0, 0], [1, 0, 0], [broken, 0, 0]], truth_of(ROW))
+
+
+@pytest.mark.parametrize(("field", "value", "said"), [("diameter", 0, "not above 0"), ("id", 1, "the same id")])
+def test_a_truth_that_contradicts_itself_is_refused(field, value, said, tmp_path: Path) -> None:
+    first = {"id": 1, "label": "apple", "center": [0, 0, 0], "diameter": 1, "visible": True, "visible_fraction": 1}
+    second = {**first, "id": 2, field: value}
+    (tmp_path / "truth.json").write_text(json.dumps({"fruits": [first, second]}))
+    with pytest.raises(FormatError, match=said):
+        read_truth(tmp_path / "truth.json")
+
+
+def test_views_of_a_truth_are_read_and_may_be_missing(tmp_path: Path) -> None:
+    pose = [[1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 1, 7]]
+    (tmp_path / "truth.json").write_text(json.dumps({"fruits": [], "views": [{"name": "a", "world_to_camera": pose}]}))
+    assert read_views(tmp_path / "truth.json")[0].world_to_camera[:3, 3].tolist() == [5, 6, 7]
+    (tmp_path / "truth.json").write_text('{"fruits": []}')
+    assert read_views(tmp_path / "truth.json") == []
+
+
+def test_probabilities_that_come_true_as_often_as_they_say_have_no_calibration_error() -> None:
+    probabilities = np.repeat([0.2, 0.8], 50)
+    outcomes = np.concatenate([np.arange(50) < 10, np.arange(50) < 40])
+    assert calibration_error(probabilities, outcomes) == pytest.approx(0.0)
+    assert calibration_error(probabilities, outcomes[::-1]) == pytest.approx(0.6)
+
+
+def test_balanced_calibration_weighs_a_rare_outcome_as_much_as_a_common_one() -> None:
+    outcomes = np.arange(100) < 10
+    assert calibration_error(np.full(100, 0.1), outcomes) == pytest.approx(0.0)
+    assert calibration_error(np.full(100, 0.1), outcomes, balanced=True) == pytest.approx(0.4)
+
+
+def test_calibration_does_not_depend_on_the_order_of_equal_probabilities() -> None:
+    probabilities, outcomes = np.round(np.linspace(0, 1, 200), 1), np.arange(200) % 3 == 0
+    shuffled = np.random.default_rng(0).permutation(200)
+    found = calibration_error(probabilities[shuffled], outcomes[shuffled])
+    assert calibration_error(probabilities, outcomes) == pytest.approx(found)
+
+
+def test_a_probability_out_of_range_is_an_error() -> None:
+    with pytest.raises(CountingError, match="from 0 to 1"):
+        calibration_error(np.array([0.5, np.nan]), np.array([True, False]))
+
+
+def test_coverage_is_the_share_of_intervals_that_hold_the_truth() -> None:
+    assert interval_coverage(np.array([1, 5, 5]), np.array([3, 6, 9]), np.array([3, 4, 7])) == pytest.approx(2 / 3)
+
+
+def test_over_scenes_bias_cancels_and_mape_does_not() -> None:
+    two_of_three, four_of_three = measure(ROW[:2], truth_of(ROW)), measure([*ROW, [1.1, 0, 0]], truth_of(ROW))
+    summary = summarise([two_of_three, four_of_three])
+    assert (summary.scenes, summary.bias, summary.mape) == (2, pytest.approx(0.0), pytest.approx(1 / 3))
+    assert summary.f1 == pytest.approx((two_of_three.f1 + four_of_three.f1) / 2)

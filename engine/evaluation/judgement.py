@@ -1,0 +1,114 @@
+"""What became of every prediction and of every true fruit: found, double, false, merged or missed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from ..errors import CountingError
+from .truth import Truth
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Pairs of one predicted and one true fruit. predicted, true: (K,) indices; distances: (K,) scene units."""
+
+    predicted: IntArray
+    true: IntArray
+    distances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.predicted)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement:
+    """P predictions against a truth.
+
+    radius: in mean true diameters; diameters: (P,) of the predictions, scene units; pairs: matched with visible fruit.
+    Of the other predictions `ignored` lie on true fruit that is not visible, `doubles` on a fruit that another
+    prediction has, `false` on none. Of the other visible fruit `merged` lie under a prediction that is matched with
+    another one, `missed` do not. All are index arrays, rising.
+    """
+
+    radius: float
+    diameters: FloatArray
+    pairs: Matching
+    ignored: IntArray
+    doubles: IntArray
+    false: IntArray
+    merged: IntArray
+    missed: IntArray
+
+    @property
+    def predictions(self) -> int:
+        return len(self.diameters)
+
+
+def judge(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: float = 0.5) -> Judgement:
+    """Match predicted fruit, centers (P, 3) and diameters (P,) in scene units, with true ones at a radius.
+
+    Visible fruit are matched first; of the predictions left over, those matched with other true fruit are ignored.
+
+    Raises:
+        CountingError: a prediction's centre or diameter is not a finite number, or there is not one diameter a centre.
+    """
+    centers = np.asarray(centers, dtype=np.float64).reshape(-1, 3)
+    diameters = np.asarray(diameters, dtype=np.float64).reshape(-1)
+    if len(centers) != len(diameters):
+        raise CountingError(f"there are {len(centers)} predicted centres and {len(diameters)} diameters; give as many")
+    broken = int((~np.isfinite(centers).all(axis=1) | ~np.isfinite(diameters)).sum())
+    if broken:
+        raise CountingError(f"{broken} of {len(centers)} predictions have no finite centre or diameter; count again")
+    reach = radius * truth.mean_diameter
+    visible, hidden = np.flatnonzero(truth.visible), np.flatnonzero(~truth.visible)
+    found = match_centers(centers, truth.centers[visible], reach)
+    pairs = Matching(found.predicted, visible[found.true], found.distances)
+    left = np.setdiff1d(np.arange(len(centers)), pairs.predicted)
+    ignored = left[match_centers(centers[left], truth.centers[hidden], reach).predicted]
+    rest = np.setdiff1d(left, ignored)
+    double = _within(centers[rest], truth.centers, np.full(len(truth.centers), reach))
+    unmatched = np.setdiff1d(visible, pairs.true)
+    reaches = np.maximum(reach, diameters[pairs.predicted] / 2.0)
+    merged = _within(truth.centers[unmatched], centers[pairs.predicted], reaches)
+    return Judgement(
+        radius=radius,
+        diameters=diameters,
+        pairs=pairs,
+        ignored=np.sort(ignored),
+        doubles=rest[double],
+        false=rest[~double],
+        merged=unmatched[merged],
+        missed=unmatched[~merged],
+    )
+
+
+def match_centers(predicted: FloatArray, true: FloatArray, radius: float) -> Matching:
+    """Pair as many centres as lie within `radius`, and of all such pairings take the one of least total distance.
+
+    predicted: (P, 3), true: (T, 3), radius in the same unit. By the Hungarian method.
+    """
+    if len(predicted) == 0 or len(true) == 0 or not radius > 0:
+        none = np.zeros(0, np.int64)
+        return Matching(none, none, np.zeros(0))
+    distances = cdist(predicted, true)
+    # A pair out of reach costs more than all pairs within reach together, so that the number of pairs comes first.
+    cost = np.where(distances <= radius, distances, radius * (1.0 + min(distances.shape)) * 2.0)
+    rows, columns = linear_sum_assignment(cost)
+    close = distances[rows, columns] <= radius
+    rows, columns = rows[close], columns[close]
+    return Matching(rows.astype(np.int64), columns.astype(np.int64), distances[rows, columns])
+
+
+def _within(points: FloatArray, centers: FloatArray, reaches: FloatArray) -> NDArray[np.bool_]:
+    """(A,) whether each of the points (A, 3) lies within its reach (B,) of any centre (B, 3)."""
+    if len(points) == 0 or len(centers) == 0:
+        return np.zeros(len(points), bool)
+    return np.asarray((cdist(points, centers) <= reaches).any(axis=1))

@@ -1,0 +1,99 @@
+"""What a generated scene knows beside its photos: which fruit every pixel shows, and how far away it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from ..errors import FormatError
+from ..scene.camera import Camera, Scene
+from .truth import Truth
+
+INSTANCES, DEPTH = "instances", "depth"
+MILLIMETRE = 1e-3
+"""Depth pictures count in thousandths of a scene unit along the optical axis, as nerfstudio's do; 0 is nothing."""
+
+LEAST_AGREEMENT = 0.5
+"""Share of the visible fruit that must be seen where the truth says they are."""
+
+
+def read_instances(scene_folder: Path, scene: Scene) -> list[NDArray[np.uint16]]:
+    """The (H, W) fruit ids of every view of the scene, 0 where there is none.
+
+    Raises:
+        FormatError: a mask is missing, is no 16-bit picture or has not its camera's size.
+    """
+    return [_picture(scene_folder / INSTANCES, name, camera) for name, camera in _views(scene)]
+
+
+def read_depths(scene_folder: Path, scene: Scene) -> list[NDArray[np.float32]]:
+    """The (H, W) depths of every view of the scene, in scene units along the optical axis, 0 where there is nothing.
+
+    Raises:
+        FormatError: as `read_instances`.
+    """
+    pictures = (_picture(scene_folder / DEPTH, name, camera) for name, camera in _views(scene))
+    return [(picture * MILLIMETRE).astype(np.float32) for picture in pictures]
+
+
+def check_instances(truth: Truth, cameras: Sequence[Camera], instances: Sequence[NDArray[np.uint16]]) -> None:
+    """Refuse a truth that is of other pictures than these.
+
+    Of the visible fruit at least half must be seen within a radius of their projected centre in some view.
+
+    Raises:
+        FormatError: they are not, or the truth has no ids to look for.
+    """
+    if truth.ids is None:
+        raise FormatError("the truth has no fruit ids, so its instance masks mean nothing; make the scene again")
+    found = 0
+    visible = np.flatnonzero(truth.visible)
+    for fruit in visible:
+        found += any(
+            _seen_at(camera, mask, truth.centers[fruit], truth.diameters[fruit], int(truth.ids[fruit]))
+            for camera, mask in zip(cameras, instances, strict=True)
+        )
+    if found < LEAST_AGREEMENT * len(visible):
+        raise FormatError(
+            f"only {found} of {len(visible)} visible fruit of the truth are in the masks where it says they are; "
+            "the truth is of another scene: make the scene again"
+        )
+
+
+def _views(scene: Scene) -> list[tuple[str, Camera]]:
+    return [(photo.name, camera) for photo, camera in zip(scene.images, scene.cameras, strict=True)]
+
+
+def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
+    path = folder / Path(name).with_suffix(".png").name
+    try:
+        with Image.open(path) as image:
+            values = np.asarray(image)
+    except FileNotFoundError as error:
+        raise FormatError(f"{path} is missing: the scene is half-made; make it again with make_orchard.py") from error
+    except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
+        raise FormatError(f"{path} is damaged ({error}); remove it and make the scene again") from error
+    if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
+        raise FormatError(f"{path} is no picture of 16-bit numbers; make the scene again")
+    if values.shape != (camera.height, camera.width):
+        raise FormatError(
+            f"{path} has {values.shape[1]}×{values.shape[0]} pixels, its photo {camera.width}×{camera.height}; "
+            "the truth is of other pictures: make the scene again"
+        )
+    return values.astype(np.uint16)
+
+
+def _seen_at(
+    camera: Camera, mask: NDArray[np.uint16], center: NDArray[np.float64], diameter: float, number: int
+) -> bool:
+    x, y, z = camera.world_to_camera[:3, :3] @ center + camera.world_to_camera[:3, 3]
+    if z <= diameter:
+        return False
+    u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
+    reach = max(1.0, camera.K[0, 0] * 0.5 * diameter / z)
+    window = mask[max(int(v - reach), 0) : int(v + reach) + 1, max(int(u - reach), 0) : int(u + reach) + 1]
+    return u + reach >= 0 and v + reach >= 0 and bool((window == number).any())
