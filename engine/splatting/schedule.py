@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,9 @@ from .densify import DensifyRules
 from .drawing import FAINTEST, DrawRules
 from .parameters import Rates
 
+LEAST_OVERSIZE, OVERSIZE_GAUSSIANS = 0.1, 700
+"""The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more where fewer than 70,000
+Gaussians share the scene, since N of them cover it when their size goes with 1 / √N."""
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
@@ -109,7 +113,7 @@ class Schedule:
             max_gaussians=self.config.max_gaussians,
             small=self.config.split_size * self.extent,
             opacity=self.config.prune_opacity,
-            oversize=0.5,
+            oversize=max(LEAST_OVERSIZE, math.sqrt(OVERSIZE_GAUSSIANS / self.config.max_gaussians)),
             extent=self.extent,
         )
 

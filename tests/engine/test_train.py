@@ -307,6 +307,11 @@ def test_no_plateau_before_photos_have_their_full_size_ends_a_training(scene: Sc
     assert not Schedule(PRESETS["paper"], scene).settled(15_000)
 
 
+def test_few_gaussians_may_be_larger_than_many(scene: Scene) -> None:
+    sizes = [Schedule(TrainConfig(max_gaussians=n), scene).densify_rules().oversize for n in (2800, 70_000, 1_000_000)]
+    assert sizes == pytest.approx([0.5, 0.1, 0.1])
+
+
 def test_every_round_shows_every_photo_once() -> None:
     views = [1, 2, 3, 5, 6, 7]
     for lap in range(3):
