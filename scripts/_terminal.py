@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
+from fruitlangs.engine.config import PRESETS, Preset
 from fruitlangs.engine.errors import Cancelled, FruitLangsError
 from fruitlangs.engine.progress import Progress, silent
 
@@ -30,6 +32,17 @@ def arguments_of(script: str) -> list[str]:
     if Path(sys.argv[0]).resolve() == Path(script).resolve():
         return sys.argv[1:]
     return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+
+
+def preset_of(given: Sequence[str]) -> Preset:
+    """The --preset among the arguments, which goes first: flags of training change it. What is wrong tyro says."""
+    first = argparse.ArgumentParser(add_help=False, exit_on_error=False)
+    first.add_argument("--preset", choices=list(PRESETS), default="standard")
+    try:
+        preset: Preset = first.parse_known_args(given)[0].preset
+    except argparse.ArgumentError:
+        return "standard"
+    return preset
 
 
 def run(main: Callable[[], None]) -> None:

@@ -8,7 +8,6 @@ Exit code 0: counted (a counted 0 included); 1: could not, with one line that sa
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _terminal import arguments_of, import_tyro, run, terminal_progress
+from _terminal import arguments_of, import_tyro, preset_of, run, terminal_progress
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 
@@ -105,14 +104,9 @@ def main() -> None:
 
 
 def parse() -> Arguments:
-    """The arguments, or exit 2 with a usage message. A preset goes first: flags of training change it."""
+    """The arguments, or exit 2 with a usage message."""
     given = arguments_of(__file__)
-    first = argparse.ArgumentParser(add_help=False, exit_on_error=False)
-    first.add_argument("--preset", choices=list(PRESETS), default="standard")
-    try:
-        preset: Preset = first.parse_known_args(given)[0].preset
-    except argparse.ArgumentError:
-        preset = "standard"  # tyro says what is wrong
+    preset = preset_of(given)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])
     return tyro.cli(Arguments, args=given, default=default, prog="count_fruit.py", description=Arguments.__doc__)

@@ -1,73 +1,148 @@
-"""Measure counted fruit against the truth of a generated orchard.
+"""Measure counts against truth: the ladder of generated scenes, or results that were counted already.
 
-    python scripts/evaluate.py RESULT_DIR… --truth truth.json
+    python scripts/evaluate.py SCENE… --out DIR
+    python scripts/evaluate.py apple-small:101 plum-small:101 --out DIR
+    python scripts/evaluate.py RESULT… --truth truth.json
 
-Prints one row a result folder and matching radius (in mean true diameters). F1 is against visible fruit of the
-counted kinds; a prediction on another true fruit of them is ignored.
+With --out every scene (a folder of make_orchard.py, or a preset of it with a seed) is counted on every rung: with true
+masks, poses and geometry in place of found ones, so that each loss has its stage. DIR gets tables, a page with plots
+and pictures of the worst mistakes; run again, it goes on where it stopped. With --truth result folders are measured as
+they are. F1 is against visible fruit of the counted kinds; a prediction on another true fruit of them is ignored.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from fruitlangs.engine.errors import FruitLangsError, VocabularyError
+from _terminal import arguments_of, import_tyro, preset_of, run, terminal_progress
+from fruitlangs.benchmarks.ladder import RungRow, climb, true_labels
+from fruitlangs.benchmarks.ladder_pages import rung_table, write_pages
+from fruitlangs.benchmarks.orchards import scene_folder
+from fruitlangs.benchmarks.results import publish
+from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
+from fruitlangs.engine.errors import ConfigError, FruitLangsError
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth
-from fruitlangs.engine.language.vocabulary import parse
+from fruitlangs.engine.progress import part
 from fruitlangs.engine.report.results import read_results
+
+if TYPE_CHECKING:
+    import tyro
+else:
+    tyro = import_tyro()
 
 RADII = (0.5, 1.0)
 HEADER = (
     "result", "radius", "predicted", "visible", "matched", "ignored", "precision", "recall", "F1", "doubles", "merges",
     "count error", "centre error", "diameter error", "diameter bias",
 )  # fmt: skip
+Rung = Literal["counting-only", "true-geometry", "true-masks", "true-poses", "end-to-end"]
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Print the table; 0 when every folder could be measured, else 1."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("results", nargs="+", type=Path, metavar="RESULT_DIR", help="folder with a fruits.json")
-    parser.add_argument("--truth", type=Path, required=True, help="truth.json of the scene that was counted")
-    parser.add_argument("--label", help="measure against true fruit of this word only (default: the counted prompts)")
-    arguments = parser.parse_args(argv)
-    try:
-        rows = [row for folder in arguments.results for row in measure(folder, arguments.truth, arguments.label)]
-    except FruitLangsError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(table([HEADER, *rows]))
-    return 0
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Measure counts against truth."""
+
+    given: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE|RESULT")]
+    """With --out: folders of generated scenes, or presets with seeds such as apple-small:101. With --truth: results."""
+    out: Path | None = None
+    """Folder of the ladder's tables, pictures and cached stages."""
+    truth: Path | None = None
+    """truth.json of the scene that was counted in the result folders."""
+    label: str | None = None
+    """With --truth: measure against true fruit of this word only; else against those of the counted prompts."""
+    prompt: tuple[str, ...] = ()
+    """With --out: what to count; else the species that each scene says it has."""
+    rungs: tuple[Rung, ...] = ("counting-only", "true-geometry", "true-masks", "true-poses", "end-to-end")
+    """With --out: the rungs to count on."""
+    publish: Path | None = None
+    """Folder that gets results.csv and RESULTS.md too, with the date and the commit."""
+    preset: Preset = "standard"
+    """Settings of training to start from."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    embed: EmbedConfig = field(default_factory=EmbedConfig)
+    count: CountConfig = field(default_factory=CountConfig)
+
+
+def main(given: Sequence[str] | None = None) -> None:
+    """Measure what the command line names.
+
+    Raises:
+        FruitLangsError: a result or a scene could not be measured; tables of the others are written before.
+    """
+    arguments = parse(arguments_of(__file__) if given is None else list(given))
+    if (arguments.out is None) == (arguments.truth is None):
+        raise ConfigError("give --out DIR to count scenes, or --truth truth.json to measure results, and not both")
+    if not arguments.given:
+        raise ConfigError("nothing is given to measure; name scenes or results")
+    if arguments.truth is not None:
+        folders = [Path(name) for name in arguments.given]
+        rows = [row for folder in folders for row in measure(folder, arguments.truth, arguments.label)]
+        print(table([HEADER, *rows]))
+    else:
+        ladder(arguments)
+
+
+def ladder(arguments: Arguments) -> None:
+    """Climb every scene and write the pages after each, so that an interrupt leaves what was measured."""
+    assert arguments.out is not None
+    config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
+    progress, rows, broken = terminal_progress(), list[RungRow](), list[str]()
+    title = "Counts by rung of the ladder"
+    for number, name in enumerate(arguments.given):
+        share = part(progress, number / len(arguments.given), (number + 1) / len(arguments.given))
+        try:
+            folder = scene_folder(name, arguments.out / "scenes", report=report)
+            rows += climb(
+                folder,
+                arguments.out / folder.name,
+                config=config,
+                prompts=arguments.prompt,
+                rungs=arguments.rungs,
+                report=report,
+                progress=share,
+            )
+        except FruitLangsError as error:
+            broken.append(f"{name}: {error}")
+            report(broken[-1])
+        if rows:
+            write_pages(rows, arguments.out, title=title)
+    progress(1.0, "done")
+    if rows:
+        print(rung_table(rows))
+        print(f"\nwritten: {arguments.out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")
+        if arguments.publish is not None:
+            publish(rows, arguments.publish, command=" ".join(["scripts/evaluate.py", *arguments_of(__file__)]))
+    broken += [f"{row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
+    if broken:
+        raise ConfigError(f"{len(broken)} could not be measured; the first: {broken[0]}")
+
+
+def report(message: str) -> None:
+    """Tell how far it is: one line a step, on stderr."""
+    print(message, file=sys.stderr, flush=True)
 
 
 def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str, ...]]:
     """One row of cells a matching radius for a result folder."""
     document = read_results(folder, verify=False)
     fruits = document["fruits"]
-    truth = read_truth(truth_file, labels([label] if label else document["provenance"]["prompts"]))
+    truth = read_truth(truth_file, true_labels([label] if label else document["provenance"]["prompts"]))
     unit = document["metres_per_unit"] or 1.0
     centers = np.array([fruit["center"] for fruit in fruits], dtype=np.float64).reshape(-1, 3)
     diameters = np.array([fruit["diameter"] / unit for fruit in fruits], dtype=np.float64)
     return [cells(folder.name, count_metrics(centers, diameters, truth, radius)) for radius in RADII]
-
-
-def labels(prompts: Sequence[str]) -> set[str]:
-    """Labels of true fruit that satisfy any of the prompts, whatever their colour: "red apple" counts apples.
-
-    Raises:
-        VocabularyError: a prompt names no thing.
-    """
-    phrases = [parse(prompt) for prompt in prompts]
-    for phrase in phrases:
-        if not phrase.concepts:
-            raise VocabularyError(f"the prompt '{phrase.text}' names no fruit to measure against; give --label")
-    return {concept for phrase in phrases for concept in phrase.concepts}
 
 
 def cells(name: str, metrics: CountMetrics) -> tuple[str, ...]:
@@ -98,5 +173,12 @@ def table(rows: list[tuple[str, ...]]) -> str:
     )
 
 
+def parse(given: list[str]) -> Arguments:
+    """The arguments, or exit 2 with a usage message."""
+    preset = preset_of(given)
+    default = Arguments(given=(), preset=preset, train=PRESETS[preset])
+    return tyro.cli(Arguments, args=given, default=default, prog="evaluate.py", description=__doc__)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

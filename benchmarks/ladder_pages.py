@@ -1,0 +1,238 @@
+"""Tables, plots and a page of what the ladder measured."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..engine.evaluation.metrics import CountMetrics
+from ..engine.evaluation.summary import summarise
+from ..engine.files import write_text
+from .ladder import RungRow
+from .rungs import COUNTING_ONLY, END_TO_END, RUNGS, TRUE_MASKS, TRUE_POSES
+
+COLUMNS = (
+    "species", "seed", "rung", "scene", "predicted", "visible", "total", "matched", "ignored", "precision", "recall",
+    "f1", "f1_at_1", "doubles", "merges", "count_error", "relative_count_error", "relative_total_error", "center_error",
+    "diameter_error", "diameter_bias", "ece", "interval_low", "interval_high", "psnr", "ssim", "views", "failed",
+)  # fmt: skip
+STAGES = ("counting", "Gaussians", "masks", "poses")
+"""What can lose fruit, in the order of the rungs that tell."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """F1 at half a diameter that each of STAGES loses, NaN where a rung that tells is missing."""
+
+    stages: tuple[float, ...]
+
+    @property
+    def largest(self) -> str:
+        known = [(loss, name) for loss, name in zip(self.stages, STAGES, strict=True) if not math.isnan(loss)]
+        return max(known, key=lambda pair: pair[0])[1] if known else ""
+
+
+def losses(f1_by_rung: dict[str, float]) -> Loss:
+    """What each stage loses: the counting what it lacks of 1, the others what the rung with their truth has more."""
+
+    def of(rung: str) -> float:
+        return f1_by_rung.get(rung, math.nan)
+
+    return Loss(
+        (
+            1.0 - of(COUNTING_ONLY),
+            of(COUNTING_ONLY) - of(TRUE_MASKS),
+            of(TRUE_MASKS) - of(TRUE_POSES),
+            of(TRUE_POSES) - of(END_TO_END),
+        )
+    )
+
+
+def rows_csv(rows: Sequence[RungRow]) -> str:
+    """One line a rung; ratios as they are, lengths in mean true diameters, PSNR in dB; empty where not measured."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        low, high = row.interval or (None, None)
+        writer.writerow(
+            [row.species, _cell(row.seed), row.rung, row.scene, _cell(row.counted)]
+            + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[5:12]]
+            + [_cell(row.far.f1 if row.far else None)]
+            + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[13:21]]
+            + [_cell(value) for value in (row.ece, low, high, row.psnr, row.ssim, row.views)]
+            + [row.failed]
+        )
+    return text.getvalue()
+
+
+def times_csv(rows: Sequence[RungRow]) -> str:
+    """Seconds by stage of every rung that trained; they differ between runs, so they stand apart."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["species", "seed", "rung", "scene", "stage", "seconds"])
+    for row in rows:
+        for stage, seconds in row.seconds.items():
+            writer.writerow([row.species, _cell(row.seed), row.rung, row.scene, stage, f"{seconds:.2f}"])
+    return text.getvalue()
+
+
+def visibility_csv(rows: Sequence[RungRow]) -> str:
+    """Recall and errors of every rung by how much of the fruit the best view shows."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = ("low", "high", "visible", "recall", "center_error", "diameter_error")
+    writer.writerow(["species", "seed", "rung", "scene", *(f"fraction_{name}" for name in names[:2]), *names[2:]])
+    for row in rows:
+        for part in row.classes:
+            cells = [_cell(getattr(part, name)) for name in names]
+            writer.writerow([row.species, _cell(row.seed), row.rung, row.scene, *cells])
+    return text.getvalue()
+
+
+def rung_table(rows: Sequence[RungRow]) -> str:
+    """Markdown: F1 at half a diameter by scene and rung, and the stage that loses most."""
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    names = [name for name in RUNGS if any(row.rung == name for row in rows)]
+    lines = [["scene", "visible", *names, "loses most"]]
+    for scene in scenes:
+        own = {row.rung: row for row in rows if row.scene == scene}
+        visible = next((str(row.near.visible) for row in own.values() if row.near), "")
+        loss = losses({name: row.near.f1 for name, row in own.items() if row.near})
+        lines.append([scene, visible, *(_f1_cell(own.get(name)) for name in names), loss.largest])
+    summaries = {name: summarise(_metrics(rows, name)) for name in names}
+    last = losses({name: summary.f1 for name, summary in summaries.items() if summary.scenes})
+    lines.append(["mean F1", "", *(_number(summaries[name].f1) for name in names), last.largest])
+    lines.append(["mean precision", "", *(_number(summaries[name].precision) for name in names), ""])
+    lines.append(["mean recall", "", *(_number(summaries[name].recall) for name in names), ""])
+    lines.append(["bias of all counts", "", *(_percent(summaries[name].bias, sign=True) for name in names), ""])
+    lines.append(["MAPE", "", *(_percent(summaries[name].mape) for name in names), ""])
+    return markdown(lines)
+
+
+def loss_table(rows: Sequence[RungRow]) -> str:
+    """Markdown: how much F1 each stage loses on each scene."""
+    lines = [["scene", *STAGES]]
+    for scene in dict.fromkeys(row.scene for row in rows):
+        loss = losses({row.rung: row.near.f1 for row in rows if row.scene == scene and row.near})
+        lines.append([scene, *(_number(value, sign=True) for value in loss.stages)])
+    return markdown(lines)
+
+
+def visibility_table(rows: Sequence[RungRow]) -> str:
+    """Markdown: recall by visible fraction and rung, all scenes together."""
+    names = [name for name in RUNGS if any(row.rung == name and row.classes for row in rows)]
+    if not names:
+        return ""
+    classes = next(row.classes for row in rows if row.classes)
+    lines = [["best view shows", "fruit", *names]]
+    for number, part in enumerate(classes):
+        own = {name: [row.classes[number] for row in rows if row.rung == name and row.classes] for name in names}
+        fruit = sum(each.visible for each in own[names[0]])
+        cells = []
+        for name in names:
+            seen = sum(each.visible for each in own[name])
+            found = sum(round(each.recall * each.visible) for each in own[name] if each.visible)
+            cells.append(_number(found / seen) if seen else "")
+        lines.append([f"{part.low:.0%} to {part.high:.0%}", str(fruit), *cells])
+    return markdown(lines)
+
+
+def draw_ladder(rows: Sequence[RungRow], path: Path) -> None:
+    """F1 at half a diameter from rung to rung, a line a scene."""
+    from matplotlib.figure import Figure
+
+    names = [name for name in RUNGS if any(row.rung == name for row in rows)]
+    figure = Figure(figsize=(max(6.0, 1.4 * len(names)), 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    for scene in dict.fromkeys(row.scene for row in rows):
+        own = {row.rung: row.near.f1 for row in rows if row.scene == scene and row.near}
+        axes.plot([own.get(name, math.nan) for name in names], marker="o", label=scene)
+    axes.set_xticks(range(len(names)), names, fontsize=8)
+    axes.set_ylabel("F1 at half a diameter")
+    axes.grid(alpha=0.3)
+    if rows:
+        axes.legend(fontsize=8)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+
+
+def write_pages(rows: Sequence[RungRow], out: Path, *, title: str) -> None:
+    """Write ladder.csv, visibility.csv, times.csv, ladder.md, ladder.png and index.html into `out`."""
+    from jinja2 import Environment
+
+    for name, text in (("ladder", rows_csv(rows)), ("visibility", visibility_csv(rows)), ("times", times_csv(rows))):
+        write_text(out / f"{name}.csv", text)
+    failed = [f"- {row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
+    parts = [f"# {title}", rung_table(rows), "F1 that each stage loses:", loss_table(rows)]
+    parts += ["Recall by visible fraction:", visibility_table(rows)] if any(row.classes for row in rows) else []
+    parts += ["Failed:", "\n".join(failed)] if failed else []
+    write_text(out / "ladder.md", "\n\n".join(parts) + "\n")
+    draw_ladder(rows, out / "ladder.png")
+    template = Environment(autoescape=True).from_string(_PAGE)
+    tables = [_split(table) for table in (rung_table(rows), loss_table(rows), visibility_table(rows)) if table]
+    write_text(out / "index.html", template.render(title=title, tables=tables, rows=rows, rungs=RUNGS))
+
+
+def markdown(lines: Sequence[Sequence[str]]) -> str:
+    """A table, its first line the head; the first column is words, the others are numbers."""
+    head, *body = lines
+    rule = ["---"] + ["---:"] * (len(head) - 1)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *body))
+
+
+def _split(table: str) -> list[list[str]]:
+    lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()]
+    return [lines[0], *lines[2:]]
+
+
+def _metrics(rows: Sequence[RungRow], rung: str) -> list[CountMetrics]:
+    return [row.near for row in rows if row.rung == rung and row.near]
+
+
+def _f1_cell(row: RungRow | None) -> str:
+    if row is None:
+        return ""
+    if row.failed:
+        return "failed"
+    return str(row.counted) if row.near is None else f"{row.near.f1:.3f}"
+
+
+def _number(value: float, *, sign: bool = False) -> str:
+    return "" if math.isnan(value) else f"{value:{'+' if sign else ''}.3f}"
+
+
+def _percent(value: float, *, sign: bool = False) -> str:
+    return "" if math.isnan(value) else f"{value:{'+' if sign else ''}.1%}"
+
+
+def _cell(value: float | int | None) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return f"{value:.4f}" if isinstance(value, float) else str(value)
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>{{ title }}</title>
+<style>
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1280px; margin: 2em auto; padding: 0 1em; color: #222 }
+table { border-collapse: collapse; margin: 1em 0 } td, th { padding: .2em .8em; border-bottom: 1px solid #ddd }
+td + td, th + th { text-align: right } img { max-width: 100% } dt { font-weight: 600 }
+</style>
+<h1>{{ title }}</h1>
+<dl>{% for name, text in rungs.items() %}<dt>{{ name }}</dt><dd>{{ text }}</dd>{% endfor %}</dl>
+{% for table in tables %}<table>
+<tr>{% for cell in table[0] %}<th>{{ cell }}</th>{% endfor %}</tr>
+{% for line in table[1:] %}<tr>{% for cell in line %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}
+</table>{% endfor %}
+<p><img src="ladder.png" alt="F1 by rung"></p>
+<h2>Worst mistakes</h2>
+<p>True visible fruit are ringed in green, counted fruit in orange; the cross marks the subject.</p>
+{% for row in rows if row.mistakes %}<h3>{{ row.scene }}, {{ row.rung }}</h3>
+<img src="{{ row.scene }}/{{ row.mistakes }}" alt="mistakes of {{ row.scene }}, {{ row.rung }}">{% endfor %}
+{% for row in rows if row.failed %}<p>{{ row.scene }}, {{ row.rung }}: {{ row.failed }}</p>{% endfor %}
+</html>
+"""

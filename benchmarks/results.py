@@ -1,0 +1,47 @@
+"""The committed baseline: what the ladder measured, with the date and the commit that it is of."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ..engine.files import write_text
+from .ladder import RungRow
+from .ladder_pages import loss_table, rows_csv, rung_table, visibility_table
+
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+def publish(rows: Sequence[RungRow], folder: Path, *, command: str) -> None:
+    """Write results.csv and RESULTS.md into `folder`. command: what measured them, for who wants to repeat it."""
+    write_text(folder / "results.csv", rows_csv(rows))
+    day = datetime.now(UTC).date().isoformat()
+    parts = [
+        "# Baseline",
+        f"Measured on {day} at commit {_commit()} by `{command}`. All columns are in [results.csv](results.csv); what "
+        "the rungs and columns mean is in [docs/benchmark.md](../docs/benchmark.md).",
+        "F1 at half a diameter against visible fruit:",
+        rung_table(rows),
+        "F1 that each stage loses:",
+        loss_table(rows),
+        "Recall by visible fraction, all scenes together:",
+        visibility_table(rows),
+    ]
+    write_text(folder / "RESULTS.md", "\n\n".join(part for part in parts if part) + "\n")
+
+
+def _commit() -> str:
+    """The short name of the checkout's commit, marked where files differ from it; `unknown` outside of a repository."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
+            cwd=_ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return described.stdout.strip()
