@@ -71,6 +71,26 @@ def transforms_files(path: Path) -> list[Path]:
     return [source.file, *clouds, *photos, *(frame.mask for frame in source.frames if frame.mask)]
 
 
+def named_files(path: Path, key: str) -> list[Path | None]:
+    """The file that each frame names under `key`, in the order of `read_transforms`; None where it names none.
+
+    Raises:
+        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+    """
+    source = _open_transforms(Path(path))
+    return [_named_file(frame.values, key, source.file) for frame in source.frames]
+
+
+def extra_fields(path: Path) -> Mapping[str, Any]:
+    """What stands in the JSON beside its frames.
+
+    Raises:
+        SceneError: the JSON is missing or malformed.
+    """
+    content = _read_json(path / TRANSFORMS if path.is_dir() else path)
+    return {key: value for key, value in content.items() if key != "frames"}
+
+
 @dataclass(frozen=True, eq=False)
 class _Frame:
     """One entry of `frames`: values are its own before the file's."""
@@ -140,7 +160,7 @@ def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
     """The file that `values[key]` names beside the JSON, None without one."""
     if not values.get(key):
         return None
-    path = file.parent / str(values[key])
+    path = file.parent / str(values[key]).replace("\\", "/")
     if not path.is_file():
         raise SceneError(f"{path} cannot be found; put it there or take {key} out of {file}")
     return path

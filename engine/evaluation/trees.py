@@ -1,0 +1,153 @@
+"""Fruit by tree of a row: which tree a counted fruit belongs to, and how the counts compare with the true ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FormatError
+from .number_table import read_numbers
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NO_TREE = 0
+"""The number of a fruit that belongs to no tree of the row; trees count from 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class TreePlaces:
+    """T trees. numbers: (T,) from 1; low, high: (T, 3) corners of each tree's box, equal where it is a point."""
+
+    numbers: IntArray
+    low: FloatArray
+    high: FloatArray
+
+    @property
+    def are_boxes(self) -> bool:
+        """Whether every tree has a box rather than a point."""
+        return bool((self.high > self.low).all())
+
+
+@dataclass(frozen=True, eq=False)
+class TreeCounts:
+    """Fruit of T trees. trees: (T,) their numbers, ascending; counts: (T,)."""
+
+    trees: IntArray
+    counts: IntArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TreeComparison:
+    """Counted against true fruit of T trees.
+
+    trees, true, counted: (T,); elsewhere: counted fruit that belong to no tree. mape: mean of |counted - true| ÷ true
+    over trees that bear; bias: mean of counted - true; r2: share of the variance between trees that the count explains,
+    1 - Σ(counted - true)² ÷ Σ(true - mean)². Without a denominator a figure is NaN.
+    """
+
+    trees: IntArray
+    true: IntArray
+    counted: IntArray
+    elsewhere: int
+    mape: float
+    bias: float
+    r2: float
+
+
+def tally(numbers: IntArray, trees: IntArray) -> TreeCounts:
+    """How often each of `trees` occurs among the fruit's tree numbers (M,)."""
+    ordered = np.unique(trees)
+    return TreeCounts(ordered, np.array([int((numbers == tree).sum()) for tree in ordered], dtype=np.int64))
+
+
+def places_of(centers: FloatArray, numbers: IntArray) -> TreePlaces:
+    """Trees at the mean of their true fruit; centers: (M, 3), numbers: (M,)."""
+    trees = np.unique(numbers[numbers != NO_TREE])
+    means = np.array([centers[numbers == tree].mean(axis=0) for tree in trees]).reshape(-1, 3)
+    return TreePlaces(trees, means, means)
+
+
+def assign_to_trees(centers: FloatArray, places: TreePlaces) -> IntArray:
+    """(P,) number of the tree that each fruit at (P, 3) belongs to.
+
+    With boxes: the box it lies in, the one with the nearest middle where several hold it. With points: the nearest
+    along the row, whose direction is the trees' own; a fruit more than half a spacing beyond the last tree belongs to
+    none, and neither does any where there is no tree. A lone point takes every fruit.
+    """
+    middles = 0.5 * (places.low + places.high)
+    if len(middles) == 0 or len(centers) == 0:
+        return np.full(len(centers), NO_TREE, dtype=np.int64)
+    if places.are_boxes:
+        inside = ((centers[:, None] >= places.low) & (centers[:, None] <= places.high)).all(axis=2)
+        distances = np.where(inside, np.linalg.norm(centers[:, None] - middles, axis=2), np.inf)
+        reachable = inside.any(axis=1)
+    elif len(middles) == 1:
+        return np.full(len(centers), places.numbers[0], dtype=np.int64)
+    else:
+        axis = np.linalg.svd(middles - middles.mean(axis=0))[2][0]
+        along, stations = centers @ axis, middles @ axis
+        beyond = 0.5 * float(np.median(np.diff(np.sort(stations))))
+        distances = np.abs(along[:, None] - stations)
+        reachable = (along >= stations.min() - beyond) & (along <= stations.max() + beyond)
+    return np.where(reachable, places.numbers[distances.argmin(axis=1)], NO_TREE)
+
+
+def compare(true: TreeCounts, counted: IntArray) -> TreeComparison:
+    """Compare true counts with the tree numbers (P,) of counted fruit."""
+    found = np.array([int((counted == tree).sum()) for tree in true.trees], dtype=np.int64)
+    errors = (found - true.counts).astype(np.float64)
+    bearing = true.counts > 0
+    spread = float(((true.counts - true.counts.mean()) ** 2).sum()) if len(errors) else 0.0
+    return TreeComparison(
+        trees=true.trees,
+        true=true.counts,
+        counted=found,
+        elsewhere=len(counted) - int(found.sum()),
+        mape=float(np.abs(errors[bearing] / true.counts[bearing]).mean()) if bearing.any() else float("nan"),
+        bias=float(errors.mean()) if len(errors) else float("nan"),
+        r2=1.0 - float((errors**2).sum()) / spread if spread > 0.0 else float("nan"),
+    )
+
+
+def read_tree_numbers(path: Path, labels: Collection[str] | None = None) -> IntArray:
+    """(M,) the tree of each fruit of a truth.json, in the order of `read_truth` with the same labels.
+
+    A fruit without a tree, such as one of a neighbouring row, has `tree` null or 0.
+
+    Raises:
+        FormatError: the file cannot be read, or no fruit has the field `tree`.
+    """
+    try:
+        listed = json.loads(path.read_text(encoding="utf-8"))["fruits"]
+        trees = [fruit.get("tree") for fruit in listed if labels is None or fruit["label"] in labels]
+        numbers = np.array([NO_TREE if tree is None else int(tree) for tree in trees], dtype=np.int64)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror}); expected the truth.json of a row") from error
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FormatError(f"{path}: not a truth.json ({error!r}); expected the truth.json of a row") from error
+    if not numbers.any():
+        raise FormatError(f"{path}: none of its fruit says which tree it hangs on; expected a number in the field tree")
+    return numbers
+
+
+def read_places(path: Path) -> TreePlaces:
+    """Read trees from rows of `number x y z`, or of `number x y z x y z` with two corners of a box.
+
+    Raises:
+        FormatError: the file is no such table, or a number is not a whole one from 1, or stands twice.
+    """
+    expected = "number x y z, or number and two corners x y z x y z, a tree"
+    rows = read_numbers(path, columns=4, expected=expected)
+    numbers = rows[:, 0].astype(np.int64)
+    if rows.shape[1] not in (4, 7):
+        raise FormatError(f"{path}: has {rows.shape[1]} columns; expected rows of {expected}")
+    if (numbers != rows[:, 0]).any() or (numbers < 1).any() or len(np.unique(numbers)) < len(numbers):
+        raise FormatError(f"{path}: its trees are not numbered 1, 2, … each once; expected rows of {expected}")
+    ends = rows[:, 1:].reshape(len(rows), -1, 3)
+    return TreePlaces(numbers, ends.min(axis=1), ends.max(axis=1))

@@ -1,0 +1,87 @@
+"""Compare counted with true fruit tree by tree along a row.
+
+    python scripts/compare_trees.py RESULT_DIR --truth truth.json
+
+The truth says for each fruit on which tree it hangs; a counted fruit belongs to the nearest tree along the row, or to
+the box it lies in where --trees gives boxes. Prints a row a tree, then mean absolute percentage error, bias and R²:
+against visible fruit and against all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import _checkout  # noqa: F401  puts the checkout on the path
+
+import numpy as np
+from evaluate import labels, table
+
+from fruitlangs.engine.errors import FruitLangsError
+from fruitlangs.engine.evaluation.trees import (
+    NO_TREE,
+    TreeComparison,
+    assign_to_trees,
+    compare,
+    places_of,
+    read_places,
+    read_tree_numbers,
+    tally,
+)
+from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.report.results import read_results
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table; 0 when the result could be compared, else 1."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("result", type=Path, metavar="RESULT_DIR", help="folder with a fruits.json")
+    parser.add_argument("--truth", type=Path, required=True, help="truth.json of the row that was counted")
+    parser.add_argument("--trees", type=Path, help="text: number x y z a tree, or number and two corners of its box")
+    parser.add_argument("--label", help="compare with true fruit of this word only (default: the counted prompts)")
+    arguments = parser.parse_args(argv)
+    try:
+        visible, total = compare_row(arguments.result, arguments.truth, arguments.trees, arguments.label)
+    except FruitLangsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(comparison_table(visible, total))
+    return 0
+
+
+def compare_row(
+    folder: Path, truth_file: Path, trees_file: Path | None, label: str | None
+) -> tuple[TreeComparison, TreeComparison]:
+    """The counted fruit of a result folder against visible fruit and against all fruit, by tree."""
+    document = read_results(folder, verify=False)
+    wanted = labels([label] if label else document["provenance"]["prompts"])
+    truth, numbers = read_truth(truth_file, wanted), read_tree_numbers(truth_file, wanted)
+    places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
+    centers = np.array([fruit["center"] for fruit in document["fruits"]], dtype=np.float64).reshape(-1, 3)
+    counted = assign_to_trees(centers, places)
+    trees = np.union1d(places.numbers, numbers[numbers != NO_TREE])
+    return compare(tally(numbers[truth.visible], trees), counted), compare(tally(numbers, trees), counted)
+
+
+def comparison_table(visible: TreeComparison, total: TreeComparison) -> str:
+    """A row a tree, the sum, and one line of figures for each of the two truths."""
+    rows = [
+        (str(tree), str(seen), str(every), str(counted), f"{counted - seen:+d}")
+        for tree, seen, every, counted in zip(visible.trees, visible.true, total.true, visible.counted, strict=True)
+    ]
+    sums = [int(column.sum()) for column in (visible.true, total.true, visible.counted)]
+    whole = ("sum", *(str(value) for value in sums), f"{sums[2] - sums[0]:+d}")
+    lines = [table([("tree", "visible", "true", "counted", "counted - visible"), *rows, whole])]
+    for name, comparison in (("visible fruit", visible), ("all fruit", total)):
+        lines.append(
+            f"against {name}: MAPE {comparison.mape:.1%}, bias {comparison.bias:+.2f} a tree, R² {comparison.r2:.3f}"
+        )
+    if visible.elsewhere:
+        lines.append(f"{visible.elsewhere} counted fruit belong to no tree of the row")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

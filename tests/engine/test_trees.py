@@ -1,0 +1,130 @@
+"""Counts by tree on hand-made rows with known answers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.evaluation.trees import (
+    TreeCounts,
+    TreePlaces,
+    assign_to_trees,
+    compare,
+    places_of,
+    read_places,
+    read_tree_numbers,
+    tally,
+)
+
+DIAGONAL = np.array([[0.0, 0, 1], [3, 4, 1.2], [6, 8, 0.9]])
+"""Three trees 5 apart on a row that runs across the axes."""
+
+
+def points(places: np.ndarray) -> TreePlaces:
+    return TreePlaces(np.arange(1, len(places) + 1), places, places)
+
+
+def counts(*values: int) -> TreeCounts:
+    return TreeCounts(np.arange(1, len(values) + 1), np.array(values))
+
+
+def test_a_fruit_belongs_to_the_nearest_tree_along_the_row() -> None:
+    along, across = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+    fruit = np.array([2.4 * along + 3 * across, 2.6 * along - 3 * across, 7.6 * along + [0, 0, 4]])
+    assert assign_to_trees(fruit, points(DIAGONAL)).tolist() == [1, 2, 3]
+
+
+def test_a_fruit_more_than_half_a_spacing_beyond_the_row_belongs_to_none() -> None:
+    along = np.array([0.6, 0.8, 0.0])
+    fruit = np.array([-2.3 * along, -2.8 * along, 12.3 * along, 12.8 * along]) + [0, 0, 1]
+    assert assign_to_trees(fruit, points(DIAGONAL)).tolist() == [1, 0, 3, 0]
+
+
+def test_boxes_hold_their_fruit_and_the_nearer_middle_wins_where_they_overlap() -> None:
+    boxes = TreePlaces(np.array([4, 7]), np.array([[0.0, 0, 0], [0.8, 0, 0]]), np.array([[1.0, 1, 1], [2.0, 1, 1]]))
+    fruit = np.array([[0.85, 0.5, 0.5], [0.98, 0.5, 0.5], [1.5, 0.5, 0.5], [0.5, 0.5, 1.5]])
+    assert assign_to_trees(fruit, boxes).tolist() == [4, 7, 7, 0]
+
+
+def test_nothing_counted_is_no_trees_and_no_trees_take_nothing() -> None:
+    assert assign_to_trees(np.zeros((0, 3)), points(DIAGONAL)).tolist() == []
+    assert assign_to_trees(DIAGONAL, points(np.zeros((0, 3)))).tolist() == [0, 0, 0]
+
+
+def test_a_lone_tree_takes_every_fruit() -> None:
+    assert assign_to_trees(DIAGONAL * 100, points(np.zeros((1, 3)))).tolist() == [1, 1, 1]
+
+
+def test_a_tree_stands_at_the_mean_of_its_fruit_and_fruit_of_no_tree_do_not_count() -> None:
+    places = places_of(np.array([[0.0, 0, 0], [2, 0, 0], [9, 9, 9], [5, 1, 0]]), np.array([3, 3, 0, 1]))
+    assert places.numbers.tolist() == [1, 3]
+    assert places.low.tolist() == [[5, 1, 0], [1, 0, 0]]
+
+
+def test_comparison_gives_known_errors() -> None:
+    comparison = compare(counts(10, 20, 30), np.array([1] * 9 + [2] * 22 + [3] * 30 + [0] * 4))
+    assert comparison.counted.tolist() == [9, 22, 30]
+    assert comparison.elsewhere == 4
+    assert comparison.mape == pytest.approx((0.1 + 0.1 + 0.0) / 3)
+    assert comparison.bias == pytest.approx(1 / 3)
+    assert comparison.r2 == pytest.approx(1 - 5 / 200)
+
+
+def test_a_perfect_row_has_no_error_and_r2_one() -> None:
+    comparison = compare(counts(1, 3), np.array([2, 1, 2, 2]))
+    assert (comparison.mape, comparison.bias, comparison.r2) == (0.0, 0.0, 1.0)
+
+
+def test_a_bare_tree_counts_in_the_bias_but_not_in_the_percentage() -> None:
+    comparison = compare(counts(0, 4), np.array([1, 2, 2, 2, 2]))
+    assert (comparison.mape, comparison.bias) == (0.0, 0.5)
+
+
+def test_figures_without_a_denominator_are_not_numbers() -> None:
+    assert np.isnan(compare(counts(5, 5), np.array([1, 2])).r2)
+    empty = compare(counts(), np.array([0, 0]))
+    assert np.isnan([empty.mape, empty.bias, empty.r2]).all()
+    assert empty.elsewhere == 2
+
+
+def test_tally_counts_trees_that_have_nothing() -> None:
+    assert tally(np.array([2, 2, 0, 5]), np.array([5, 2, 3])).counts.tolist() == [2, 0, 1]
+
+
+def test_tree_numbers_follow_the_labels_and_may_be_missing_for_some(tmp_path: Path) -> None:
+    fruits = [{"label": "apple", "tree": 2}, {"label": "pear", "tree": 1}, {"label": "apple", "tree": None}]
+    path = tmp_path / "truth.json"
+    path.write_text(json.dumps({"fruits": [*fruits, {"label": "apple"}]}))
+    assert read_tree_numbers(path, {"apple"}).tolist() == [2, 0, 0]
+    assert read_tree_numbers(path).tolist() == [2, 1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [('{"fruits": [{"label": "apple"}]}', "which tree"), ("[]", "not a truth"), ("{", "not a")]
+)
+def test_a_truth_without_trees_is_an_error(content: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "truth.json").write_text(content)
+    with pytest.raises(FormatError, match=said):
+        read_tree_numbers(tmp_path / "truth.json")
+
+
+def test_places_are_read_as_points_or_boxes(tmp_path: Path) -> None:
+    path = tmp_path / "trees.txt"
+    path.write_text("1 0 0 0\n2, 1, 0, 0\n".replace(",", ""))
+    assert not read_places(path).are_boxes
+    path.write_text("1,0,0,0,1,1,1\n2,3,1,1,2,0,0\n")
+    assert read_places(path).are_boxes
+    assert read_places(path).low.tolist() == [[0, 0, 0], [2, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    "content", ["1 0 0\n", "1 0 0 0 0\n", "1 0 0 0\n1 1 0 0\n", "0 0 0 0\n", "1.5 0 0 0\n", "a b\n"]
+)
+def test_a_bad_table_of_trees_says_what_is_expected(content: str, tmp_path: Path) -> None:
+    (tmp_path / "trees.txt").write_text(content)
+    with pytest.raises(FormatError, match="number x y z"):
+        read_places(tmp_path / "trees.txt")
