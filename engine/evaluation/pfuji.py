@@ -14,7 +14,7 @@ from ..errors import FormatError
 from .cloud import ColoredCloud, cloud_of
 from .imported import ImportedTruth, all_visible
 from .number_table import read_numbers
-from .sphere_fit import fit_center, fit_sphere
+from .sphere_fit import fit_sphere
 
 FloatArray = NDArray[np.float64]
 
@@ -59,12 +59,14 @@ def read_pfuji(folder: Path, part: str | None = None) -> ScannedApples:
     names = [path.stem for path in files]
     centers, fitted = [], []
     for path, points in zip(files, rows, strict=True):
-        sphere = fit_sphere(_trusted(points))
+        known, trusted = diameters.get(path.stem), _trusted(points)
+        alone = fit_sphere(trusted)
+        sphere = alone if known is None else fit_sphere(trusted, known / 2.0)
         if sphere is None:
-            raise FormatError(f"{path}: its {len(points)} points fix no sphere; expected the points of an apple")
-        known = diameters.get(path.stem)
-        centers.append(sphere.center if known is None else fit_center(_trusted(points), sphere, known / 2.0))
-        fitted.append(2.0 * sphere.radius)
+            size = "" if known is None else f" of {1000.0 * known:g} mm"
+            raise FormatError(f"{path}: its {len(points)} points fix no sphere{size}; expected the points of an apple")
+        centers.append(sphere.center)
+        fitted.append(float("nan") if alone is None else 2.0 * alone.radius)
     measured = np.array([name in diameters for name in names])
     true = np.array([diameters.get(name, fit) for name, fit in zip(names, fitted, strict=True)])
     imported = ImportedTruth(
@@ -135,8 +137,8 @@ def _remarks(fitted: FloatArray, true: FloatArray, measured: NDArray[np.bool_]) 
         remarks.append(
             f"{int((~measured).sum())} of {len(measured)} apples are not in {TABLE}: their diameter is fitted"
         )
-    if measured.any():
-        errors = fitted[measured] / true[measured] - 1.0
+    if (measured & np.isfinite(fitted)).any():
+        errors = (fitted / true - 1.0)[measured & np.isfinite(fitted)]
         remarks.append(
             f"spheres fitted to the points alone differ from the table by {np.median(errors):+.1%} in the median "
             f"and by {np.median(np.abs(errors)):.1%} in the median amount"

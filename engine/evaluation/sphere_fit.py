@@ -14,8 +14,13 @@ LEAST_POINTS = 4
 
 _TRIALS = 400
 _MOST_POINTS = 2000
-_TOLERANCE = 0.08
-"""Distance from the surface, in radii, at which a point counts a quarter in the choice among trials."""
+_TOLERANCE = 0.03
+"""Distance from the surface, in extents of the points, at which a point counts a quarter in the choice among trials.
+
+In extents, not in radii: a share of the radius would favour the large spheres that graze a leaf.
+"""
+_LEEWAY = 1.5
+"""The radius stays within this factor of its start's, and a trial's of a known one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,36 +31,22 @@ class FittedSphere:
     radius: float
 
 
-def fit_sphere(points: FloatArray, seed: int = 0) -> FittedSphere | None:
+def fit_sphere(points: FloatArray, radius: float | None = None, seed: int = 0) -> FittedSphere | None:
     """Fit a sphere to surface points (P, 3) of which a part may lie elsewhere; None where they fix none.
 
     Seeded trials of four points each; the one near most points starts a least-squares fit with redescending weights.
+    A side seen alone leaves centre and radius tied to each other: with `radius` measured only the centre is free.
     """
     points = _thinned(points)
     if len(points) < LEAST_POINTS:
         return None
     middle = points.mean(axis=0)
     local = points - middle
-    start = _best_trial(local, np.random.default_rng(seed))
+    start = _best_trial(local, radius, np.random.default_rng(seed))
     if start is None:
         return None
-    center, radius = _refined(local, start.center, start.radius, free=True)
-    return FittedSphere(center + middle, radius)
-
-
-def fit_center(points: FloatArray, start: FittedSphere, radius: float) -> FloatArray:
-    """(3,) centre of the sphere of known radius through surface points (P, 3), from a free fit of them.
-
-    A side seen alone leaves centre and radius tied to each other; with the radius measured only the centre is free.
-    """
-    points = _thinned(points)
-    middle = points.mean(axis=0)
-    toward = start.center - middle
-    length = float(np.linalg.norm(toward))
-    # From the surface seen, the centre is `radius` away, wherever the free fit put it on that line.
-    guess = toward * max(length + radius - start.radius, 0.0) / length if length > 0.0 else toward
-    center, _ = _refined(points - middle, guess, radius, free=False)
-    return center + middle
+    fitted = _refined(local, start, free=radius is None)
+    return FittedSphere(fitted.center + middle, fitted.radius)
 
 
 def _thinned(points: FloatArray) -> FloatArray:
@@ -66,9 +57,8 @@ def _thinned(points: FloatArray) -> FloatArray:
     return distinct[np.linspace(0, len(distinct) - 1, _MOST_POINTS).astype(np.int64)]
 
 
-def _best_trial(points: FloatArray, generator: np.random.Generator) -> FittedSphere | None:
-    draws = generator.integers(0, len(points), (_TRIALS, 4))
-    corners = points[draws]
+def _best_trial(points: FloatArray, radius: float | None, generator: np.random.Generator) -> FittedSphere | None:
+    corners = points[generator.integers(0, len(points), (_TRIALS, 4))]
     edges = 2.0 * (corners[:, 1:] - corners[:, :1])
     squares = (corners[:, 1:] ** 2).sum(axis=2) - (corners[:, :1] ** 2).sum(axis=2)
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -77,24 +67,26 @@ def _best_trial(points: FloatArray, generator: np.random.Generator) -> FittedSph
         return None
     centers = np.linalg.solve(edges[solvable], squares[solvable][:, :, None])[:, :, 0]
     radii = np.linalg.norm(corners[solvable, 0] - centers, axis=1)
-    plausible = (radii < 2.0 * extent) & (radii > 0.1 * extent)  # a larger one is a plane, a smaller one a few points
+    # A larger sphere than these is a plane, a smaller one a few points.
+    low, high = (0.1 * extent, 1.5 * extent) if radius is None else (radius / _LEEWAY, radius * _LEEWAY)
+    plausible = (radii > low) & (radii < high)
     if not plausible.any():
         return None
     centers, radii = centers[plausible], radii[plausible]
     errors = np.abs(np.linalg.norm(points[None] - centers[:, None], axis=2) - radii[:, None])
-    scores = (1.0 / (1.0 + (errors / (_TOLERANCE * radii[:, None])) ** 2) ** 2).sum(axis=1)
-    best = int(scores.argmax())
-    return FittedSphere(centers[best], float(radii[best]))
+    best = int((1.0 / (1.0 + (errors / (_TOLERANCE * extent)) ** 2) ** 2).sum(axis=1).argmax())
+    return FittedSphere(centers[best], float(radii[best]) if radius is None else radius)
 
 
-def _refined(points: FloatArray, center: FloatArray, radius: float, *, free: bool) -> tuple[FloatArray, float]:
+def _refined(points: FloatArray, start: FittedSphere, *, free: bool) -> FittedSphere:
     """Gauss-Newton on the distances from the surface; weights fall off beyond a width that narrows."""
+    center, radius = start.center, start.radius
     for step in range(30):
         offset = points - center
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
         outward = offset / distance[:, None]
         error = distance - radius
-        width = max(0.3 - 0.03 * step, _TOLERANCE) * radius
+        width = max(0.3 - 0.03 * step, 0.08) * radius
         weight = 1.0 / (1.0 + (error / width) ** 2) ** 2
         columns = np.concatenate([outward, np.ones((len(points), 1))], axis=1) if free else outward
         normal = (columns * weight[:, None]).T @ columns
@@ -103,5 +95,5 @@ def _refined(points: FloatArray, center: FloatArray, radius: float, *, free: boo
         move *= min(1.0, 0.5 * radius / max(float(np.linalg.norm(move[:3])), 1e-12))
         center = center + move[:3]
         if free:
-            radius = float(np.clip(radius + move[3], 0.5 * radius, 2.0 * radius))
-    return center, radius
+            radius = float(np.clip(radius + move[3], start.radius / _LEEWAY, start.radius * _LEEWAY))
+    return FittedSphere(center, radius)

@@ -10,7 +10,7 @@ import pytest
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.fuji import read_fuji_cloud, read_fuji_truth
 from fruitlangs.engine.evaluation.pfuji import read_pfuji
-from fruitlangs.engine.evaluation.sphere_fit import fit_center, fit_sphere
+from fruitlangs.engine.evaluation.sphere_fit import fit_sphere
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
 
@@ -185,10 +185,27 @@ def test_points_that_fix_no_sphere_name_their_apple(orchard: Path) -> None:
         read_pfuji(orchard, "2018_01")
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_known_radius_places_a_half_seen_sphere_within_a_tenth_of_it(seed: int) -> None:
-    points = shell([3.0, -2.0, 1.0], 0.08, seed=seed, noise=0.002)
-    sphere = fit_sphere(points)
-    assert sphere is not None
-    assert sphere.radius == pytest.approx(0.04, rel=0.1)
-    assert np.linalg.norm(fit_center(points, sphere, 0.04) - [3.0, -2.0, 1.0]) < 0.004
+def test_half_seen_spheres_beside_a_leaf_are_found_with_and_without_their_radius() -> None:
+    center = [3.0, -2.0, 1.0]
+    for seed in range(30):
+        points = shell(center, 0.08, seed=seed, noise=0.002)
+        free, known = fit_sphere(points), fit_sphere(points, 0.04)
+        assert free is not None
+        assert known is not None
+        assert free.radius == pytest.approx(0.04, rel=0.1)
+        assert known.radius == 0.04
+        assert np.linalg.norm(known.center - center) < 0.002
+
+
+def test_a_measured_diameter_steadies_the_centre_of_a_small_cap() -> None:
+    errors = []
+    for seed in range(20):
+        points = shell([0.0, 0.0, 0.0], 0.08, count=4000, seed=seed, noise=0.003)[:4000]
+        cap = points[points[:, 0] < -0.028]
+        free, known = fit_sphere(cap), fit_sphere(cap, 0.04)
+        assert free is not None
+        assert known is not None
+        errors.append([np.linalg.norm(free.center), np.linalg.norm(known.center)])
+    medians = np.median(errors, axis=0)
+    assert medians[1] < 0.005
+    assert medians[0] > 1.3 * medians[1]
