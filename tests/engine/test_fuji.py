@@ -140,9 +140,9 @@ def test_pfuji_takes_diameters_from_the_table_and_centres_from_the_points(orchar
 def test_pfuji_trusts_points_that_more_than_one_photo_confirms(orchard: Path) -> None:
     path = orchard / "3-apple_point_clouds" / "2018_01_001.txt"
     rows = np.loadtxt(path)
-    strays = rows.copy()
-    strays[:, :3], strays[:, 7] = shell([0.3, 0.2, 1.0], 0.080), 1.0
-    np.savetxt(path, np.vstack([rows, strays, strays]))
+    strays = np.tile(rows, (4, 1))
+    strays[:, :3], strays[:, 7] = shell([0.3, 0.2, 1.0], 0.080, count=4 * 600, seed=9), 1.0
+    np.savetxt(path, np.vstack([rows, strays]))
     assert np.abs(read_pfuji(orchard, "2018_01").truth.truth.centers[0] - [0.1, 0.2, 1.0]).max() < 0.001
 
 

@@ -34,7 +34,7 @@ def counts(*values: int) -> TreeCounts:
 
 def test_a_fruit_belongs_to_the_nearest_tree_along_the_row() -> None:
     along, across = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
-    fruit = np.array([2.4 * along + 3 * across, 2.6 * along - 3 * across, 7.6 * along + [0, 0, 4]])
+    fruit = np.array([2.4 * along - 3 * across, 2.6 * along + 3 * across, 7.6 * along + [0, 0, 4]])
     assert assign_to_trees(fruit, points(DIAGONAL)).tolist() == [1, 2, 3]
 
 
