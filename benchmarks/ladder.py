@@ -19,9 +19,8 @@ from ..engine.evaluation.calibration import calibration_error
 from ..engine.evaluation.judgement import Judgement, judge
 from ..engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
 from ..engine.evaluation.renders import DEPTH, INSTANCES
-from ..engine.evaluation.truth import Truth, read_truth, read_views
+from ..engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 from ..engine.files import file_hash, files_hash, write_text
-from ..engine.language.vocabulary import parse
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.read import scene_hash
 from .mistakes import draw_mistakes
@@ -123,19 +122,6 @@ def climb(
         report(_line(row))
         rows.append(row)
     return rows
-
-
-def true_labels(prompts: Sequence[str]) -> set[str]:
-    """Labels of true fruit that satisfy any of the prompts, whatever their colour: "red apple" counts apples.
-
-    Raises:
-        VocabularyError: a prompt names no thing.
-    """
-    phrases = [parse(prompt) for prompt in prompts]
-    for phrase in phrases:
-        if not phrase.concepts:
-            raise VocabularyError(f"the prompt '{phrase.text}' names no fruit to measure against; give --label")
-    return {concept for phrase in phrases for concept in phrase.concepts}
 
 
 def _measured(row: RungRow, counted: Counted, truth: Truth | None) -> RungRow:

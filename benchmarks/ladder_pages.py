@@ -26,13 +26,14 @@ STAGES = ("counting", "Gaussians", "masks", "poses")
 
 @dataclass(frozen=True)
 class Loss:
-    """F1 at half a diameter that each of STAGES loses, NaN where a rung that tells is missing."""
+    """F1 at half a diameter that each of STAGES loses, NaN where a rung that tells is missing; largest: which loses
+    most, empty where none loses."""
 
     stages: tuple[float, ...]
 
     @property
     def largest(self) -> str:
-        known = [(loss, name) for loss, name in zip(self.stages, STAGES, strict=True) if not math.isnan(loss)]
+        known = [(loss, name) for loss, name in zip(self.stages, STAGES, strict=True) if loss > 0.0]
         return max(known, key=lambda pair: pair[0])[1] if known else ""
 
 
@@ -106,7 +107,7 @@ def rung_table(rows: Sequence[RungRow]) -> str:
         lines.append([scene, visible, *(_f1_cell(own.get(name)) for name in names), loss.largest])
     summaries = {name: summarise(_metrics(rows, name)) for name in names}
     last = losses({name: summary.f1 for name, summary in summaries.items() if summary.scenes})
-    lines.append(["mean F1", "", *(_number(summaries[name].f1) for name in names), last.largest])
+    lines.append(["mean F1", "", *(_number(summaries[name].f1) + _some(rows, name) for name in names), last.largest])
     lines.append(["mean precision", "", *(_number(summaries[name].precision) for name in names), ""])
     lines.append(["mean recall", "", *(_number(summaries[name].recall) for name in names), ""])
     lines.append(["bias of all counts", "", *(_percent(summaries[name].bias, sign=True) for name in names), ""])
@@ -191,6 +192,13 @@ def _split(table: str) -> list[list[str]]:
 
 def _metrics(rows: Sequence[RungRow], rung: str) -> list[CountMetrics]:
     return [row.near for row in rows if row.rung == rung and row.near]
+
+
+def _some(rows: Sequence[RungRow], rung: str) -> str:
+    """Says of a mean how many of the scenes it holds, where a rung failed on some."""
+    own = [row for row in rows if row.rung == rung]
+    failed = sum(bool(row.failed) for row in own)
+    return f" ({len(own) - failed} of {len(own)})" if failed else ""
 
 
 def _f1_cell(row: RungRow | None) -> str:

@@ -65,6 +65,16 @@ def _leave(line: str, code: int) -> NoReturn:
     sys.exit(code)
 
 
+def table(rows: list[tuple[str, ...]]) -> str:
+    """Rows of cells in aligned columns."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    first, *others = widths
+    return "\n".join(
+        "  ".join([row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], others, strict=True))])
+        for row in rows
+    )
+
+
 def terminal_progress() -> Progress:
     """A bar on a terminal, nothing in a log."""
     if not sys.stderr.isatty():

@@ -17,20 +17,18 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
-from evaluate import labels, table
 
-from fruitlangs.engine.errors import FruitLangsError
+from _terminal import table
+from fruitlangs.engine.errors import FormatError, FruitLangsError
 from fruitlangs.engine.evaluation.trees import (
-    NO_TREE,
     TreeComparison,
     assign_to_trees,
     compare,
     places_of,
     read_places,
-    read_tree_numbers,
     tally,
 )
-from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.evaluation.truth import NO_TREE, read_truth, true_labels
 from fruitlangs.engine.report.results import read_results
 
 
@@ -56,8 +54,11 @@ def compare_row(
 ) -> tuple[TreeComparison, TreeComparison]:
     """The counted fruit of a result folder against visible fruit and against all fruit, by tree."""
     document = read_results(folder, verify=False)
-    wanted = labels([label] if label else document["provenance"]["prompts"])
-    truth, numbers = read_truth(truth_file, wanted), read_tree_numbers(truth_file, wanted)
+    wanted = true_labels([label] if label else document["provenance"]["prompts"])
+    truth = read_truth(truth_file, wanted)
+    numbers = truth.trees
+    if numbers is None or not numbers.any():
+        raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on; expected a number as its tree")
     places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
     centers = np.array([fruit["center"] for fruit in document["fruits"]], dtype=np.float64).reshape(-1, 3)
     counted = assign_to_trees(centers, places)

@@ -24,15 +24,15 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from _terminal import arguments_of, import_tyro, preset_of, run, terminal_progress
-from fruitlangs.benchmarks.ladder import RungRow, climb, true_labels
+from _terminal import arguments_of, import_tyro, preset_of, run, table, terminal_progress
+from fruitlangs.benchmarks.ladder import RungRow, climb
 from fruitlangs.benchmarks.ladder_pages import rung_table, write_pages
 from fruitlangs.benchmarks.orchards import scene_folder
 from fruitlangs.benchmarks.results import publish
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError, FruitLangsError
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics
-from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.evaluation.truth import read_truth, true_labels
 from fruitlangs.engine.progress import part
 from fruitlangs.engine.report.results import read_results
 
@@ -160,16 +160,6 @@ def cells(name: str, metrics: CountMetrics) -> tuple[str, ...]:
         f"{metrics.center_error:.3f}",
         f"{metrics.diameter_error:.1%}",
         f"{metrics.diameter_bias:+.1%}",
-    )
-
-
-def table(rows: list[tuple[str, ...]]) -> str:
-    """Rows of cells in aligned columns."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    first, *others = widths
-    return "\n".join(
-        "  ".join([row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], others, strict=True))])
-        for row in rows
     )
 
 

@@ -87,8 +87,8 @@ def _read(arguments: argparse.Namespace) -> tuple[ImportedTruth, ColoredCloud | 
 def _summary(imported: ImportedTruth) -> list[str]:
     diameters = imported.truth.diameters
     lines = [f"{len(diameters)} {imported.label}, mean diameter {np.mean(diameters):.4g} scene units"]
-    if imported.trees is not None:
-        counts = tally(imported.trees, imported.trees)
+    if imported.truth.trees is not None:
+        counts = tally(imported.truth.trees, imported.truth.trees)
         pairs = zip(counts.trees, counts.counts, strict=True)
         lines.append("by tree: " + ", ".join(f"{tree}: {count}" for tree, count in pairs))
     return lines + [f"note: {remark}" for remark in imported.remarks]

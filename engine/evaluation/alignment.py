@@ -19,7 +19,10 @@ _OUTLIER = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """p ↦ scale · rotation · p + translation. scale: target units a source unit; rotation: (3, 3); translation: (3,)."""
+    """p ↦ scale · rotation · p + translation.
+
+    scale: target units a source unit; rotation: (3, 3); translation: (3,) target units.
+    """
 
     scale: float
     rotation: FloatArray

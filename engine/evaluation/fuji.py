@@ -48,9 +48,8 @@ def read_fuji_truth(folder: Path) -> ImportedTruth:
     return ImportedTruth(
         layout=LAYOUT,
         label="apple",
-        truth=all_visible(corners.mean(axis=1), sides.mean(axis=1)),
+        truth=all_visible(corners.mean(axis=1), sides.mean(axis=1), np.array([tree for tree, _, _ in named])),
         names=tuple(f"Tree{tree:02d}_{number:06d}" for tree, number, _ in named),
-        trees=np.array([tree for tree, _, _ in named], dtype=np.int64),
         metres_per_unit=1.0,
         remarks=(
             "diameters are mean sides of hand-drawn boxes",

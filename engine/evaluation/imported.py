@@ -27,18 +27,18 @@ class ImportedTruth:
     """The fruit. Published layouts do not say what each photo shows: every fruit is visible, all of it."""
     names: tuple[str, ...]
     """(M,) what the layout calls each fruit."""
-    trees: NDArray[np.int64] | None = None
-    """(M,) number of the tree each fruit hangs on; None where the layout does not say."""
     metres_per_unit: float | None = None
     """None where the layout does not say."""
     remarks: tuple[str, ...] = ()
     """What a reader should know before trusting it, a line each."""
 
 
-def all_visible(centers: NDArray[np.float64], diameters: NDArray[np.float64]) -> Truth:
+def all_visible(
+    centers: NDArray[np.float64], diameters: NDArray[np.float64], trees: NDArray[np.int64] | None = None
+) -> Truth:
     """Truth of fruit (M, 3), (M,) of which the layout does not tell what is seen: visible, fraction 1."""
     count = len(diameters)
-    return Truth(centers.reshape(-1, 3), diameters, np.ones(count, dtype=bool), np.ones(count))
+    return Truth(centers.reshape(-1, 3), diameters, np.ones(count, dtype=bool), np.ones(count), trees=trees)
 
 
 def transformed(imported: ImportedTruth, similarity: NDArray[np.float64]) -> ImportedTruth:
@@ -90,7 +90,7 @@ def write_truth(path: Path, imported: ImportedTruth) -> None:
             "visible_fraction": round(float(truth.visible_fractions[index]), 4),
             "visible": bool(truth.visible[index]),
             "name": imported.names[index],
-            **({} if imported.trees is None else {"tree": int(imported.trees[index])}),
+            **({} if truth.trees is None else {"tree": int(truth.trees[index])}),
         }
         for index in range(len(truth.diameters))
     ]

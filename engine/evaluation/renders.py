@@ -18,7 +18,7 @@ MILLIMETRE = 1e-3
 """Depth pictures count in thousandths of a scene unit along the optical axis, as nerfstudio's do; 0 is nothing."""
 
 LEAST_AGREEMENT = 0.5
-"""Share of the visible fruit that must be seen where the truth says they are."""
+"""Share of all the masks of visible fruit that must lie where the truth says the fruit are."""
 
 
 def read_instances(scene_folder: Path, scene: Scene) -> list[NDArray[np.uint16]]:
@@ -43,24 +43,26 @@ def read_depths(scene_folder: Path, scene: Scene) -> list[NDArray[np.float32]]:
 def check_instances(truth: Truth, cameras: Sequence[Camera], instances: Sequence[NDArray[np.uint16]]) -> None:
     """Refuse a truth that is of other pictures than these.
 
-    Of the visible fruit at least half must be seen within a radius of their projected centre in some view.
+    At least half of the masks of all visible fruit must reach into the disc that the fruit's sphere would fill there.
 
     Raises:
-        FormatError: they are not, or the truth has no ids to look for.
+        FormatError: they do not, or the truth has no ids to look for.
     """
     if truth.ids is None:
         raise FormatError("the truth has no fruit ids, so its instance masks mean nothing; make the scene again")
-    found = 0
+    masks, agreeing = 0, 0
     visible = np.flatnonzero(truth.visible)
-    for fruit in visible:
-        found += any(
+    for camera, mask in zip(cameras, instances, strict=True):
+        shown = np.isin(truth.ids[visible], np.unique(mask))
+        masks += int(shown.sum())
+        agreeing += sum(
             _seen_at(camera, mask, truth.centers[fruit], truth.diameters[fruit], int(truth.ids[fruit]))
-            for camera, mask in zip(cameras, instances, strict=True)
+            for fruit in visible[shown]
         )
-    if found < LEAST_AGREEMENT * len(visible):
+    if len(visible) and agreeing < max(LEAST_AGREEMENT * masks, 1):
         raise FormatError(
-            f"only {found} of {len(visible)} visible fruit of the truth are in the masks where it says they are; "
-            "the truth is of another scene: make the scene again"
+            f"only {agreeing} of {masks} masks of visible fruit are where the truth says the fruit are; "
+            "it is the truth of another scene: make the scene again"
         )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +10,10 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError
 from .number_table import read_numbers
+from .truth import NO_TREE
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-NO_TREE = 0
-"""The number of a fruit that belongs to no tree of the row; trees count from 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,27 +109,6 @@ def compare(true: TreeCounts, counted: IntArray) -> TreeComparison:
         bias=float(errors.mean()) if len(errors) else float("nan"),
         r2=1.0 - float((errors**2).sum()) / spread if spread > 0.0 else float("nan"),
     )
-
-
-def read_tree_numbers(path: Path, labels: Collection[str] | None = None) -> IntArray:
-    """(M,) the tree of each fruit of a truth.json, in the order of `read_truth` with the same labels.
-
-    A fruit without a tree, such as one of a neighbouring row, has `tree` null or 0.
-
-    Raises:
-        FormatError: the file cannot be read, or no fruit has the field `tree`.
-    """
-    try:
-        listed = json.loads(path.read_text(encoding="utf-8"))["fruits"]
-        trees = [fruit.get("tree") for fruit in listed if labels is None or fruit["label"] in labels]
-        numbers = np.array([NO_TREE if tree is None else int(tree) for tree in trees], dtype=np.int64)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror}); expected the truth.json of a row") from error
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise FormatError(f"{path}: not a truth.json ({error!r}); expected the truth.json of a row") from error
-    if not numbers.any():
-        raise FormatError(f"{path}: none of its fruit says which tree it hangs on; expected a number in the field tree")
-    return numbers
 
 
 def read_places(path: Path) -> TreePlaces:

@@ -11,7 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError
+from ..errors import FormatError, VocabularyError
+from ..language.vocabulary import parse
+
+NO_TREE = 0
+"""The number of a fruit that belongs to no tree of the row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +24,7 @@ class Truth:
 
     centers: (M, 3); diameters: (M,) scene units; visible: (M,) at least 3 views show 10 % and 12 pixels of it;
     visible_fractions: (M,) largest over views of its unoccluded share; ids: (M,) their values in the instance masks,
-    trees: (M,) the number of the tree each belongs to, both None where the truth does not say.
+    trees: (M,) the number of the tree each belongs to, from 1, or NO_TREE; both None where the truth does not say.
     """
 
     centers: NDArray[np.float64]
@@ -53,8 +57,8 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
             diameters=np.array([fruit["diameter"] for fruit in fruits], dtype=np.float64),
             visible=np.array([fruit["visible"] for fruit in fruits], dtype=bool),
             visible_fractions=np.array([fruit["visible_fraction"] for fruit in fruits], dtype=np.float64),
-            ids=_numbers(fruits, "id"),
-            trees=_numbers(fruits, "tree"),
+            ids=_ids(fruits),
+            trees=_trees(fruits),
         )
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error
@@ -76,11 +80,31 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
     return truth
 
 
-def _numbers(fruits: Sequence[Mapping[str, Any]], field: str) -> NDArray[np.int64] | None:
-    """A field that truths of other origin may lack; None unless every fruit has it."""
-    if not all(field in fruit for fruit in fruits):
+def true_labels(prompts: Sequence[str]) -> set[str]:
+    """Labels of true fruit that satisfy any of the prompts, whatever their colour: "red apple" counts apples.
+
+    Raises:
+        VocabularyError: a prompt names no thing.
+    """
+    phrases = [parse(prompt) for prompt in prompts]
+    for phrase in phrases:
+        if not phrase.concepts:
+            raise VocabularyError(f"the prompt '{phrase.text}' names no fruit to measure against; give --label")
+    return {concept for phrase in phrases for concept in phrase.concepts}
+
+
+def _ids(fruits: Sequence[Mapping[str, Any]]) -> NDArray[np.int64] | None:
+    if not all("id" in fruit for fruit in fruits):
         return None
-    return np.array([fruit[field] for fruit in fruits], dtype=np.int64)
+    return np.array([fruit["id"] for fruit in fruits], dtype=np.int64)
+
+
+def _trees(fruits: Sequence[Mapping[str, Any]]) -> NDArray[np.int64] | None:
+    """Tree numbers; null is a fruit of no tree, such as one on the ground or of a row behind."""
+    if not any("tree" in fruit for fruit in fruits):
+        return None
+    trees = [fruit.get("tree") for fruit in fruits]
+    return np.array([NO_TREE if tree is None else tree for tree in trees], dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)

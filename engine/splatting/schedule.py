@@ -21,6 +21,7 @@ LEAST_OVERSIZE, OVERSIZE_GAUSSIANS = 0.1, 700
 """The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more where fewer than 70,000
 Gaussians share the scene, since N of them cover it when their size goes with 1 / √N."""
 
+
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """The settings of a training, spread over its steps."""

@@ -37,8 +37,8 @@ def row(tmp_path: Path) -> Path:
 
 def test_fuji_boxes_give_centre_diameter_and_tree(row: Path) -> None:
     imported = read_fuji_truth(row)
-    assert imported.trees is not None
-    assert imported.trees.tolist() == [2, 2, 10]
+    assert imported.truth.trees is not None
+    assert imported.truth.trees.tolist() == [2, 2, 10]
     assert imported.names == ("Tree02_000003", "Tree02_000007", "Tree10_000001")
     assert np.allclose(imported.truth.centers, [[11.5, 68.0, 309.0], [11.5, 68.2, 310.0], [11.6, 74.0, 311.0]])
     assert imported.truth.diameters == pytest.approx([0.07, 0.08, 0.08])

@@ -16,9 +16,9 @@ from fruitlangs.engine.evaluation.trees import (
     compare,
     places_of,
     read_places,
-    read_tree_numbers,
     tally,
 )
+from fruitlangs.engine.evaluation.truth import read_truth
 
 DIAGONAL = np.array([[0.0, 0, 1], [3, 4, 1.2], [6, 8, 0.9]])
 """Three trees 5 apart on a row that runs across the axes."""
@@ -96,20 +96,14 @@ def test_tally_counts_trees_that_have_nothing() -> None:
 
 
 def test_tree_numbers_follow_the_labels_and_may_be_missing_for_some(tmp_path: Path) -> None:
-    fruits = [{"label": "apple", "tree": 2}, {"label": "pear", "tree": 1}, {"label": "apple", "tree": None}]
+    common = {"center": [0, 0, 0], "diameter": 1, "visible": True, "visible_fraction": 1}
+    trees = [{"label": "apple", "tree": 2}, {"label": "pear", "tree": 1}, {"label": "apple", "tree": None}]
     path = tmp_path / "truth.json"
-    path.write_text(json.dumps({"fruits": [*fruits, {"label": "apple"}]}))
-    assert read_tree_numbers(path, {"apple"}).tolist() == [2, 0, 0]
-    assert read_tree_numbers(path).tolist() == [2, 1, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("content", "said"), [('{"fruits": [{"label": "apple"}]}', "which tree"), ("[]", "not a truth"), ("{", "not a")]
-)
-def test_a_truth_without_trees_is_an_error(content: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "truth.json").write_text(content)
-    with pytest.raises(FormatError, match=said):
-        read_tree_numbers(tmp_path / "truth.json")
+    path.write_text(json.dumps({"fruits": [{**common, **fruit} for fruit in [*trees, {"label": "apple"}]]}))
+    apples, fruit = read_truth(path, {"apple"}).trees, read_truth(path).trees
+    assert apples is not None
+    assert fruit is not None
+    assert (apples.tolist(), fruit.tolist()) == ([2, 0, 0], [2, 1, 0, 0])
 
 
 def test_places_are_read_as_points_or_boxes(tmp_path: Path) -> None:

@@ -68,8 +68,8 @@ def test_a_truth_of_another_scene_is_refused(folder: Path) -> None:
     scene, truth = read_scene(folder), read_truth(folder / "truth.json")
     instances = read_instances(folder, scene)
     check_instances(truth, scene.cameras, instances)
-    truth.centers[:] += [0.0, 0.0, 1.0]
-    with pytest.raises(FormatError, match="0 of 5 visible fruit"):
+    truth.centers[:] += [1.0, 0.0, 0.0]
+    with pytest.raises(FormatError, match="masks of visible fruit"):
         check_instances(truth, scene.cameras, instances)
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from fruitlangs.engine.errors import FruitLangsError
 
-def measured(folder: Path, prompts: list[str], *flags: str) -> int:
-    """Exit code of evaluate.py on two fruit counted by `prompts`, in a truth of an apple, a pear and a plum."""
+
+def measured(folder: Path, prompts: list[str], *flags: str) -> None:
+    """Run evaluate.py on two fruit counted by `prompts`, in a truth of an apple, a pear and a plum."""
     names, places = ("apple", "pear", "plum"), ([0, 0, 0], [1, 0, 0], [2, 0, 0])
     true = [
         {"label": name, "center": place, "diameter": 0.1, "visible": True, "visible_fraction": 1.0}
@@ -24,7 +26,11 @@ def measured(folder: Path, prompts: list[str], *flags: str) -> int:
     document = {"schema": "fruitlangs.fruits/1", "set_id": "", "fruits": found, "config": {}, "files": {}}
     content = {**document, "metres_per_unit": None, "provenance": provenance}
     (folder / "fruits.json").write_text(json.dumps(content))
-    return importlib.import_module("evaluate").main([str(folder), "--truth", str(folder / "truth.json"), *flags])
+    evaluate(str(folder), "--truth", str(folder / "truth.json"), *flags)
+
+
+def evaluate(*arguments: str) -> None:
+    importlib.import_module("evaluate").main(arguments)
 
 
 def visible(printed: str) -> str:
@@ -36,25 +42,36 @@ def visible(printed: str) -> str:
     ("prompts", "true"), [(["apple", "pear"], "2"), (["red apple"], "1"), (["apples"], "1"), (["fruit"], "3")]
 )
 def test_a_count_is_measured_against_every_thing_its_prompts_name(prompts, true, tmp_path, capsys) -> None:
-    assert measured(tmp_path, prompts) == 0
+    measured(tmp_path, prompts)
     assert visible(capsys.readouterr().out) == true
 
 
 @pytest.mark.parametrize(("prompts", "said"), [(["red"], "names no fruit"), (["lemon"], "no true lemon")])
-def test_prompts_without_any_true_fruit_are_an_error(prompts, said, tmp_path, capsys) -> None:
-    assert measured(tmp_path, prompts) == 1
-    assert said in capsys.readouterr().err
+def test_prompts_without_any_true_fruit_are_an_error(prompts, said, tmp_path) -> None:
+    with pytest.raises(FruitLangsError, match=said):
+        measured(tmp_path, prompts)
 
 
 def test_a_label_goes_before_the_prompts(tmp_path, capsys) -> None:
-    assert measured(tmp_path, ["red"], "--label", "plum") == 0
+    measured(tmp_path, ["red"], "--label", "plum")
     assert visible(capsys.readouterr().out) == "1"
 
 
-def test_a_damaged_result_is_one_clear_line(tmp_path, capsys) -> None:
+def test_a_damaged_result_is_named(tmp_path, capsys) -> None:
     measured(tmp_path, ["apple"])
     (tmp_path / "fruits.json").write_text('{"schema": "fruitlangs.fruits/1"}')
-    capsys.readouterr()
-    evaluate = importlib.import_module("evaluate")
-    assert evaluate.main([str(tmp_path), "--truth", str(tmp_path / "truth.json")]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    with pytest.raises(FruitLangsError, match=r"fruits\.json"):
+        evaluate(str(tmp_path), "--truth", str(tmp_path / "truth.json"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["somewhere"], "give --out DIR"),
+        (["somewhere", "--out", "a", "--truth", "b"], "and not both"),
+        (["--truth", "truth.json"], "nothing is given"),
+    ],
+)
+def test_a_command_line_that_measures_nothing_is_an_error(arguments, said) -> None:
+    with pytest.raises(FruitLangsError, match=said):
+        evaluate(*arguments)

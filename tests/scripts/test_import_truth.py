@@ -17,7 +17,7 @@ CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def run(script: str, *arguments: object) -> int:
-    return importlib.import_module(script).main([str(argument) for argument in arguments])
+    return importlib.import_module(script).main([str(argument) for argument in arguments]) or 0
 
 
 @pytest.fixture
