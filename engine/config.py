@@ -67,6 +67,24 @@ class SceneConfig(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PhotosConfig(_Checked):
+    """How cameras are found for photos that come without a model (structure from motion)."""
+
+    max_side: int = _number(1600, 64, LARGEST)
+    """Features are sought in copies of the photos whose longer side has at most this many pixels."""
+    max_features: int = _number(8192, 100, LARGEST)
+    """Most features kept of a photo."""
+    exhaustive_up_to: int = _number(200, 3, LARGEST)
+    """Up to this many photos each is compared with each; more are compared with their neighbours in name order."""
+    overlap: int = _number(20, 1, LARGEST)
+    """How many photos after it each one of a long walk is compared with."""
+    upright: bool = False
+    """The camera was held the same way up for all photos, as on a walk: finds more matches then, and few where not."""
+    seed: int = _number(0, 0, LARGEST)
+    """Seed of every random choice when cameras are found."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainConfig(_Checked):
     """How Gaussians are trained from the photos."""
 
@@ -197,6 +215,8 @@ class Config:
 
     scene: SceneConfig = field(default_factory=SceneConfig)
     """Photos and cameras."""
+    photos: PhotosConfig = field(default_factory=PhotosConfig)
+    """Cameras from photos alone."""
     train: TrainConfig = field(default_factory=TrainConfig)
     """Gaussians."""
     embed: EmbedConfig = field(default_factory=EmbedConfig)
@@ -211,7 +231,13 @@ class Config:
         Raises:
             ConfigError: it was written by another version with other settings.
         """
-        stages = {"scene": SceneConfig, "train": TrainConfig, "embed": EmbedConfig, "count": CountConfig}
+        stages = {
+            "scene": SceneConfig,
+            "photos": PhotosConfig,
+            "train": TrainConfig,
+            "embed": EmbedConfig,
+            "count": CountConfig,
+        }
         try:
             return cls(**{name: stage(**document[name]) for name, stage in stages.items()})
         except (KeyError, TypeError) as error:

@@ -38,7 +38,7 @@ from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_resu
 from .report.tables import fruits_csv
 from .scene.camera import Scene
 from .scene.photo import FilePhoto
-from .scene.read import read_scene, scene_hash
+from .scene.source import Source, photos_alone, pose_photos, posed_before
 from .scene.stored import dump_cameras, read_cameras
 from .splatting.gaussians import Gaussians
 from .splatting.ply import read_ply, write_ply
@@ -122,7 +122,8 @@ def count_scene(
     """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
 
     Args:
-        source: a COLMAP model with its images, a transforms.json or its folder, or an earlier result folder.
+        source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, or an
+            earlier result folder.
         prompts: what to count; fitting any of them is enough.
         negatives: what must not be counted, beside what the encoder contrasts by itself.
         writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
@@ -137,7 +138,7 @@ def count_scene(
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
     stages = _Stages()
     if (source / FRUITS_JSON).is_file():
-        made = _reopen(source, encoder, config, stages)
+        made = _reopen(source, out, encoder, config, stages)
         require_writable(out / "cache")
     elif out.resolve() == (source.parent if source.is_file() else source).resolve():
         raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
@@ -181,9 +182,18 @@ def _reconstruct(
     source: Path, cache: Path, encoder: Encoder, config: Config, stages: _Stages, progress: Progress
 ) -> Reconstruction:
     """Photos → Gaussians → features, each from the cache where it is there."""
+    found, start = Source(path=source), 0.0
+    photos = photos_alone(source)
+    if photos is not None:
+        start = 0.4
+        with stages.timed("photos"):
+            found = pose_photos(photos, cache, config.photos, progress=part(progress, 0.0, start))
+        stages.notices += found.notices
+        stages.reused += ["photos"] if found.reused else []
+    progress = part(progress, start, 1.0)
     with stages.timed("scene"):
-        scene = read_scene(source, config.scene, progress=part(progress, 0.0, 0.03))
-        inputs = scene_hash(source)
+        scene = found.read(config.scene, progress=part(progress, 0.0, 0.03))
+        inputs = found.hash()
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
     largest = max((max(header.width, header.height) for header in headers), default=0)
     if 0 < config.scene.max_side < largest / config.scene.downscale:
@@ -262,12 +272,12 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)
 
 
-def _reopen(folder: Path, encoder: Encoder, config: Config, stages: _Stages) -> Reconstruction:
+def _reopen(folder: Path, out: Path, encoder: Encoder, config: Config, stages: _Stages) -> Reconstruction:
     """An earlier result folder: its Gaussians and features as they are, its photos where they still are."""
     with stages.timed("scene"):
         document = read_results(folder)
         stored = Config.from_document(document["config"])
-        for name in ("scene", "train", "embed"):
+        for name in ("scene", "photos", "train", "embed"):
             asked = getattr(config, name)
             if asked not in (getattr(stored, name), getattr(Config(), name)):
                 raise ConfigError(
@@ -282,13 +292,17 @@ def _reopen(folder: Path, encoder: Encoder, config: Config, stages: _Stages) -> 
             )
         scene = read_cameras(folder / CAMERAS)
         origin = {key: document["provenance"][key] for key in ("source", "inputs_sha256", "encoder", "training")}
-        photos = Path(origin["source"])
+        source = Path(origin["source"])
         # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
         with suppress(FruitLangsError):
-            if scene_hash(photos) == origin["inputs_sha256"]:
-                scene = read_scene(photos, stored.scene)
+            photos = photos_alone(source)
+            found = Source(path=source)
+            if photos is not None:
+                found = posed_before(photos, folder / "cache", out / "cache", stored.photos)
+            if found.hash() == origin["inputs_sha256"]:
+                scene = found.read(stored.scene)
         if not scene.images:
-            stages.notices.append(f"the photos at {photos} are gone or have changed: no pictures were made")
+            stages.notices.append(f"the photos at {source} are gone or have changed: no pictures were made")
     stages.reused += ["train", "embed"]
     return Reconstruction(
         scene=scene,

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..engine.progress import part
 from .jobs import JobOperator, Work, running
-from .settings import read_config, source_folder, stored_path
+from .settings import read_config, result_folder, source_folder, stored_path
 from .target import Target
 from .viewport import look_at_scene, show_colors, shown_screens
 from .write_cameras import write_cameras
@@ -19,7 +20,7 @@ from .write_points import write_points
 from .write_root import write_root
 
 if TYPE_CHECKING:
-    from ..engine.config import SceneConfig
+    from ..engine.config import Config
     from ..engine.progress import Progress
     from ..engine.scene.camera import Scene
 
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.import_scene"
     bl_label = "Import Scene"
-    bl_description = "Show the cameras and the sparse points of a COLMAP model with its photos, or of an earlier result"
+    bl_description = (
+        "Show the cameras and the sparse points of photos, with a COLMAP model or alone, or of an earlier result"
+    )
     bl_options = {"UNDO"}
 
     title = "Import"
@@ -52,9 +55,9 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         if self.directory:
             settings.source = stored_path(Path(bpy.path.abspath(self.directory)))
         source = source_folder(settings)
-        config = read_config(settings).scene
+        config, cache = read_config(settings), result_folder(settings) / "cache"
         self._target = Target(context.scene)
-        return lambda progress: read_any(source, config, progress)
+        return lambda progress: read_any(source, cache, config, progress)
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)
@@ -72,15 +75,22 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         context.scene.fruitlangs.error = message
 
 
-def read_any(source: Path, config: SceneConfig, progress: Progress) -> Scene:
-    """The scene at `source`: photos with a camera model, or the cameras that an earlier result keeps of them."""
+def read_any(source: Path, cache: Path, config: Config, progress: Progress) -> Scene:
+    """The scene at `source`: photos with a camera model, or the cameras that an earlier result keeps of them.
+
+    For photos alone cameras are found first; they are kept in `cache`, where a count finds them again.
+    """
     if (source / "fruits.json").is_file():
         from ..engine.scene.stored import read_cameras
 
         return read_cameras(source / "cameras.json")
-    from ..engine.scene.read import read_scene
+    from ..engine.scene.source import Source, photos_alone, pose_photos
 
-    return read_scene(source, config, progress=progress)
+    photos = photos_alone(source)
+    if photos is None:
+        return Source(path=source).read(config.scene, progress)
+    found = pose_photos(photos, cache, config.photos, progress=part(progress, 0.0, 0.9))
+    return found.read(config.scene, part(progress, 0.9, 1.0))
 
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:

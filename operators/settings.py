@@ -151,7 +151,7 @@ def source_folder(settings: Any) -> Path:
         SceneError: none was chosen, it is relative to a .blend never saved, or it is not there (any more).
     """
     if not settings.source:
-        raise SceneError("No scene is chosen: set Scene to the folder of a COLMAP model with its photos")
+        raise SceneError("No scene is chosen: set Scene to the folder of the photos, with a COLMAP model or alone")
     folder = _absolute(settings.source)
     if not folder.is_dir():
         raise SceneError(f"The scene folder {folder} is not there; choose it again")

@@ -18,7 +18,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import _checkout  # noqa: F401
 
 from _terminal import arguments_of, import_tyro, preset_of, run, terminal_progress
-from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
+from fruitlangs.engine.config import (
+    PRESETS,
+    Config,
+    CountConfig,
+    EmbedConfig,
+    PhotosConfig,
+    Preset,
+    SceneConfig,
+    TrainConfig,
+)
 from fruitlangs.engine.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -31,10 +40,10 @@ else:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Count the fruit of one tree from photos with known cameras, and write every fruit as a labelled object."""
+    """Count the fruit of one tree from photos, and write every fruit as a labelled object."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
-    """Folder of a COLMAP model with its images, of a nerfstudio transforms.json, or of an earlier result."""
+    """Folder of photos; of a COLMAP model with its images, a nerfstudio transforms.json, or an earlier result."""
     prompt: tuple[str, ...]
     """What to count, for example: apple, or "red apple". Several: fitting any of them is enough."""
     out: Path
@@ -46,6 +55,7 @@ class Arguments:
     blend: bool = True
     """Write scene.blend too (needs Blender or the bpy module; without either it is left out and said so)."""
     scene: SceneConfig = field(default_factory=SceneConfig)
+    photos: PhotosConfig = field(default_factory=PhotosConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     embed: EmbedConfig = field(default_factory=EmbedConfig)
     count: CountConfig = field(default_factory=CountConfig)
@@ -79,7 +89,13 @@ def main() -> None:
         arguments.prompt,
         arguments.out,
         negatives=arguments.negative,
-        config=Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count),
+        config=Config(
+            scene=arguments.scene,
+            photos=arguments.photos,
+            train=arguments.train,
+            embed=arguments.embed,
+            count=arguments.count,
+        ),
         writers=blend_writer(arguments.blend),
         progress=terminal_progress(),
     )

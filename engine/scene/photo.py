@@ -21,7 +21,7 @@ from .resample import look_up, shrink
 LEAST_SIDE = 8
 """Photos with fewer pixels a side, after downscaling, are refused."""
 
-_DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
+DECODE_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
 
 _UPRIGHT: dict[int, Image.Transpose] = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -60,7 +60,7 @@ def read_header(path: Path) -> Header:
             orientation = image.getexif().get(ExifTags.Base.Orientation, 1) if exif_is_near else 1
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             return Header(image.width, image.height, has_alpha, orientation if orientation in range(1, 9) else 1)
-    except _DECODE_ERRORS as error:
+    except DECODE_ERRORS as error:
         raise SceneError(f"{path} cannot be read as a picture ({error}); replace the file") from error
 
 
@@ -119,7 +119,7 @@ class FilePhoto:
             with Image.open(path) as image:
                 image.load()
                 decoded = image.copy()
-        except _DECODE_ERRORS as error:
+        except DECODE_ERRORS as error:
             raise SceneError(f"{path} cannot be decoded ({error}); replace the file") from error
         if path == self.path and decoded.size != (self.header.width, self.header.height):
             raise SceneError(f"{path} changed its size to {decoded.width}x{decoded.height}; read the scene again")

@@ -6,17 +6,18 @@ from pathlib import Path
 
 from ..config import SceneConfig
 from ..errors import SceneError
-from ..files import files_hash
+from ..files import files_hash, text_hash
 from ..progress import Progress, silent
 from .camera import Scene
 from .colmap import colmap_files, read_colmap
 from .layout import find_model
+from .photos import PHOTO_SUFFIXES
 from .transforms import TRANSFORMS, read_transforms, transforms_files
 
 _READ_TODAY = "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder"
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}
-_PHOTOS = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng"}
+_PHOTOS = PHOTO_SUFFIXES
 
 
 def read_scene(
@@ -55,6 +56,8 @@ def scene_files(path: Path, *, images: Path | None = None, masks: Path | None = 
 def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = None) -> str:
     """SHA-256 over the names and bytes of `scene_files`; the same however `path` is spelled and wherever it moves.
 
+    Names are relative to `path`'s folder, or to `images` and `masks` where these are given.
+
     Raises:
         SceneError: as `read_scene`, or a file cannot be read.
     """
@@ -62,10 +65,22 @@ def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = N
     # A link to a transforms.json names photos beside the link: only its folder is resolved.
     root = (path if path.is_dir() else path.parent).resolve()
     source = root if path.is_dir() else root / path.name
+    images, masks = (None if folder is None else folder.resolve() for folder in (images, masks))
+    apart = [folder for folder in (masks, images) if folder is not None]
     try:
-        return files_hash(scene_files(source, images=images, masks=masks), root)
+        files = scene_files(source, images=images, masks=masks)
+        parts = [files_hash(group, folder) for folder, group in _by_folder(files, apart, root)]
+        return parts[0] if not apart else text_hash(*parts)
     except OSError as error:
         raise SceneError(f"{error.filename} cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _by_folder(files: list[Path], apart: list[Path], root: Path) -> list[tuple[Path, list[Path]]]:
+    """Files by the first folder of `apart` that holds them, else by `root`."""
+    groups: dict[Path, list[Path]] = {root: [], **{folder: [] for folder in apart}}
+    for file in files:
+        groups[next((folder for folder in apart if file.is_relative_to(folder)), root)].append(file)
+    return list(groups.items())
 
 
 def _is_transforms(path: Path) -> bool:
