@@ -78,8 +78,8 @@ class PhotosConfig(_Checked):
     """Up to this many photos each is compared with each; more are compared with their neighbours in name order."""
     overlap: int = _number(20, 1, LARGEST)
     """How many photos after it each one of a long walk is compared with."""
-    upright: bool = False
-    """The camera was held the same way up for all photos, as on a walk: finds more matches then, and few where not."""
+    upright: bool = True
+    """The camera was held the same way up for all photos, as on a walk; switch it off for a drone that looks down."""
     seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice when cameras are found."""
 

@@ -162,10 +162,11 @@ def _match(job: Job) -> None:
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     matching.guided_matching = True  # twice the matches among leaves
-    matching.sift.max_ratio = 0.85
+    matching.sift.max_ratio = 0.8
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = job.config.seed
     verification.ransac.max_error = 2.0
+    verification.ransac.max_num_trials = 1500  # pairs that show nothing in common take them all
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = Path(job.folder) / "pairs.txt"
     pairs = pairs_to_match(len(job.photos), job.config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -57,7 +58,8 @@ def find_poses(
     ends at once. Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. Up to
     `config.exhaustive_up_to` photos every pair is matched; above that each photo with the `config.overlap` next ones
     in name order, and an evenly spread subset of `exhaustive_up_to` photos exhaustively, which closes the walk (no
-    vocabulary tree is needed). EXIF orientation is ignored, as COLMAP does; masks are not used.
+    vocabulary tree is needed). EXIF orientation is ignored, as COLMAP
+    does, except that photos of several orientations are not held to be upright; masks are not used.
 
     The model's frame and scale are arbitrary; names and pixels are those of the photos. Equal photos, settings and
     versions give equal models. `out` is for one set of photos and settings: a finished model in it is returned as it
@@ -73,8 +75,9 @@ def find_poses(
     files = list_photos(photos)
     if len(files) < LEAST_PHOTOS:
         raise SceneError(f"{photos} has {len(files)} photos; take at least {LEAST_PHOTOS}, better 40, around the tree")
-    for file in files:
-        read_header(file)
+    orientations = {read_header(file).orientation for file in files}
+    if len(orientations) > 1:
+        config = dataclasses.replace(config, upright=False)
     model, work = out / _MODEL, out / _WORK
     reused = (model / FOUND).is_file()
     if not reused:

@@ -199,9 +199,7 @@ def test_a_child_that_crashes_is_an_error_and_not_a_wait(monkeypatch: pytest.Mon
 
 def test_the_run_may_be_in_a_thread_as_in_blender(walk: Path) -> None:
     found = []
-    thread = threading.Thread(
-        target=lambda: found.append(pose_photos(walk / "images", walk / "cache", PhotosConfig()))
-    )
+    thread = threading.Thread(target=lambda: found.append(pose_photos(walk / "images", walk / "cache", PhotosConfig())))
     thread.start()
     thread.join()
     assert found[0].reused
