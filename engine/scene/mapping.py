@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from ..config import PhotosConfig
-from ..progress import part
+from ..progress import Progress, part
 from .child_process import end_with_parent, give_up, tell
 from .colmap_library import colmap_library
 
 JOB, FOUND = "job.json", "poses.json"
 _BLOCK = 10
 """Pairs are matched in blocks of so many by so many photos: what a cancel loses, and a step of the progress shown."""
-_SMALLEST_MODEL = 3
+_FEW_PIXELS = 400_000
+"""Copies with no more pixels than this get descriptors pooled over sizes: 4 times as long, and it joins more photos."""
+_LEAST_INLIERS = (20, 8)
+"""Points that must place a photo, in the first attempt, and in another where that did not place them all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +139,7 @@ def _find_features(job: Job) -> None:
     options.sift.edge_threshold = 15.0
     options.sift.octave_resolution = 4
     options.sift.upright = job.config.upright
+    options.sift.domain_size_pooling = max(p.copy_width * p.copy_height for p in job.photos) <= _FEW_PIXELS
     names = [photo.copy for photo in job.photos]
     for start in range(0, len(names), _BLOCK):
         tell(0.3 * start / len(names), f"finding features: photo {start + 1} of {len(names)}")
@@ -164,6 +168,7 @@ def _match(job: Job) -> None:
     matching.guided_matching = True  # twice the matches among leaves
     matching.sift.max_ratio = 0.8
     verification = pycolmap.TwoViewGeometryOptions()
+    verification.min_num_inliers = 10
     verification.ransac.random_seed = job.config.seed
     verification.ransac.max_error = 2.0
     verification.ransac.max_num_trials = 1500  # pairs that show nothing in common take them all
@@ -186,48 +191,61 @@ def _match(job: Job) -> None:
 
 
 def _map(job: Job) -> None:
-    """Register photo after photo; write the largest model with the photos' own names, and how it went."""
-    pycolmap = colmap_library()
-    registered = itertools.count(3)
-    told = part(tell, 0.7, 1.0)
-
-    def count() -> None:
-        number = min(next(registered), len(job.photos))
-        told(number / len(job.photos), f"placing photos: {number} of {len(job.photos)}")
-
-    models_folder = Path(job.folder) / "models"
-    models_folder.mkdir(exist_ok=True)
-    told(0.0, f"placing photos: 0 of {len(job.photos)}")
-    models = list(
-        pycolmap.incremental_mapping(
-            job.database, job.copies, models_folder, _mapping_options(job.config), next_image_callback=count
-        ).values()
-    )
-    if not models:
+    """Place photo after photo; write the largest model with the photos' own names, and how it went."""
+    best: list[Any] = []
+    for attempt, least_inliers in enumerate(_LEAST_INLIERS):
+        start = 0.7 + 0.3 * attempt / len(_LEAST_INLIERS)
+        models = _models(job, least_inliers, part(tell, start, start + 0.3 / len(_LEAST_INLIERS)))
+        if not best or (models and models[0].num_reg_images() > best[0].num_reg_images()):
+            best = models
+        if best and best[0].num_reg_images() == len(job.photos):
+            break
+    if not best:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
-    largest = max(models, key=lambda model: model.num_reg_images())
+    largest = best[0]
     _name_and_resize(largest, job.photos)
     folder = Path(job.folder) / "model"
     folder.mkdir(exist_ok=True)
     largest.write_binary(folder)
     placed = sorted(image.name for image in largest.images.values() if image.has_pose)
-    found = {"placed": placed, "models": sorted((m.num_reg_images() for m in models), reverse=True)}
+    found = {"placed": placed, "models": [model.num_reg_images() for model in best]}
     (folder / FOUND).write_text(json.dumps(found), encoding="utf-8")
 
 
-def _mapping_options(config: PhotosConfig) -> Any:
+def _models(job: Job, least_inliers: int, told: Progress) -> list[Any]:
+    """The models that the photos make, largest first, where so many points at least place a photo."""
+    pycolmap = colmap_library()
+    registered = itertools.count(3)
+
+    def count() -> None:
+        number = min(next(registered), len(job.photos))
+        told(number / len(job.photos), f"placing photos: {number} of {len(job.photos)}")
+
+    folder = Path(job.folder) / "models"
+    folder.mkdir(exist_ok=True)
+    told(0.0, f"placing photos: 0 of {len(job.photos)}")
+    options = _mapping_options(job.config, least_inliers)
+    models = pycolmap.incremental_mapping(job.database, job.copies, folder, options, next_image_callback=count)
+    return sorted(models.values(), key=lambda model: -model.num_reg_images())
+
+
+def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:
     """COLMAP's, eased for trees: few matches a pair, and most leaves seen by two photos only; one thread, seeded."""
     options = colmap_library().IncrementalPipelineOptions()
     options.num_threads = 1  # several sum in another order each time
     options.random_seed = config.seed
-    options.min_model_size = _SMALLEST_MODEL
+    options.min_model_size = 3
+    options.min_num_matches = 8
     options.triangulation.ignore_two_view_tracks = False
+    options.triangulation.re_max_trials = 5
     options.triangulation.random_seed = config.seed
     options.mapper.random_seed = config.seed
     options.mapper.num_threads = 1
     options.mapper.init_min_num_inliers = 50
     options.mapper.init_min_tri_angle = 8.0
-    options.mapper.abs_pose_min_num_inliers = 12
+    options.mapper.abs_pose_min_num_inliers = least_inliers
+    options.mapper.abs_pose_min_inlier_ratio = 0.1
+    options.mapper.filter_max_reproj_error = 2.0
     return options
 
 
