@@ -16,9 +16,10 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from fruitlangs.engine.config import PhotosConfig, SceneConfig
+from fruitlangs.engine.config import Config, CountConfig, PhotosConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, SceneError
 from fruitlangs.engine.evaluation.alignment import align
+from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.engine.scene import child_process
 from fruitlangs.engine.scene.mapping import pairs_to_match
 from fruitlangs.engine.scene.photos import find_poses
@@ -284,3 +285,15 @@ def test_settings_travel_to_the_child(tmp_path: Path) -> None:
     copy = Copy(name="ä 1.jpg", width=8, height=6, copy="000000.png", copy_width=4, copy_height=3, file="/x")
     job = Job(folder=str(tmp_path), photos=[copy], config=dataclasses.replace(PhotosConfig(), seed=7))
     assert Job.read(job.write()) == job
+
+
+def test_photos_alone_are_counted_and_asked_again_from_another_result(walk: Path, tmp_path: Path) -> None:
+    shutil.copytree(walk / "images", tmp_path / "walk")
+    shutil.copytree(walk / "cache", tmp_path / "first" / "cache")
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000), count=CountConfig(threshold=0.9))
+    first = count_scene(tmp_path / "walk", ["fruit"], tmp_path / "first", config=config)
+    assert first.reused == ["photos"]
+    second = count_scene(tmp_path / "first", ["leaf"], tmp_path / "second", config=config)
+    third = count_scene(tmp_path / "second", ["apple"], tmp_path / "third", config=config)
+    assert second.notices == third.notices == []
+    assert len(list((third.out / "pictures").iterdir())) == 4
