@@ -237,7 +237,6 @@ def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:
     options.min_model_size = 3
     options.min_num_matches = 8
     options.triangulation.ignore_two_view_tracks = False
-    options.triangulation.re_max_trials = 5
     options.triangulation.random_seed = config.seed
     options.mapper.random_seed = config.seed
     options.mapper.num_threads = 1
@@ -245,6 +244,7 @@ def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:
     options.mapper.init_min_tri_angle = 8.0
     options.mapper.abs_pose_min_num_inliers = least_inliers
     options.mapper.abs_pose_min_inlier_ratio = 0.1
+    options.mapper.abs_pose_max_error = 6.0
     options.mapper.filter_max_reproj_error = 2.0
     return options
 

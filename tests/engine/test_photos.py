@@ -106,8 +106,9 @@ def test_two_runs_make_the_same_model_also_where_one_was_interrupted(walk: Path,
 
 
 def test_photos_and_settings_name_the_model_and_the_place_does_not(walk: Path, tmp_path: Path) -> None:
-    shutil.copytree(walk, tmp_path / "moved")
-    found = pose_photos(tmp_path / "moved" / "images", tmp_path / "moved" / "cache", PhotosConfig())
+    shutil.copytree(walk / "images", tmp_path / "moved" / "images")
+    shutil.copytree(walk / "cache", tmp_path / "far" / "away" / "cache")
+    found = pose_photos(tmp_path / "moved" / "images", tmp_path / "far" / "away" / "cache", PhotosConfig())
     assert found.reused
     assert found.hash() == pose_photos(walk / "images", walk / "cache", PhotosConfig()).hash()
     with pytest.raises(SceneError, match="no more in"):
