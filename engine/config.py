@@ -64,6 +64,20 @@ class SceneConfig(_Checked):
     """Divide the photos' width and height by this (2 = half size)."""
     max_side: int = _number(1600, 0, LARGEST)
     """Photos whose longer side has more pixels than this are made smaller, as 3DGS does; 0 takes them as they are."""
+    up: tuple[float, float, float] | None = None
+    """Direction away from the ground in the scene's frame, for example 0 0 1; found from the scene when not given."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.up is None:
+            return
+        try:
+            up = tuple(float(value) for value in self.up)
+        except TypeError:
+            up = ()
+        if len(up) != 3 or not all(map(math.isfinite, up)) or not any(up):
+            raise ConfigError(f"--scene.up is {self.up}; use three finite numbers, not all 0, for example 0 0 1")
+        object.__setattr__(self, "up", up)  # JSON gives lists
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,6 +40,7 @@ from .scene.camera import Scene
 from .scene.photo import FilePhoto
 from .scene.source import Source, photos_alone, pose_photos, posed_before
 from .scene.stored import dump_cameras, read_cameras
+from .splatting.borrowed import PLACED, borrow, drawn_again
 from .splatting.gaussians import Gaussians
 from .splatting.ply import read_ply, write_ply
 from .splatting.train import train
@@ -117,17 +118,19 @@ def count_scene(
     config: Config = Config(),  # noqa: B008 (frozen)
     writers: Mapping[str, Writer] | None = None,
     keep: Path | None = None,
+    foreign: Path | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
 
     Args:
-        source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, or an
-            earlier result folder.
+        source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, an earlier
+            result folder, or a `.ply` of Gaussians or coloured points, around which cameras are placed.
         prompts: what to count; fitting any of them is enough.
         negatives: what must not be counted, beside what the encoder contrasts by itself.
         writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
         keep: a file that stays although it belongs to the earlier result, such as the .blend a person has open.
+        foreign: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
 
     Raises:
         OutputError: among others, `out` is the folder of the photos: it would be taken for a result from then on.
@@ -137,11 +140,15 @@ def count_scene(
     encoder = open_encoder(config.embed)
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
     stages = _Stages()
+    if foreign is not None:
+        _check_foreign(source, foreign, out)
     if (source / FRUITS_JSON).is_file():
         made = _reopen(source, out, encoder, config, stages)
         require_writable(out / "cache")
     elif out.resolve() == (source.parent if source.is_file() else source).resolve():
         raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
+    elif foreign is not None or source.suffix.lower() == ".ply":
+        made = _adopt(source, foreign, out / "cache", encoder, config, stages, part(progress, 0.0, 0.9))
     else:
         made = _reconstruct(source, out / "cache", encoder, config, stages, part(progress, 0.0, 0.9))
     with stages.timed("count"):
@@ -192,14 +199,8 @@ def _reconstruct(
         stages.reused += ["photos"] if found.reused else []
     progress = part(progress, start, 1.0)
     with stages.timed("scene"):
-        scene = found.read(config.scene, progress=part(progress, 0.0, 0.03))
+        scene = _read_photos(found, config, stages, part(progress, 0.0, 0.03))
         inputs = found.hash()
-    headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
-    largest = max((max(header.width, header.height) for header in headers), default=0)
-    if 0 < config.scene.max_side < largest / config.scene.downscale:
-        stages.notices.append(
-            f"photos with up to {largest} pixels a side were read at {config.scene.max_side}; --scene.max-side sets it"
-        )
     require_writable(cache)
     train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
     gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
@@ -209,7 +210,98 @@ def _reconstruct(
         scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
         # Read back even when just trained: the first prompt must see what later ones will.
         gaussians = read_ply(gaussians_file)
-    embed_key = stage_key(("language", "splatting"), train_key, encoder.identity, config.embed)
+    features_file = _embed_into(cache, train_key, scene, gaussians, encoder, config, stages, part(progress, 0.75, 1.0))
+    origin = {
+        "source": str(source.resolve()),
+        "inputs_sha256": inputs,
+        "encoder": encoder.identity,
+        "training": quality,
+    }
+    return Reconstruction(
+        scene=scene,
+        gaussians=gaussians,
+        features=load_features(features_file),
+        gaussians_file=gaussians_file,
+        features_file=features_file,
+        cameras_file=cameras_file,
+        config=config,
+        origin=origin,
+    )
+
+
+def _adopt(
+    source: Path,
+    foreign: Path | None,
+    cache: Path,
+    encoder: Encoder,
+    config: Config,
+    stages: _Stages,
+    progress: Progress,
+) -> Reconstruction:
+    """A foreign reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself."""
+    with stages.timed("scene"):
+        given = Source(path=source)
+        scene = None if foreign is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
+        inputs = "" if foreign is None else given.hash()
+    require_writable(cache)
+    with stages.timed("borrow"):
+        borrowed = borrow(foreign or source, scene, inputs, config.scene, cache)
+    stages.notices += borrowed.notices
+    if borrowed.reused:
+        stages.reused.append("borrow")
+    features_file = _embed_into(
+        cache, borrowed.key, borrowed.scene, borrowed.gaussians, encoder, config, stages, part(progress, 0.1, 1.0)
+    )
+    return Reconstruction(
+        scene=borrowed.scene,
+        gaussians=borrowed.gaussians,
+        features=load_features(features_file),
+        gaussians_file=borrowed.gaussians_file,
+        features_file=features_file,
+        cameras_file=borrowed.cameras_file,
+        config=config,
+        origin={
+            "source": str(source.resolve()),
+            "inputs_sha256": inputs or borrowed.record["sha256"],
+            "encoder": encoder.identity,
+            "training": {"steps": 0, "gaussians": len(borrowed.gaussians), "psnr": None, "ssim": None, "held_out": []},
+            "foreign": borrowed.record,
+        },
+    )
+
+
+def _check_foreign(source: Path, foreign: Path, out: Path) -> None:
+    """Raise where a foreign reconstruction has no place: one is there already, or the result would overwrite it."""
+    if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
+        raise ConfigError(f"{source} holds its own Gaussians; with --gaussians give the photos and cameras as SCENE")
+    if foreign.resolve().parent == out.resolve():
+        raise OutputError(f"{out} is the folder of {foreign.name} itself; choose another folder for the results")
+
+
+def _read_photos(source: Source, config: Config, stages: _Stages, progress: Progress) -> Scene:
+    """The posed photos of `source`; notes where they are read smaller than they are."""
+    scene = source.read(config.scene, progress=progress)
+    headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
+    largest = max((max(header.width, header.height) for header in headers), default=0)
+    if 0 < config.scene.max_side < largest / config.scene.downscale:
+        stages.notices.append(
+            f"photos with up to {largest} pixels a side were read at {config.scene.max_side}; --scene.max-side sets it"
+        )
+    return scene
+
+
+def _embed_into(
+    cache: Path,
+    key: str,
+    scene: Scene,
+    gaussians: Gaussians,
+    encoder: Encoder,
+    config: Config,
+    stages: _Stages,
+    progress: Progress,
+) -> Path:
+    """The file of the features that the photos lend the Gaussians, which `key` names; made unless it is there."""
+    embed_key = stage_key(("language", "splatting"), key, encoder.identity, config.embed)
     features_file = cache / f"embed-{embed_key}" / FEATURES
     with stages.timed("embed"):
         if features_file.is_file():
@@ -220,26 +312,10 @@ def _reconstruct(
                 scene.cameras,
                 encode_photos(scene, encoder),
                 encoder_id=encoder.identity,
-                progress=part(progress, 0.75, 1.0),
+                progress=progress,
             )
             save_features(features_file, lifted)
-        features = load_features(features_file)
-    origin = {
-        "source": str(source.resolve()),
-        "inputs_sha256": inputs,
-        "encoder": encoder.identity,
-        "training": quality,
-    }
-    return Reconstruction(
-        scene=scene,
-        gaussians=gaussians,
-        features=features,
-        gaussians_file=gaussians_file,
-        features_file=features_file,
-        cameras_file=cameras_file,
-        config=config,
-        origin=origin,
-    )
+    return features_file
 
 
 def _train_into(
@@ -291,22 +367,26 @@ def _reopen(folder: Path, out: Path, encoder: Encoder, config: Config, stages: _
                 "give the folder of the photos as SCENE to embed it anew"
             )
         scene = read_cameras(folder / CAMERAS)
-        origin = {key: document["provenance"][key] for key in ("source", "inputs_sha256", "encoder", "training")}
+        kept = ("source", "inputs_sha256", "encoder", "training", "foreign")
+        origin = {key: document["provenance"][key] for key in kept if key in document["provenance"]}
+        gaussians = read_ply(gaussians_file)
         source = Path(origin["source"])
         # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
         with suppress(FruitLangsError):
-            photos = photos_alone(source)
-            found = Source(path=source)
-            if photos is not None:
-                found = posed_before(photos, folder / "cache", out / "cache", stored.photos)
-            if found.hash() == origin["inputs_sha256"]:
-                scene = found.read(stored.scene)
+            if origin.get("foreign", {}).get("cameras") == PLACED:
+                scene = drawn_again(gaussians, scene)
+            else:
+                photos, found = photos_alone(source), Source(path=source)
+                if photos is not None:
+                    found = posed_before(photos, folder / "cache", out / "cache", stored.photos)
+                if found.hash() == origin["inputs_sha256"]:
+                    scene = found.read(stored.scene)
         if not scene.images:
             stages.notices.append(f"the photos at {source} are gone or have changed: no pictures were made")
     stages.reused += ["train", "embed"]
     return Reconstruction(
         scene=scene,
-        gaussians=read_ply(gaussians_file),
+        gaussians=gaussians,
         features=features,
         gaussians_file=gaussians_file,
         features_file=features_file,

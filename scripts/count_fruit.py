@@ -43,13 +43,16 @@ class Arguments:
     """Count the fruit of one tree from photos, and write every fruit as a labelled object."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
-    """Folder of photos; of a COLMAP model with its images, a nerfstudio transforms.json, or an earlier result."""
+    """Folder of photos; of a COLMAP model with its images, a nerfstudio transforms.json, or an earlier result; or a .ply
+    of 3DGS Gaussians or coloured points, around which cameras are placed."""
     prompt: tuple[str, ...]
     """What to count, for example: apple, or "red apple". Several: fitting any of them is enough."""
     out: Path
     """Folder of the results; its earlier results are replaced when the new ones are complete."""
     negative: tuple[str, ...] = ()
     """What must not be counted, beside what is contrasted by itself (leaf, branch, sky, …)."""
+    gaussians: Path | None = None
+    """A .ply of 3DGS Gaussians or coloured points in the frame of SCENE's cameras, to count in instead of training."""
     preset: Preset = "standard"
     """Settings of training to start from: quick for a first look, standard, paper for 30,000 steps."""
     blend: bool = True
@@ -96,6 +99,7 @@ def main() -> None:
             embed=arguments.embed,
             count=arguments.count,
         ),
+        foreign=arguments.gaussians,
         writers=blend_writer(arguments.blend),
         progress=terminal_progress(),
     )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from ..config import SceneConfig
 from ..errors import SceneError
@@ -14,7 +17,10 @@ from .layout import find_model
 from .photos import PHOTO_SUFFIXES
 from .transforms import TRANSFORMS, read_transforms, transforms_files
 
-_READ_TODAY = "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder"
+_READ_TODAY = (
+    "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder, or a .ply of"
+    " Gaussians or coloured points"
+)
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}
 _PHOTOS = PHOTO_SUFFIXES
@@ -30,6 +36,7 @@ def read_scene(
 ) -> Scene:
     """Read a COLMAP model's folder or a `transforms.json` (itself or its folder); a model goes first where both are.
 
+    `config.up` replaces the up direction that the photos tell.
     images, masks: folders for a COLMAP model whose photos or masks lie elsewhere (see `read_colmap`).
 
     Raises:
@@ -37,8 +44,10 @@ def read_scene(
     """
     path = Path(path)
     if _is_transforms(path):
-        return read_transforms(path, config, progress=progress)
-    return read_colmap(path, config, images=images, masks=masks, progress=progress)
+        scene = read_transforms(path, config, progress=progress)
+    else:
+        scene = read_colmap(path, config, images=images, masks=masks, progress=progress)
+    return scene if config.up is None else replace(scene, up=np.asarray(config.up) / np.linalg.norm(config.up))
 
 
 def scene_files(path: Path, *, images: Path | None = None, masks: Path | None = None) -> list[Path]:

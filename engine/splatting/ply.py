@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +55,36 @@ def read_ply(path: Path) -> Gaussians:
     Raises:
         FormatError: the file is missing, cut short, not a `.ply`, or lacks what makes it Gaussians.
     """
-    vertices, comments = _vertices(path)
-    names = set(vertices.dtype.names or ())
+    return gaussians_of(read_vertices(path), path)
+
+
+@dataclass(frozen=True, eq=False)
+class Vertices:
+    """The vertices of a `.ply`: table is a structured array with one named column a property; comments of its head."""
+
+    table: NDArray[np.void]
+    comments: list[str]
+
+    @property
+    def names(self) -> set[str]:
+        return set(self.table.dtype.names or ())
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+
+def has_gaussians(vertices: Vertices) -> bool:
+    """Whether vertices carry what makes them Gaussians of 3DGS."""
+    return vertices.names >= {*_GEOMETRY, *_BASE}
+
+
+def gaussians_of(given: Vertices, path: Path) -> Gaussians:
+    """The Gaussians that vertices in the layout of 3DGS hold; `path` is named in errors.
+
+    Raises:
+        FormatError: they lack what makes them Gaussians, or hold a value that is not finite.
+    """
+    vertices, comments, names = given.table, given.comments, given.names
     missing = [name for name in (*_GEOMETRY, *_BASE) if name not in names]
     if missing:
         raise FormatError(
@@ -83,7 +112,12 @@ def read_ply(path: Path) -> Gaussians:
     )
 
 
-def _vertices(path: Path) -> tuple[NDArray[np.void], list[str]]:
+def read_vertices(path: Path) -> Vertices:
+    """Read the vertices of any `.ply`, ASCII or binary.
+
+    Raises:
+        FormatError: the file is missing, cut short, not a `.ply`, or has no vertices.
+    """
     try:
         data = PlyData.read(str(path), mmap=False)
         element = data["vertex"]
@@ -93,7 +127,7 @@ def _vertices(path: Path) -> tuple[NDArray[np.void], list[str]]:
         raise FormatError(f"{path} has no vertices; give a .ply of Gaussians") from error
     except (PlyParseError, ValueError, OSError, UnicodeError, TypeError) as error:
         raise FormatError(f"{path} cannot be read as .ply ({error}); it is cut short or of another kind") from error
-    return element.data, data.comments
+    return Vertices(element.data, list(data.comments))
 
 
 def _columns(vertices: NDArray[np.void], names: tuple[str, ...] | list[str]) -> NDArray[np.float32]:
