@@ -57,7 +57,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         name="Scene",
         subtype="DIR_PATH",
         options=_RELATIVE,
-        description="Folder of photos, with a COLMAP model or alone, or of an earlier result",
+        description="Folder of photos, with a COLMAP model or alone, or of an earlier result; or a .ply of Gaussians",
     )
     out: StringProperty(
         name="Results",

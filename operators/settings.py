@@ -60,12 +60,18 @@ def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
     """
     kinds = typing.get_type_hints(config_class)
     values = {field.name: getattr(group, field.name) for field in dataclasses.fields(config_class)}
-    return config_class(
-        **{name: None if _optional(kinds[name]) and not value else _plain(value) for name, value in values.items()}
-    )
+    missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
+    return config_class(**{name: None if name in missing else _plain(value) for name, value in values.items()})
+
+
+def _is_zero(value: Any) -> bool:
+    """Whether the property of an optional number or direction holds what means "not given"."""
+    return not any(value) if isinstance(value, bpy.types.bpy_prop_array) else not value
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, bpy.types.bpy_prop_array):
+        return tuple(map(_plain, value))
     # A property holds float32; the shortest text of it is what was typed, so 0.2 stays 0.2 as on the command line.
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
@@ -87,6 +93,9 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
     if typing.get_origin(kind) is typing.Literal:
         items = [(choice, choice.replace("-", " ").capitalize(), "") for choice in typing.get_args(kind)]
         return bpy.props.EnumProperty(items=items, default=default, **named)
+    if typing.get_origin(kind) is tuple:
+        size = len(typing.get_args(kind))
+        return bpy.props.FloatVectorProperty(size=size, default=default or (0.0,) * size, precision=3, **named)
     if kind is bool:
         return bpy.props.BoolProperty(default=default, **named)
     if kind in (int, float):
@@ -145,7 +154,7 @@ def read_prompts(settings: Any) -> list[str]:
 
 
 def source_folder(settings: Any) -> Path:
-    """The scene's folder, absolute.
+    """The scene's folder, or a .ply to count in, absolute.
 
     Raises:
         SceneError: none was chosen, it is relative to a .blend never saved, or it is not there (any more).
@@ -153,7 +162,7 @@ def source_folder(settings: Any) -> Path:
     if not settings.source:
         raise SceneError("No scene is chosen: set Scene to the folder of the photos, with a COLMAP model or alone")
     folder = _absolute(settings.source)
-    if not folder.is_dir():
+    if not folder.is_dir() and not (folder.suffix.lower() == ".ply" and folder.is_file()):
         raise SceneError(f"The scene folder {folder} is not there; choose it again")
     return folder
 
@@ -164,7 +173,7 @@ def result_folder(settings: Any) -> Path:
         return _absolute(settings.out)
     source = _absolute(settings.source) if settings.source else Path("scene")
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
-    return beside / f"{source.name}_fruit"
+    return beside / f"{source.stem if source.suffix.lower() == '.ply' else source.name}_fruit"
 
 
 def _absolute(text: str) -> Path:

@@ -18,8 +18,8 @@ from .photos import PHOTO_SUFFIXES
 from .transforms import TRANSFORMS, read_transforms, transforms_files
 
 _READ_TODAY = (
-    "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder, or a .ply of"
-    " Gaussians or coloured points"
+    "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder; a .ply of"
+    " Gaussians or coloured points is counted in as it is"
 )
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}

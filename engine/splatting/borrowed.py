@@ -116,9 +116,7 @@ def _scene_around(foreign: Foreign, file: Path, up: Sequence[float] | None, noti
     """Cameras and pictures around it; adds what the user should know of them to `notices`."""
     guess: FloatArray = _UPS[foreign.kind]
     drawn = scene_around(foreign.gaussians, up, guess)
-    notices.append(
-        f"{len(drawn.scene.cameras)} cameras were placed around {file.name}; their pictures stand for photos"
-    )
+    notices.append(f"{len(drawn.scene.cameras)} cameras were placed around {file.name}; their pictures serve as photos")
     if not drawn.up_is_known:
         axis = "-y" if guess[1] else "+z"
         notices.append(f"no ground tells which way is up, so {axis} was taken; --scene.up X Y Z sets it")

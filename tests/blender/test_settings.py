@@ -41,6 +41,13 @@ def test_zero_of_an_optional_number_means_not_given(extension):
     assert conversions.read_config(bpy.context.scene.fruitlangs).count.diameter == 0.08
 
 
+def test_a_direction_of_zeros_means_not_given_and_another_arrives_as_typed(extension):
+    scene = bpy.context.scene.fruitlangs.config.scene
+    assert conversions.read_config(bpy.context.scene.fruitlangs).scene.up is None
+    scene.up = (0.0, -0.6, 0.8)
+    assert conversions.read_config(bpy.context.scene.fruitlangs).scene.up == (0.0, -0.6, 0.8)
+
+
 def test_a_senseless_value_is_the_configs_own_error(extension):
     bpy.context.scene.fruitlangs.config.count.threshold = 1.0
     with pytest.raises(ConfigError, match="threshold"):
@@ -75,6 +82,14 @@ def test_no_or_a_vanished_scene_folder_is_an_error(extension):
     settings.source = "//photos"
     with pytest.raises(SceneError, match="never saved"):
         conversions.source_folder(settings)
+
+
+def test_a_ply_is_a_source_and_its_results_go_beside_it(extension, tmp_path):
+    (tmp_path / "tree.ply").write_bytes(b"ply")
+    settings = bpy.context.scene.fruitlangs
+    settings.source = str(tmp_path / "tree.ply")
+    assert conversions.source_folder(settings) == tmp_path / "tree.ply"
+    assert conversions.result_folder(settings) == tmp_path / "tree_fruit"
 
 
 def test_paths_are_kept_relative_to_the_blend(extension, tmp_path):

@@ -18,7 +18,13 @@ def grid(side: int = 10, spacing: float = 0.1) -> np.ndarray:
 
 
 def write_cloud(
-    path: Path, points: np.ndarray, colors: np.ndarray | None, *, kind: str = "u1", place: str = "f4", text: bool = False
+    path: Path,
+    points: np.ndarray,
+    colors: np.ndarray | None,
+    *,
+    kind: str = "u1",
+    place: str = "f4",
+    text: bool = False,
 ) -> Path:
     """Write points (P, 3) and, unless None, their colours (P, 3) as properties of the given types."""
     fields: list[tuple[str, Any]] = [(axis, place) for axis in "xyz"]
