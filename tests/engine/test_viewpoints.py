@@ -42,7 +42,7 @@ def ball(center: tuple[float, float, float], n: int = 3000) -> np.ndarray:
 
 def test_the_subject_is_where_the_detail_is_whatever_lies_far_around_it() -> None:
     sky = 60.0 * ball((0, 0, 0), 4000) + [200.0, 0.0, 0.0]
-    subject = find_subject(joined(round_gaussians(ball((1.0, 2.0, 3.0)), 0.02), round_gaussians(sky, 3.0)))
+    subject = find_subject(joined(round_gaussians(ball((1.0, 2.0, 3.0)), 0.02), round_gaussians(sky, 0.3)))
     np.testing.assert_allclose(subject.center, [1.0, 2.0, 3.0], atol=0.05)
     assert 0.9 < subject.radius < 1.05
 
