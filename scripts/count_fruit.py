@@ -43,7 +43,7 @@ class Arguments:
     """Count the fruit of one tree from photos, and write every fruit as a labelled object."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
-    """Folder of photos, of a COLMAP model with its images, of a nerfstudio transforms.json or an earlier result; or a .ply
+    """Folder of photos, of a COLMAP model with images, of a nerfstudio transforms.json or an earlier result; or a .ply
     of 3DGS Gaussians or coloured points, around which cameras are placed."""
     prompt: tuple[str, ...]
     """What to count, for example: apple, or "red apple". Several: fitting any of them is enough."""
