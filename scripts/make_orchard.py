@@ -1,18 +1,22 @@
-"""Build a synthetic fruit tree in Blender, render a walk around it, and write the scene with its truth.
+"""Build synthetic fruit trees in Blender, render a walk around them, and write the scene with its truth.
 
     python scripts/make_orchard.py --out results/orchard
+    python scripts/make_orchard.py --scene apple-small --seed 5 --out results/apple
     blender -b --factory-startup --python-exit-code 1 -P scripts/make_orchard.py -- --out results/orchard
 
-Writes images/, a COLMAP model in sparse/0/, instances/ (16-bit masks of fruit ids), truth.json and orchard.json.
+Writes images/, a COLMAP model in sparse/0/, instances/ (16-bit masks of fruit ids), depth/ (16-bit millimetres along
+the optical axis, 0: nothing), truth.json and orchard.json. A scene file is TOML: a setting a line by its flag's name
+with underscores; `extends` names the scene that it starts from, `about` says what it is for. A killed run goes on.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -20,8 +24,10 @@ import _checkout  # noqa: F401
 
 from _terminal import arguments_of, import_tyro, run
 from orchard.check import check
-from orchard.config import FIRST_TRAINING_SEED, OrchardConfig, training_config
+from orchard.config import FIRST_TRAINING_SEED, OrchardConfig
 from orchard.errors import OrchardError
+from orchard.scene_file import find_scene, presets, read_scene
+from orchard.training import training_config
 
 if TYPE_CHECKING:
     import tyro
@@ -31,10 +37,19 @@ else:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Build a synthetic fruit tree in Blender and render a walk around it."""
+    """Build synthetic fruit trees in Blender and render a walk around them."""
 
     out: Path
     """Folder to write; with --scenes the folder of many scenes."""
+
+    scene: str = ""
+    """A scene file (TOML) or the name of a preset; flags beside it override its settings."""
+
+    list: bool = False
+    """Print the presets, one a line, and end."""
+
+    layout: Literal["colmap", "nerfstudio"] = "colmap"
+    """nerfstudio: also transforms.json, semantics/ (255 on fruit) and sparse_pc.ply, as FruitNeRF reads them."""
 
     classes: bool = False
     """Also write classes/ and classes.json: what every pixel shows, for training an image encoder."""
@@ -47,6 +62,22 @@ class Command:
     walks; their other settings are drawn by seed."""
 
     config: Annotated[OrchardConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=OrchardConfig)
+
+
+def scene_config(arguments: list[str]) -> OrchardConfig:
+    """The settings that the flags start from: those of --scene, else the defaults."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--scene", nargs="?", default="")
+    scene = parser.parse_known_args(arguments)[0].scene
+    return read_scene(find_scene(scene)).config if scene else OrchardConfig()
+
+
+def print_presets() -> None:
+    """One line a preset on stdout."""
+    scenes = presets()
+    width = max((len(scene.name) for scene in scenes), default=0)
+    for scene in scenes:
+        print(f"{scene.name:{width}}  {scene.about}")
 
 
 def report(message: str) -> None:
@@ -65,6 +96,8 @@ def seeds_of(scenes: str) -> range:
 
 def make(command: Command) -> None:
     """Make the scene, or every scene of the training set."""
+    if command.scene and command.scenes:
+        raise OrchardError("--scenes draws its own scenes: leave out --scene")
     configs = list(map(training_config, seeds_of(command.scenes))) if command.scenes else [command.config]
     for config in configs:
         check(config)
@@ -77,15 +110,27 @@ def make(command: Command) -> None:
     from orchard.produce import produce, write_scene_list
 
     if not command.scenes:
-        produce(command.config, command.out, classes=command.classes, preview=command.preview, report=report)
+        produce(
+            command.config,
+            command.out,
+            classes=command.classes,
+            preview=command.preview,
+            layout=command.layout,
+            report=report,
+        )
         return
     for config in configs:
-        produce(config, command.out / f"{config.seed}", classes=True, report=report)
+        produce(config, command.out / f"{config.seed}", classes=True, layout=command.layout, report=report)
         write_scene_list(command.out)
 
 
 def main() -> None:
-    make(tyro.cli(Command, args=arguments_of(__file__), description=__doc__, prog="make_orchard.py"))
+    arguments = arguments_of(__file__)
+    if "--list" in arguments:
+        print_presets()
+        return
+    start = Command(out=tyro.MISSING, config=scene_config(arguments))
+    make(tyro.cli(Command, args=arguments, default=start, description=__doc__, prog="make_orchard.py"))
 
 
 if __name__ == "__main__":

@@ -1,133 +1,128 @@
-"""The walk around the tree: one camera a picture, in COLMAP's convention (x right, y down, z forward)."""
+"""The way of the camera: around the trees, half around them, along their row, or around a part of a crown."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .body import Body
+from .aim import Part
 from .config import OrchardConfig
 from .species import Species
-from .tree import unit
+from .viewpoint import Viewpoint, look_at
 
 FloatArray = NDArray[np.float64]
 NEAREST = 2.3
-"""Distance of the walk from the tree's axis, in heights of the tree ÷ 2: far enough to keep clear of the crown."""
+"""Least distance of the way from the row's line, in heights of the tree ÷ 2: far enough to keep clear of the crown."""
+CLEARANCE = 1.75
+"""The same in half widths of the crown."""
+ARCS = {"ring": 75.0, "half-ring": 40.0}
+"""How far to each side the camera goes around a part of a crown, degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Viewpoint:
-    """A pinhole camera. A pixel's centre lies at half-integers; the principal point is the picture's middle."""
+class Place:
+    """What a walk leads around."""
 
-    name: str
-    """File name of its picture."""
-    focal: float
-    """In pixels."""
-    width: int
-    height: int
-    world_to_camera: FloatArray
-    """(3, 4) rotation and translation, metres."""
-    nearest: float = 0.02
-    """Anything closer is cut away, metres along the optical axis."""
-
-    @property
-    def position(self) -> FloatArray:
-        """(3,) the camera's place in the world."""
-        return -self.world_to_camera[:, :3].T @ self.world_to_camera[:, 3]
-
-    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(M, 2) pixels and (M,) depths of (M, 3) world points."""
-        local = points @ self.world_to_camera[:, :3].T + self.world_to_camera[:, 3]
-        middle = np.array([self.width / 2, self.height / 2])
-        return local[:, :2] / local[:, 2:] * self.focal + middle, local[:, 2]
-
-    def unproject(self, pixels: FloatArray, depths: FloatArray) -> FloatArray:
-        """(M, 3) world points at depths (along the optical axis) behind (M, 2) pixels."""
-        middle = np.array([self.width / 2, self.height / 2])
-        rays = np.hstack([(pixels - middle) / self.focal, np.ones((len(pixels), 1))])
-        return (rays * depths[:, None] - self.world_to_camera[:, 3]) @ self.world_to_camera[:, :3]
+    crown: FloatArray
+    """(2, 3) low and high corner of all crowns of the row."""
+    half_row: float
+    """Half the distance from the first trunk of the row to the last, metres."""
+    part: Part | None
+    """The part of the crown to look at; None: all of it."""
 
 
-def look_at(position: FloatArray, target: FloatArray, roll: float = 0.0) -> FloatArray:
-    """(3, 4) world_to_camera of a camera at `position` that sees `target` in its middle, z up in the world."""
-    forward = unit(target - position)
-    right = unit(np.cross(forward, [0.0, 0.0, 1.0]))
-    down = np.cross(forward, right)
-    c, s = np.cos(roll), np.sin(roll)
-    rotation = np.stack([c * right + s * down, c * down - s * right, forward])
-    return np.hstack([rotation, (-rotation @ position)[:, None]])
+@dataclass(frozen=True, kw_only=True)
+class Stand:
+    """Where a picture is taken from and towards, before the hand shakes."""
+
+    place: FloatArray
+    target: FloatArray
 
 
-def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray) -> list[Viewpoint]:
-    """Rings of cameras at evenly spread heights, jittered in place and aim. `crown` is (2, 3): low and high corner."""
+def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
+    """The views of the configured path, jittered in place and aim; one focal length for all."""
     size = species.tree_height / 2.3
-    middle = crown.mean(axis=0) + [0.0, 0.0, 0.05 * (crown[1, 2] - crown[0, 2])]
-    distance = NEAREST * species.tree_height / 2
+    if place.part is not None:
+        distance = 0.6 * species.tree_height
+        stands = [_before_part(rng, config, place.part, distance, i) for i in range(config.views)]
+        shake = 0.25 * place.part.reach
+    else:
+        distance = distance_from_row(species, place) + (place.half_row if config.path != "row" else 0.0)
+        step = _along_row if config.path == "row" else _around
+        stands = [step(rng, config, place, distance, i) for i in range(config.views)]
+        shake = 0.05 * size
     focal = config.fruit_pixels * distance / species.diameter
-    heights = middle[2] + (crown[1, 2] - crown[0, 2]) * np.linspace(-0.25, 0.55, config.rings)
     views = []
-    for i in range(config.views):
-        ring, step = i % config.rings, i // config.rings
-        per_ring = -(-config.views // config.rings)
-        turn = 2 * np.pi * (step + ring / config.rings + rng.uniform(-0.15, 0.15)) / per_ring
-        away = distance * rng.uniform(0.95, 1.05)
-        place = np.array([np.cos(turn) * away, np.sin(turn) * away, heights[ring] + rng.normal(0.0, 0.05) * size])
-        place[:2] += middle[:2]
-        target = middle + rng.normal(0.0, 0.05, 3) * size
+    for i, stand in enumerate(stands):
+        position = stand.place + rng.normal(0.0, 0.05, 3) * [0, 0, size]
+        target = stand.target + rng.normal(0.0, 1.0, 3) * shake
         views.append(
             Viewpoint(
                 name=f"{i + 1:03d}.jpg",
                 focal=focal,
                 width=config.width,
                 height=config.height,
-                world_to_camera=look_at(place, target, rng.normal(0.0, 0.01)),
+                world_to_camera=look_at(position, target, rng.normal(0.0, 0.01)),
             )
         )
     return views
 
 
-def close_ups(
-    rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray, fruits: Sequence[Body]
-) -> list[Viewpoint]:
-    """Views from scattered distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length."""
-    size = species.tree_height / 2.3
-    middle = crown.mean(axis=0)
-    focal = 1.15 * max(config.width, config.height)
-    spans = np.geomspace(12.0, 80.0, config.views) * np.exp(rng.normal(0.0, 0.12, config.views))
-    views = []
-    for i, span in enumerate(spans):
-        target = fruits[rng.integers(len(fruits))].center if fruits else middle
-        outward = unit(np.array([*(target - middle)[:2], 0.0]) + rng.normal(0.0, 0.25, 3) * [1, 1, 0] * size + 1e-6)
-        rise = np.tan(np.radians(rng.uniform(-22, 32)))
-        distance = max(focal * species.diameter / span, 2.2 * species.diameter)
-        place = target + unit(outward + [0, 0, rise]) * distance
-        place[2] = max(place[2], 0.15 * size)
-        aim = target + rng.normal(0.0, 0.25, 3) * species.diameter
-        view = Viewpoint(
-            name=f"{i + 1:03d}.jpg",
-            focal=focal,
-            width=config.width,
-            height=config.height,
-            world_to_camera=look_at(place, aim, rng.normal(0, 0.06)),
-        )
-        views.append(replace(view, nearest=_cut(view, 0.55 * distance, fruits)))
-    return views
+def distance_from_row(species: Species, place: Place) -> float:
+    """How far from the row's line the camera keeps, metres."""
+    low, high = place.crown
+    half_width = max((high - low)[1], (high - low)[0] - 2 * place.half_row) / 2
+    return max(NEAREST * species.tree_height / 2, CLEARANCE * half_width)
 
 
-def _cut(view: Viewpoint, wanted: float, fruits: Sequence[Body]) -> float:
-    """How much before the camera may be cut away, at most `wanted`, so that leaves there do not hide everything.
+def _middle(place: Place) -> FloatArray:
+    low, high = place.crown
+    middle: FloatArray = (low + high) / 2 + [0.0, 0.0, 0.05 * (high[2] - low[2])]
+    return middle
 
-    Neither the ground nor a fruit is cut open.
-    """
-    corners = np.array([[x, y] for x in (0.0, view.width) for y in (0.0, view.height)])
-    drops = (view.position - view.unproject(corners, np.ones(4)))[:, 2]
-    ground = [0.75 * view.position[2] / drop for drop in drops if drop > 1e-6]
-    nearest = min([wanted, *ground])
-    depths = view.project(np.array([f.center for f in fruits]).reshape(-1, 3))[1]
-    for depth, body in sorted(zip(depths, fruits, strict=True), key=lambda pair: -pair[0]):
-        if abs(depth - nearest) < 1.1 * body.reach:
-            nearest = depth - 1.1 * body.reach
-    return float(max(nearest, 0.02))
+
+def _level(config: OrchardConfig, place: Place, ring: int) -> float:
+    """Height from which a ring of pictures is taken."""
+    tall = place.crown[1, 2] - place.crown[0, 2]
+    return float(_middle(place)[2] + tall * np.linspace(-0.25, 0.55, config.rings)[ring])
+
+
+def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> Stand:
+    """The i-th picture of a ring or half ring; heights take turns."""
+    ring, step = i % config.rings, i // config.rings
+    per_ring = -(-config.views // config.rings)
+    share = (step + ring / config.rings + rng.uniform(-0.15, 0.15)) / per_ring
+    turn = 2 * np.pi * share if config.path == "ring" else np.pi + np.pi * share
+    away = distance * rng.uniform(0.95, 1.05)
+    middle = _middle(place)
+    x, y = middle[:2] + away * np.array([np.cos(turn), np.sin(turn)])
+    return Stand(place=np.array([x, y, _level(config, place, ring)]), target=middle)
+
+
+def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> Stand:
+    """The i-th picture of a walk past the row, to at the first height, back at the second, and so on."""
+    per_ring = -(-config.views // config.rings)
+    ring, step = divmod(i, per_ring)
+    share = (step + 0.5 + rng.uniform(-0.15, 0.15)) / per_ring
+    low, high = place.crown[:, 0]
+    forth = share if ring % 2 == 0 else 1 - share
+    middle = _middle(place)
+    x = low + (high - low) * (1.3 * forth - 0.15)
+    yaw = np.radians(rng.uniform(-12, 12))
+    away = distance * rng.uniform(0.97, 1.03)
+    target = np.array([x + away * np.tan(yaw), middle[1], middle[2]])
+    return Stand(place=np.array([x, middle[1] - away, _level(config, place, ring)]), target=target)
+
+
+def _before_part(rng: np.random.Generator, config: OrchardConfig, part: Part, distance: float, i: int) -> Stand:
+    """The i-th picture of arcs before a part of the crown; heights take turns."""
+    ring, step = i % config.rings, i // config.rings
+    per_ring = -(-config.views // config.rings)
+    share = (step + 0.5 + ring / config.rings / 2 + rng.uniform(-0.15, 0.15)) / per_ring
+    turn = np.radians(ARCS[config.path] * (2 * share - 1))
+    rise = np.radians(np.linspace(-8.0, 26.0, config.rings)[ring])
+    away = distance * rng.uniform(0.95, 1.05)
+    direction = np.array([np.sin(turn) * np.cos(rise), -np.cos(turn) * np.cos(rise), np.sin(rise)])
+    return Stand(place=part.center + away * direction, target=part.center)

@@ -6,17 +6,23 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
-from .species import SPECIES
-
-GENERATOR_VERSION = "2"
+GENERATOR_VERSION = "3"
 """Raised whenever the same configuration would give another scene."""
+
+FIRST_TRAINING_SEED = 1000
+"""Seeds from here on are kept for training the encoder."""
+
+FORMS = ("spindle", "wall", "vase", "bush")
+"""Training systems of the tree."""
+PATHS = ("ring", "half-ring", "row")
+"""Ways the camera goes."""
+AIMS = ("auto", "tree", "part")
+"""What the camera looks at."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OrchardConfig:
-    """One scene: a tree, its fruit, its light and the walk around it. Lengths in metres."""
+    """One scene: trees, their fruit, what stands around them, the light, and the way of the camera. Metres."""
 
     species: str = "apple"
     """Kind of fruit: apple, pear, cherry, plum, lemon, orange, peach or mango."""
@@ -27,20 +33,55 @@ class OrchardConfig:
     seed: int = 1
     """Seed of everything that is random. Seeds of 1000 and above are kept for training the encoder."""
 
+    form: str = "spindle"
+    """How the tree is trained: spindle (a leader with limbs around it), wall (limbs in the plane of the row), vase
+    (steep limbs around an open centre) or bush (several low stems)."""
+
+    tree_height: float = 0.0
+    """Height of a tree; 0: the species' own."""
+
+    trees: int = 1
+    """Trees of the row, along x, each with its own fruit."""
+
     fruits: int = 120
-    """Number of fruit hanging on the tree."""
+    """Number of fruit hanging on each tree."""
+
+    clump: float = 0.0
+    """Mean number of fruit in a clump, at least 1; 0: as the species clumps."""
+
+    spread: float = -1.0
+    """Standard deviation of the fruit's diameter over its mean; below 0: the species' own."""
 
     fallen: int = 4
-    """Number of fruit lying on the ground."""
+    """Number of fruit lying on the ground under each tree."""
 
     leaves: int = 3600
-    """Number of leaves on the tree."""
+    """Number of leaves on each tree."""
+
+    neighbours: int = 0
+    """Trees of the rows behind and in front, with fruit that do not belong to the count."""
+
+    tags: int = 0
+    """Small coloured tags on the twigs of each tree."""
+
+    flowers: int = 0
+    """Fruit-coloured flowers, half of them in the crown of each tree and half in the grass below."""
+
+    posts: int = -1
+    """Stakes and posts; -1: drawn by the seed, from none to two."""
+
+    path: str = "ring"
+    """Way of the camera: ring, half-ring (the side of negative y), or row (along x on that side, to and fro)."""
+
+    aim: str = "auto"
+    """What is looked at: tree, part (a fruitful part of the crown, where the fruit then gather), or auto: a part where
+    the pictures are too narrow for the tree."""
 
     views: int = 60
     """Number of pictures."""
 
     rings: int = 2
-    """Number of heights from which the tree is walked around."""
+    """Number of heights from which pictures are taken."""
 
     width: int = 480
     """Width of a picture in pixels."""
@@ -49,7 +90,23 @@ class OrchardConfig:
     """Height of a picture in pixels."""
 
     fruit_pixels: float = 17.0
-    """Mean fruit diameter in a picture, in pixels, at the tree's axis."""
+    """Mean fruit diameter in a picture, in pixels, at what the camera looks at."""
+
+    exposure_drift: float = 0.0
+    """Standard deviation of the exposure from view to view, in stops."""
+
+    white_balance_drift: float = 0.0
+    """Standard deviation from view to view of the natural logarithm of red over blue."""
+
+    motion_blur: float = 0.0
+    """Mean length of the camera's shake during a picture, in pixels; masks and depth stay sharp."""
+
+    leaf_motion: float = 0.0
+    """Standard deviation of the angle by which wind turns a leaf about its stalk in each view, in degrees."""
+
+    pose_noise: float = 0.0
+    """Standard deviation of the written rotations about each axis, in degrees; camera centres move by the same angle
+    times the distance to what is looked at, along each axis. The true cameras stand in truth.json."""
 
     samples: int = 12
     """Cycles samples a pixel; the pictures are denoised after."""
@@ -61,7 +118,7 @@ class OrchardConfig:
     """Number of points of the sparse cloud."""
 
     close_ups: bool = False
-    """Views at scattered distances, aimed at single places of the crown, instead of the walk around the tree."""
+    """Views at scattered distances, aimed at single places of the crown, instead of the way around the tree."""
 
     light_variety: float = 0.25
     """How much sun, sky and exposure vary between seeds, from 0 to 1."""
@@ -70,40 +127,3 @@ class OrchardConfig:
         """A short hash of every setting and of the generator's version."""
         text = json.dumps({"generator": GENERATOR_VERSION, **asdict(self)}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-FIRST_TRAINING_SEED = 1000
-
-
-WALKS = 0.4
-"""Share of training scenes that are seen as users walk around a tree; the others are close-ups."""
-
-
-def training_config(seed: int) -> OrchardConfig:
-    """A small scene for training the encoder: species and varieties take turns, the rest is drawn by seed."""
-    rng = np.random.default_rng([seed, 99])
-    number = seed - FIRST_TRAINING_SEED
-    species = list(SPECIES.values())[number % len(SPECIES)]
-    variant = species.variants[number // len(SPECIES) % len(species.variants)]
-    # Leaves to cover the crown of this tree as 3600 leaves of the apple cover its own.
-    cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
-    fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))
-    leaves = int(rng.integers(1600, 4200) * cover)
-    close_ups = bool(rng.random() >= WALKS)
-    return OrchardConfig(
-        species=species.name,
-        variant=variant.name,
-        seed=seed,
-        fruits=fruits if close_ups else 2 * fruits,
-        fallen=fallen,
-        leaves=leaves,
-        views=6 if close_ups else 8,
-        width=320 if close_ups else 480,
-        height=320 if close_ups else 360,
-        fruit_pixels=float(np.exp(rng.uniform(*np.log((11.0, 26.0))))),
-        samples=6 if close_ups else 8,
-        bounces=3,
-        points=500,
-        close_ups=close_ups,
-        light_variety=1.0,
-    )

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .body import Body, frame_of
+from .branch import unit
 from .species import Species, Variant, linear_rgb
-from .tree import unit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

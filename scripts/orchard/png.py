@@ -30,3 +30,17 @@ def write_grey(path: Path, values: NDArray[np.uint8] | NDArray[np.uint16]) -> No
     half_made = path.with_name(path.name + ".part")
     half_made.write_bytes(out)
     os.replace(half_made, path)
+
+
+def read_grey(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """The values (H, W) of a picture that `write_grey` wrote."""
+    content, at, raw = path.read_bytes(), 8, b""
+    width, height, depth = struct.unpack(">IIB", content[16:25])
+    while at < len(content):
+        (length,) = struct.unpack(">I", content[at : at + 4])
+        if content[at + 4 : at + 8] == b"IDAT":
+            raw += content[at + 8 : at + 8 + length]
+        at += 12 + length
+    rows = np.frombuffer(zlib.decompress(raw), dtype=np.uint8).reshape(height, 1 + width * depth // 8)[:, 1:]
+    values = rows.copy().view(">u2" if depth == 16 else "u1").reshape(height, width)
+    return values.astype(np.uint16) if depth == 16 else values.astype(np.uint8)

@@ -14,23 +14,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import cameras, png, sparse, truth
-from .cameras import Viewpoint
+from . import png, sparse, truth
+from .cameras import walk
+from .close_ups import close_ups
 from .config import GENERATOR_VERSION, OrchardConfig
+from .distractor_materials import MORE_CLASSES
 from .errors import OrchardError
 from .materials import CLASSES
+from .nerfstudio import write_nerfstudio
 from .planting import Orchard, plant
+from .poses import disturbed
 from .render import Passes, picture_pixels, prepare, render_view
-from .stage import set_stage
+from .shake import shake_of
+from .stage import dress, set_stage
+from .viewpoint import Viewpoint
 
 Report = Callable[[str], None]
 
 
-def produce(config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0, report: Report) -> None:
+LAYOUTS = ("colmap", "nerfstudio")
+
+
+def produce(
+    config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0, layout: str = "colmap", report: Report
+) -> None:
     """Plant, render and describe one orchard into `out`.
 
     Pictures that an earlier run of the same configuration left are kept. With `preview`, only so many views, spread
-    along the walk, are made. `classes` adds classes/ and classes.json.
+    along the walk, are made. `classes` adds classes/ and classes.json, and the layout nerfstudio its own
+    files.
 
     Raises:
         OrchardError: `out` holds something else, or is no folder that can be written.
@@ -38,7 +50,13 @@ def produce(config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0
     _claim(config, out)
     if _complete(out, classes=classes):
         report(f"{out}: already complete")
-        return
+    else:
+        _make(config, out, classes=classes, preview=preview, report=report)
+    if layout == "nerfstudio":
+        write_nerfstudio(out)
+
+
+def _make(config: OrchardConfig, out: Path, *, classes: bool, preview: int, report: Report) -> None:
     orchard = plant(config)
     views = viewpoints(orchard)
     if preview:
@@ -46,7 +64,7 @@ def produce(config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0
     passes = _render(orchard, views, out, classes=classes, report=report)
     _describe(orchard, views, passes, out)
     if classes:
-        words = [*CLASSES[:-1], config.species]
+        words = [*CLASSES[:-1], config.species, *MORE_CLASSES]
         _write_json(out / "classes.json", {str(i): word for i, word in enumerate(words)})
     _write_truth(orchard, views, passes, out)
     if not preview:
@@ -79,7 +97,7 @@ def _claim(config: OrchardConfig, out: Path) -> None:
                 return
         elif out.exists() and any(out.iterdir()):
             raise OrchardError(f"{out} is not empty and holds no orchard: name another folder")
-        for folder in ("images", "instances", "cache"):
+        for folder in ("images", "instances", "depth", "cache"):
             (out / folder).mkdir(parents=True, exist_ok=True)
         mark = {"digest": config.digest(), "generator": GENERATOR_VERSION, "config": asdict(config)}
         _write_json(out / "orchard.json", mark)
@@ -91,9 +109,9 @@ def viewpoints(orchard: Orchard) -> list[Viewpoint]:
     """The scene's cameras, drawn from its seed."""
     rng = np.random.default_rng([orchard.config.seed, 20])
     if not orchard.config.close_ups:
-        return cameras.walk(rng, orchard.config, orchard.species, orchard.crown)
-    bodies = [f.body for f in orchard.fruits]
-    return cameras.close_ups(rng, orchard.config, orchard.species, orchard.crown, bodies)
+        return walk(rng, orchard.config, orchard.species, orchard.place)
+    bodies = [f.body for f in orchard.fruits if f.kind != "neighbour"]
+    return close_ups(rng, orchard.config, orchard.species, orchard.place.crown, bodies)
 
 
 def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes: bool, report: Report) -> list[Passes]:
@@ -101,12 +119,15 @@ def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes:
     scratch.mkdir(exist_ok=True)
     missing = [v for v in views if not ((out / "images" / v.name).exists() and _cached(out, v).exists())]
     if missing:
-        set_stage(orchard)
+        stage = set_stage(orchard)
         prepare(orchard.config, scratch, report)
     start = time.monotonic()
     for done, view in enumerate(missing, start=1):
-        seed = orchard.config.seed * 1000 + int(Path(view.name).stem)
-        passes = render_view(view, out / "images" / view.name, scratch, orchard.ground, seed=seed)
+        number = int(Path(view.name).stem)
+        dress(stage, orchard, number)
+        shake = _shake(orchard.config, number)
+        seed = orchard.config.seed * 1000 + number
+        passes = render_view(view, out / "images" / view.name, scratch, orchard.ground, seed=seed, shake=shake)
         half_made = scratch / "half_made.npz"
         np.savez_compressed(half_made, fruit=passes.fruit, classes=passes.classes, depth=passes.depth)
         os.replace(half_made, _cached(out, view))
@@ -118,10 +139,24 @@ def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes:
             results.append(Passes(fruit=file["fruit"], classes=file["classes"], depth=file["depth"]))
         stem = Path(view.name).stem
         png.write_grey(out / "instances" / f"{stem}.png", results[-1].fruit)
+        (out / "depth").mkdir(exist_ok=True)
+        png.write_grey(out / "depth" / f"{stem}.png", millimetres(results[-1].depth))
         if classes:
             (out / "classes").mkdir(exist_ok=True)
             png.write_grey(out / "classes" / f"{stem}.png", results[-1].classes)
     return results
+
+
+def millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """(H, W) depth in metres as whole millimetres; 0 for nothing, and for what is too far for 16 bits (65.5 m)."""
+    rounded = np.rint(depth * 1000.0)
+    return np.where(rounded <= 65535, rounded, 0).astype(np.uint16)
+
+
+def _shake(config: OrchardConfig, number: int) -> NDArray[np.float64] | None:
+    """How the camera shakes in the view of this number."""
+    rng = np.random.default_rng([config.seed, 22, number])
+    return shake_of(rng, config.motion_blur) if config.motion_blur > 0 else None
 
 
 def _cached(out: Path, view: Viewpoint) -> Path:
@@ -130,23 +165,30 @@ def _cached(out: Path, view: Viewpoint) -> Path:
 
 def _describe(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[Passes], out: Path) -> None:
     """Write the COLMAP model; it knows pictures and depths, nothing of fruit."""
-    rng = np.random.default_rng([orchard.config.seed, 30])
+    config = orchard.config
+    rng = np.random.default_rng([config.seed, 30])
     pictures: list[NDArray[np.uint8]] = [picture_pixels(out / "images" / v.name) for v in views]
-    cloud = sparse.sample_cloud(rng, views, [p.depth for p in passes], pictures, orchard.config.points)
-    sparse.write_model(out / "sparse" / "0", views, cloud)
+    cloud = sparse.sample_cloud(rng, views, [p.depth for p in passes], pictures, config.points)
+    written: Sequence[Viewpoint] = views
+    if config.pose_noise > 0:
+        noise = np.random.default_rng([config.seed, 31])
+        away = views[0].focal * orchard.species.diameter / config.fruit_pixels
+        written = disturbed(noise, views, degrees=config.pose_noise, distance=away)
+    sparse.write_model(out / "sparse" / "0", views, cloud, written)
 
 
 def _write_truth(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[Passes], out: Path) -> None:
     config = orchard.config
     names = [v.name for v in views]
     ids = [f.id for f in orchard.fruits]
-    shown = truth.visibilities(views, [p.fruit for p in passes], ids, orchard.fruit_meshes)
+    shown = truth.visibilities(views, [p.fruit for p in passes], ids, orchard.world_meshes)
     document = {
         "generator": GENERATOR_VERSION,
         "seed": config.seed,
         "species": config.species,
         "variant": orchard.variant.name,
         "metres_per_unit": 1.0,
+        "views": [truth.view_record(view) for view in views],
         "fruits": [truth.fruit_record(f, config.species, v, names) for f, v in zip(orchard.fruits, shown, strict=True)],
     }
     _write_json(out / "truth.json", document)

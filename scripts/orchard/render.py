@@ -15,11 +15,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .cameras import Viewpoint
 from .config import OrchardConfig
 from .ground import Ground
 from .materials import CLASSES
+from .shake import shaken
+from .viewpoint import Viewpoint
 
+JPEG_QUALITY = 90
 WITHOUT_DENOISER = 6
 """How many times the samples where Blender cannot denoise."""
 
@@ -61,8 +63,8 @@ def prepare(config: OrchardConfig, scratch: Path, report: Callable[[str], None])
     scene.render.use_persistent_data = True
     scene.render.resolution_x, scene.render.resolution_y = config.width, config.height
     scene.render.resolution_percentage = 100
-    scene.render.image_settings.file_format = "JPEG"
-    scene.render.image_settings.quality = 90
+    scene.render.image_settings.quality = JPEG_QUALITY
+    scene.render.image_settings.color_mode = "RGB"
     scene.render.use_file_extension = False
     cycles = scene.cycles
     cycles.device = "CPU"
@@ -132,17 +134,29 @@ def place_camera(view: Viewpoint) -> None:
     scene.camera.matrix_world = matrix.T.tolist()
 
 
-def render_view(view: Viewpoint, picture: Path, scratch: Path, ground: Ground, *, seed: int) -> Passes:
-    """Render one view; the picture is put in place at the end, whole."""
+def render_view(
+    view: Viewpoint,
+    picture: Path,
+    scratch: Path,
+    ground: Ground,
+    *,
+    seed: int,
+    shake: NDArray[np.float64] | None = None,
+) -> Passes:
+    """Render one view; the picture is put in place at the end, whole, and blurred along `shake` (x, y in pixels)."""
     scene = bpy.context.scene
     place_camera(view)
     scene.cycles.seed = seed % 2**31
     half_made = picture.with_name(picture.name + ".part")
-    scene.render.filepath = str(half_made)
+    sharp = half_made if shake is None else scratch / "sharp.png"
+    scene.render.image_settings.file_format = "JPEG" if shake is None else "PNG"
+    scene.render.filepath = str(sharp)
     scene.frame_set(1)
     with quiet():
         bpy.ops.render.render(write_still=True)
     passes = _read_passes(next(scratch.glob("passes_*")), view, ground)
+    if shake is not None:
+        _write_jpeg(half_made, shaken(picture_pixels(sharp), shake))
     half_made.write_bytes(without_comments(half_made.read_bytes()))
     os.replace(half_made, picture)
     return passes
@@ -191,3 +205,15 @@ def picture_pixels(path: Path) -> NDArray[np.uint8]:
     rgb = values.reshape(height, width, image.channels)[::-1, :, :3]
     bpy.data.images.remove(image)
     return np.rint(rgb * 255).astype(np.uint8)
+
+
+def _write_jpeg(path: Path, pixels: NDArray[np.uint8]) -> None:
+    height, width, _ = pixels.shape
+    image = bpy.data.images.new("shaken", width, height)
+    rgba = np.ones((height, width, 4), dtype=np.float32)
+    rgba[..., :3] = pixels[::-1] / 255.0
+    image.pixels.foreach_set(rgba.ravel())
+    image.file_format = "JPEG"
+    image.filepath_raw = str(path)
+    image.save(quality=JPEG_QUALITY)
+    bpy.data.images.remove(image)

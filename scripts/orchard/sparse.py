@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .cameras import Viewpoint
+from .viewpoint import Viewpoint
 
 FloatArray = NDArray[np.float64]
 
@@ -80,8 +80,11 @@ def _who_sees(
     return seen
 
 
-def write_model(folder: Path, views: Sequence[Viewpoint], cloud: Cloud) -> None:
-    """Write cameras.bin, images.bin and points3D.bin (one shared PINHOLE camera)."""
+def write_model(folder: Path, views: Sequence[Viewpoint], cloud: Cloud, written: Sequence[Viewpoint]) -> None:
+    """Write cameras.bin, images.bin and points3D.bin (one shared PINHOLE camera).
+
+    `views` took the pictures, and points are observed where they show them; `written` are the poses to write.
+    """
     import pycolmap
 
     first = views[0]
@@ -102,7 +105,7 @@ def write_model(folder: Path, views: Sequence[Viewpoint], cloud: Cloud) -> None:
         image = pycolmap.Image(
             name=view.name, camera_id=1, image_id=i + 1, keypoints=np.array(observations[i]).reshape(-1, 2)
         )
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(view.world_to_camera))
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(written[i].world_to_camera))
     for point, color, track in zip(cloud.points, cloud.colors, tracks, strict=True):
         model.add_point3D(point, track, color)
     folder.mkdir(parents=True, exist_ok=True)

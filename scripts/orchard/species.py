@@ -130,7 +130,7 @@ SPECIES: dict[str, Species] = {
                         blush_strength=(0.4, 0.95), blush_width=0.7),
             ),
             leaf_length=0.095, leaf_width=0.045, leaf_tip=0.58, leaf_colors=("#36601f", "#6b9438"),
-            tree_height=1.05, roughness=0.2,
+            tree_height=2.4, roughness=0.2,
         ),
         Species(
             name="plum", profile=_PLUM, diameter=0.042, spread=0.08, stalk=(0.010, 0.022),
@@ -144,7 +144,7 @@ SPECIES: dict[str, Species] = {
                         blush_strength=(0.0, 0.7), blush_width=0.5),
             ),
             leaf_length=0.070, leaf_width=0.040, leaf_tip=0.58, leaf_colors=("#41632a", "#71903f"),
-            tree_height=1.5, roughness=0.5,
+            tree_height=2.2, roughness=0.5,
         ),
         Species(
             name="lemon", profile=_LEMON, diameter=0.062, spread=0.09, stalk=(0.010, 0.022),

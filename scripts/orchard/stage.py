@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -9,156 +11,171 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import materials
-from .ground import TUFT_PROTOTYPES, Ground
-from .meshes import Mesh, joined, leaf_prototype, stalk_mesh, tube, tuft_prototype
+from .blender_objects import add_object, matrix_of, mesh_data
+from .branch import Branch, unit
+from .crop import PlacedFruit
+from .distractor_materials import distractor_material
+from .foliage import Leaves, turned
+from .ground import TUFT_PROTOTYPES
+from .landscape import backdrop_mesh, ground_mesh
+from .meshes import joined, leaf_prototype, stalk_mesh, tube, tuft_prototype
 from .planting import Orchard
 from .species import linear_rgb
-from .tree import unit
 
 FloatArray = NDArray[np.float64]
 
 
-def _mesh_data(name: str, mesh: Mesh, material: Any, *, smooth: bool = True) -> Any:
-    data = bpy.data.meshes.new(name)
-    faces = [q[:3] if q[2] == q[3] else q for q in mesh.quads.tolist()]
-    data.from_pydata(mesh.vertices.tolist(), [], faces)
-    data.polygons.foreach_set("use_smooth", np.full(len(faces), smooth))
-    if len(mesh.colors):
-        layer = data.attributes.new("tint", "FLOAT_COLOR", "POINT")
-        rgba = np.ones((len(mesh.vertices), 4), dtype=np.float32)
-        rgba[:, :3] = mesh.colors
-        layer.data.foreach_set("color", rgba.ravel())
-    data.materials.append(material)
-    return data
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """What changes from view to view."""
+
+    leaves: tuple[Any, ...]
+    """The leaf objects of the row's trees, in the order of `Orchard.leaves`."""
+    exposure: float
+    """Stops, before any drift."""
 
 
-def _object(name: str, data: Any) -> Any:
-    thing = bpy.data.objects.new(name, data)
-    bpy.context.scene.collection.objects.link(thing)
-    return thing
-
-
-def _matrix(frame: FloatArray, place: FloatArray, scale: float) -> list[list[float]]:
-    matrix = np.eye(4)
-    matrix[:3, :3] = frame * scale
-    matrix[:3, 3] = place
-    return matrix.T.tolist()  # foreach-style column order: Blender's matrix_world setter takes columns
-
-
-def set_stage(orchard: Orchard) -> None:
+def set_stage(orchard: Orchard) -> Stage:
     """Replace Blender's current file by this orchard."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     rng = np.random.default_rng([orchard.config.seed, 10])
-    _wood(orchard, rng)
-    _leaves(orchard, rng)
-    _fruits(orchard)
+    bark = _wood(orchard, rng)
+    foliage = _Foliage(rng, orchard)
+    things = foliage.hang(orchard.leaves, None)
+    fruit = materials.fruit_material(orchard.species)
+    for placed, mesh in zip(orchard.fruits, orchard.fruit_meshes, strict=False):  # the neighbours' own come after
+        thing = add_object(f"fruit.{placed.id:03d}", mesh_data("fruit", mesh, fruit))
+        thing.pass_index = placed.id
     _ground(orchard, rng)
     _light(orchard, rng)
+    _neighbours(orchard, bark, foliage, fruit)
+    _distractors(orchard)
+    return Stage(leaves=tuple(things), exposure=float(bpy.context.scene.view_settings.exposure))
 
 
-def _wood(orchard: Orchard, rng: np.random.Generator) -> None:
+def dress(stage: Stage, orchard: Orchard, number: int) -> None:
+    """Set exposure, white balance and wind of the view of this number; nothing else differs between views."""
+    config = orchard.config
+    rng = np.random.default_rng([config.seed, 21, number])
+    view = bpy.context.scene.view_settings
+    view.exposure = stage.exposure + config.exposure_drift * rng.normal()
+    if config.white_balance_drift > 0:
+        half = 0.5 * config.white_balance_drift * rng.normal()
+        view.use_curve_mapping = True
+        # What is this bright becomes white: the picture is divided by it.
+        view.curve_mapping.white_level = (float(np.exp(-half)), 1.0, float(np.exp(half)))
+        view.curve_mapping.update()
+    if config.leaf_motion > 0:
+        frames = turned(rng, orchard.leaves, config.leaf_motion)
+        leaves = orchard.leaves
+        for thing, frame, base, length in zip(stage.leaves, frames, leaves.bases, leaves.lengths, strict=True):
+            thing.matrix_world = matrix_of(frame, base, float(length))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Bark:
+    """Materials of wood."""
+
+    trunk: Any
+    twig: Any
+
+
+def _wood(orchard: Orchard, rng: np.random.Generator) -> _Bark:
     shade = rng.uniform(0.75, 1.25) * np.array([1.0, rng.uniform(0.9, 1.0), rng.uniform(0.8, 1.0)])
 
     def tone(hex_color: str) -> tuple[float, ...]:
         return (*np.clip(linear_rgb(hex_color) * shade, 0, 1).tolist(), 1.0)
 
-    bark = materials.wood_material("trunk", (tone("#3f342b"), tone("#8d7f6f")), scale=60.0, bump=0.6)
-    twig = materials.wood_material("branch", (tone("#4a3a2c"), tone("#85725c")), scale=90.0, bump=0.3)
+    bark = _Bark(
+        trunk=materials.wood_material("trunk", (tone("#3f342b"), tone("#8d7f6f")), scale=60.0, bump=0.6),
+        twig=materials.wood_material("branch", (tone("#4a3a2c"), tone("#85725c")), scale=90.0, bump=0.3),
+    )
     post = materials.wood_material("post", (tone("#6b6459"), tone("#a89f90")), scale=40.0, bump=0.2)
-    trunk = orchard.branches[0]
-    _object("trunk", _mesh_data("trunk", tube(trunk.points, trunk.radii, segments=14, cap=True), bark))
-    sides = {1: 9, 2: 6, 3: 5}
-    parts = [tube(b.points, b.radii, segments=sides[b.generation], cap=True) for b in orchard.branches[1:]]
-    parts += [stalk_mesh(f.body, f.anchor, f.diameter) for f in orchard.fruits if f.anchor is not None]
-    _object("branches", _mesh_data("branches", joined(parts), twig))
+    _tree_wood(orchard.branches, orchard.fruits, bark, None)
     for i, mesh in enumerate(orchard.ground.posts):
-        _object(f"post.{i}", _mesh_data("post", mesh, post))
+        add_object(f"post.{i}", mesh_data("post", mesh, post))
+    return bark
 
 
-def _leaves(orchard: Orchard, rng: np.random.Generator) -> None:
-    """Instances of a few leaf meshes, each with its own colour."""
-    material = materials.leaf_material()
-    prototypes = [_mesh_data("leaf", leaf_prototype(rng, orchard.species), material) for _ in range(8)]
-    dark, light = (linear_rgb(c) for c in orchard.species.leaf_colors)
-    leaves = orchard.leaves
-    yellow = rng.uniform(size=len(leaves.bases)) < rng.uniform(0.0, 0.04)
-    tints = 1 + rng.normal(0.0, 0.05, (len(leaves.bases), 3))
-    whole = rng.uniform(0.85, 1.15) * (1 + rng.normal(0, 0.05, 3))
-    for i, (base, frame, length, shade) in enumerate(
-        zip(leaves.bases, leaves.frames, leaves.lengths, leaves.shades, strict=True)
-    ):
-        thing = _object("leaf", prototypes[i % len(prototypes)])
-        thing.matrix_world = _matrix(frame, base, float(length))
-        color = linear_rgb("#b5a23c") if yellow[i] else dark + (light - dark) * shade
-        thing.color = (*np.clip(color * tints[i] * whole, 0, 1).tolist(), 1.0)
+def _tree_wood(branches: Sequence[Branch], fruits: Sequence[PlacedFruit], bark: _Bark, collection: Any) -> None:
+    """Trunks, branches and the stalks of the fruit."""
+    trunks = [tube(b.points, b.radii, segments=14, cap=True) for b in branches if b.generation == 0]
+    add_object("trunk", mesh_data("trunk", joined(trunks), bark.trunk), collection)
+    sides = {1: 9, 2: 6, 3: 5}
+    parts = [tube(b.points, b.radii, segments=sides[b.generation], cap=True) for b in branches if b.generation]
+    parts += [stalk_mesh(f.body, f.anchor, f.diameter) for f in fruits if f.anchor is not None]
+    add_object("branches", mesh_data("branches", joined(parts), bark.twig), collection)
 
 
-def _fruits(orchard: Orchard) -> None:
-    material = materials.fruit_material(orchard.species)
-    for fruit, mesh in zip(orchard.fruits, orchard.fruit_meshes, strict=True):
-        thing = _object(f"fruit.{fruit.id:03d}", _mesh_data("fruit", mesh, material))
-        thing.pass_index = fruit.id
+class _Foliage:
+    """Hangs instances of a few leaf meshes, each leaf with its own colour."""
+
+    def __init__(self, rng: np.random.Generator, orchard: Orchard) -> None:
+        material = materials.leaf_material()
+        self.rng = rng
+        self.prototypes = [mesh_data("leaf", leaf_prototype(rng, orchard.species), material) for _ in range(8)]
+        self.dark, self.light = (linear_rgb(c) for c in orchard.species.leaf_colors)
+        self.yellow = rng.uniform(0.0, 0.04)
+        self.whole = rng.uniform(0.85, 1.15) * (1 + rng.normal(0, 0.05, 3))
+
+    def hang(self, leaves: Leaves, collection: Any) -> list[Any]:
+        """One object a leaf, in the scene or in a collection."""
+        yellow = self.rng.uniform(size=len(leaves.bases)) < self.yellow
+        tints = 1 + self.rng.normal(0.0, 0.05, (len(leaves.bases), 3))
+        things = []
+        for i, (base, frame, length, shade) in enumerate(
+            zip(leaves.bases, leaves.frames, leaves.lengths, leaves.shades, strict=True)
+        ):
+            thing = add_object("leaf", self.prototypes[i % len(self.prototypes)], collection)
+            thing.matrix_world = matrix_of(frame, base, float(length))
+            color = linear_rgb("#b5a23c") if yellow[i] else self.dark + (self.light - self.dark) * shade
+            thing.color = (*np.clip(color * tints[i] * self.whole, 0, 1).tolist(), 1.0)
+            things.append(thing)
+        return things
+
+
+def _neighbours(orchard: Orchard, bark: _Bark, foliage: _Foliage, fruit: Any) -> None:
+    """Wood and leaves of each prototype once, as a collection that its copies show; fruit are objects for their ids."""
+    collections, meshes = [], []
+    for prototype in orchard.prototypes:
+        collection = bpy.data.collections.new("neighbour")
+        _tree_wood(prototype.branches, prototype.fruits, bark, collection)
+        foliage.hang(prototype.leaves, collection)
+        collections.append(collection)
+        meshes.append([mesh_data("fruit", mesh, fruit) for mesh in prototype.fruit_meshes])
+    for neighbour in orchard.neighbours:
+        where = matrix_of(neighbour.frame, neighbour.foot, 1.0)
+        copy = add_object("neighbour", None)
+        copy.instance_type = "COLLECTION"
+        copy.instance_collection = collections[neighbour.prototype]
+        copy.matrix_world = where
+        for i, mesh in enumerate(meshes[neighbour.prototype]):
+            thing = add_object("neighbour.fruit", mesh)
+            thing.matrix_world = where
+            thing.pass_index = neighbour.first_id + i
+
+
+def _distractors(orchard: Orchard) -> None:
+    for word, meshes, translucency in (("tag", orchard.tags, 0.1), ("flower", orchard.flowers, 0.35)):
+        if meshes:
+            material = distractor_material(word, translucency=translucency)
+            add_object(word, mesh_data(word, joined(meshes), material, smooth=False))
 
 
 def _ground(orchard: Orchard, rng: np.random.Generator) -> None:
     ground = orchard.ground
-    size = orchard.species.tree_height / 2.3
-    _object("ground", _mesh_data("ground", _ground_mesh(ground, size), materials.ground_material()))
+    add_object("ground", mesh_data("ground", ground_mesh(ground, orchard.size), materials.ground_material()))
     if rng.uniform() < 0.65:
-        _object("backdrop", _mesh_data("backdrop", _backdrop_mesh(rng, size), materials.backdrop_material()))
+        far = orchard.size + 0.05 * orchard.ground.half_row
+        add_object("backdrop", mesh_data("backdrop", backdrop_mesh(rng, far), materials.backdrop_material()))
     material = materials.grass_material()
-    prototypes = [_mesh_data("tuft", tuft_prototype(rng), material) for _ in range(TUFT_PROTOTYPES)]
+    prototypes = [mesh_data("tuft", tuft_prototype(rng), material) for _ in range(TUFT_PROTOTYPES)]
     dark, light = ground.grass
     for tuft in ground.tufts:
-        thing = _object("tuft", prototypes[tuft.prototype])
+        thing = add_object("tuft", prototypes[tuft.prototype])
         c, s = np.cos(tuft.turn), np.sin(tuft.turn)
-        thing.matrix_world = _matrix(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), tuft.position, tuft.scale)
+        thing.matrix_world = matrix_of(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), tuft.position, tuft.scale)
         thing.color = (*np.clip(dark + (light - dark) * tuft.shade, 0, 1).tolist(), 1.0)
-
-
-def _ground_mesh(ground: Ground, size: float) -> Mesh:
-    """A disc whose rings grow outward, coloured by its patches."""
-    radii = np.concatenate([np.linspace(0.0, 4.0, 110)[1:], np.geomspace(4.15, 80.0, 36)]) * size
-    turns = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-    x, y = (np.outer(radii, f(turns)).ravel() for f in (np.cos, np.sin))
-    x, y = np.append(x, 0.0), np.append(y, 0.0)
-    fade = np.clip(1.5 - np.hypot(x, y) / (8 * size), 0, 1)
-    soil = ground.soil_share(x, y)[:, None]
-    tone = np.clip(0.5 + 0.5 * ground.patches(1.7 * x + 5, 1.7 * y - 3), 0, 1)[:, None]
-    grass = ground.grass[0] + (ground.grass[1] - ground.grass[0]) * tone
-    earth = ground.soil[0] + (ground.soil[1] - ground.soil[0]) * tone
-    rings, columns = len(radii), len(turns)
-    r = np.arange(rings - 1)[:, None] * columns
-    c = np.arange(columns)[None, :]
-    n = (c + 1) % columns
-    quads = np.stack([r + c, r + columns + c, r + columns + n, r + n], axis=2).reshape(-1, 4)
-    middle = np.full(columns, rings * columns)
-    fan = np.stack([c[0], n[0], middle, middle], axis=1)
-    return Mesh(
-        vertices=np.stack([x, y, ground.relief(x, y) * fade], axis=1),
-        quads=np.vstack([quads, fan]),
-        colors=grass * (1 - soil) + earth * soil,
-    )
-
-
-def _backdrop_mesh(rng: np.random.Generator, size: float) -> Mesh:
-    """A far hedge around the place, uneven in height and colour, hazy."""
-    turns = np.linspace(0, 2 * np.pi, 240, endpoint=False)
-    away = rng.uniform(18, 40) * size
-    shape = sum(np.sin(m * turns + rng.uniform(0, 6.28)) / m**0.6 for m in (2, 3, 5, 9, 14, 23, 37))
-    high = away * rng.uniform(0.11, 0.22) * np.clip(1.0 + 0.25 * shape, 0.5, 2.2)
-    levels = np.array([-0.05, 0.0, 0.4, 0.75, 1.0])
-    z = levels[:, None] * high
-    r = away * (1 + 0.03 * levels[:, None] + 0.015 * shape)
-    vertices = np.stack([r * np.cos(turns), r * np.sin(turns), z], axis=2).reshape(-1, 3)
-    dark, light = linear_rgb("#46592f"), linear_rgb("#8a9a6a")
-    tone = np.clip(0.25 + 0.5 * levels[:, None] + 0.2 * rng.normal(size=(5, 240)), 0, 1).reshape(-1, 1)
-    rows, columns = z.shape
-    a = np.arange(rows - 1)[:, None] * columns
-    c = np.arange(columns)[None, :]
-    n = (c + 1) % columns
-    quads = np.stack([a + c, a + columns + c, a + columns + n, a + n], axis=2).reshape(-1, 4)
-    return Mesh(vertices=vertices, quads=quads, colors=dark + (light - dark) * tone)
 
 
 def _light(orchard: Orchard, rng: np.random.Generator) -> None:
@@ -179,7 +196,7 @@ def _light(orchard: Orchard, rng: np.random.Generator) -> None:
     scene.collection.objects.link(sun)
     to_sun = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
     side = unit(np.cross([0.0, 0.0, 1.0], to_sun))
-    sun.matrix_world = _matrix(np.stack([side, np.cross(to_sun, side), to_sun], axis=1), np.zeros(3), 1.0)
+    sun.matrix_world = matrix_of(np.stack([side, np.cross(to_sun, side), to_sun], axis=1), np.zeros(3), 1.0)
     haze = rng.uniform(0.6, 1.0)
     grey = 0.8 if overcast else 0.0
     zenith = np.array([0.22, 0.42, 0.85]) * (1 - grey) + np.array([0.75, 0.8, 0.88]) * grey

@@ -8,14 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cameras import Viewpoint
-from .fruiting import PlacedFruit
+from .crop import PlacedFruit
 from .meshes import Mesh
+from .viewpoint import Viewpoint
 
 FloatArray = NDArray[np.float64]
 
 LEAST_VIEWS, LEAST_FRACTION, LEAST_PIXELS = 3, 0.10, 12
 """A fruit is visible when so many views show at least this share and this number of its pixels."""
+
+AT_ONCE = 1_000_000
+"""Pairs of triangle and pixel that are tested at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +28,11 @@ class Visibility:
     visible_pixels: tuple[int, ...]
     """Pixels of the fruit seen in each view."""
     whole_pixels: tuple[int, ...]
-    """Pixels it would cover in each view with nothing in front of it."""
+    """Pixels it would cover in each view with nothing in front of it; 0 where none is seen."""
 
     @property
     def fractions(self) -> FloatArray:
-        """(V,) seen ÷ whole; 0 where the fruit lies outside the picture."""
+        """(V,) seen ÷ whole; 0 where nothing of the fruit is seen."""
         seen = np.array(self.visible_pixels, dtype=np.float64)
         whole = np.array(self.whole_pixels, dtype=np.float64)
         return np.where(whole > 0, np.minimum(seen / np.maximum(whole, 1.0), 1.0), 0.0)
@@ -62,19 +65,24 @@ def silhouette_pixels(view: Viewpoint, mesh: Mesh) -> int:
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area: FloatArray = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     # A closed surface is covered twice: the half that turns one way is enough.
-    a, b, c = a[area > 0], b[area > 0], c[area > 0]
-    covered = np.zeros((high[1] - low[1], high[0] - low[0]), dtype=bool)
-    for p, q, r in zip(a, b, c, strict=True):
-        x0, y0 = np.maximum(np.floor(np.minimum(np.minimum(p, q), r) - 0.5).astype(int), low)
-        x1, y1 = np.minimum(np.ceil(np.maximum(np.maximum(p, q), r) + 0.5).astype(int), high)
-        if x1 <= x0 or y1 <= y0:
-            continue
-        x, y = np.arange(x0, x1) + 0.5, (np.arange(y0, y1) + 0.5)[:, None]
-        inside = (q[0] - p[0]) * (y - p[1]) >= (q[1] - p[1]) * (x - p[0])
-        inside &= (r[0] - q[0]) * (y - q[1]) >= (r[1] - q[1]) * (x - q[0])
-        inside &= (p[0] - r[0]) * (y - r[1]) >= (p[1] - r[1]) * (x - r[0])
-        covered[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]] |= inside
+    front = corners[area > 0]
+    grid = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
+    centers = np.stack([each.ravel() for each in grid], axis=1)
+    covered = np.zeros(len(centers), dtype=bool)
+    block = max(1, AT_ONCE // len(centers))
+    for start in range(0, len(front), block):
+        covered |= _inside(front[start : start + block], centers).any(axis=0)
     return int(covered.sum())
+
+
+def _inside(triangles: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """(T, P) whether the (T, 3, 2) triangles hold the (P, 2) points."""
+    inside = np.ones((len(triangles), len(points)), dtype=bool)
+    for corner in range(3):
+        p, q = triangles[:, corner, None], triangles[:, (corner + 1) % 3, None]
+        dx, dy = q[..., 0] - p[..., 0], q[..., 1] - p[..., 1]
+        inside &= dx * (points[:, 1] - p[..., 1]) >= dy * (points[:, 0] - p[..., 0])
+    return inside
 
 
 def visibilities(
@@ -86,23 +94,41 @@ def visibilities(
     return [
         Visibility(
             visible_pixels=tuple(int(n) for n in seen[:, number]),
-            whole_pixels=tuple(silhouette_pixels(view, mesh) for view in views),
+            whole_pixels=tuple(
+                silhouette_pixels(view, mesh) if n else 0 for view, n in zip(views, seen[:, number], strict=True)
+            ),
         )
         for number, mesh in zip(ids, meshes, strict=True)
     ]
 
 
 def fruit_record(fruit: PlacedFruit, label: str, visibility: Visibility, names: Sequence[str]) -> dict[str, object]:
-    """One entry of truth.json; the centre is the volume's centroid, in the COLMAP model's frame."""
-    pixels = {name: n for name, n in zip(names, visibility.visible_pixels, strict=True) if n > 0}
+    """One entry of truth.json; the centre is the volume's centroid, in the COLMAP model's frame.
+
+    A neighbour's fruit is never visible: it belongs to no count, and a prediction on it to no error.
+    """
+    shown = [i for i, n in enumerate(visibility.visible_pixels) if n > 0]
     return {
         "id": fruit.id,
         "label": label,
         "center": [round(float(c), 6) for c in fruit.body.center],
         "diameter": round(float(fruit.diameter), 6),
         "kind": fruit.kind,
+        "tree": fruit.tree,
         "clump": fruit.clump,
-        "visible_pixels": pixels,
+        "visible_pixels": {names[i]: visibility.visible_pixels[i] for i in shown},
+        "visible_fractions": {names[i]: round(float(visibility.fractions[i]), 4) for i in shown},
         "visible_fraction": round(visibility.visible_fraction, 4),
-        "visible": visibility.visible,
+        "visible": visibility.visible and fruit.kind != "neighbour",
+    }
+
+
+def view_record(view: Viewpoint) -> dict[str, object]:
+    """One picture's true camera: a pinhole whose principal point is the picture's middle, focal length in pixels."""
+    return {
+        "name": view.name,
+        "focal": float(view.focal),
+        "width": view.width,
+        "height": view.height,
+        "world_to_camera": view.world_to_camera.tolist(),
     }

@@ -16,18 +16,22 @@ import numpy as np
 import pytest
 
 from orchard.body import Body, gap, signed_distance, smooth_profile, surface_points
-from orchard.cameras import Viewpoint, look_at
+from orchard.branch import wood_samples
 from orchard.check import check
-from orchard.config import FIRST_TRAINING_SEED, OrchardConfig, training_config
+from orchard.config import FIRST_TRAINING_SEED, OrchardConfig
+from orchard.crop import PlacedFruit
 from orchard.errors import OrchardError
 from orchard.fruiting import Fruiting
 from orchard.meshes import Mesh
 from orchard.planting import plant
+from orchard.png import read_grey as png_read_grey
 from orchard.png import write_grey
 from orchard.sparse import sample_cloud
 from orchard.species import SPECIES
-from orchard.tree import grow, wood_samples
-from orchard.truth import Visibility, silhouette_pixels, visibilities
+from orchard.training import training_config
+from orchard.tree import grow
+from orchard.truth import Visibility, fruit_record, silhouette_pixels, visibilities
+from orchard.viewpoint import Viewpoint, look_at
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "make_orchard.py"
 TINY = "--fruits 12 --fallen 1 --leaves 200 --views 3 --rings 1 --width 64 --height 48 --samples 1 --points 300"
@@ -151,6 +155,16 @@ def test_visibilities_count_the_mask_of_each_fruit() -> None:
     assert shown.whole_pixels == (676,)
 
 
+def test_truth_names_the_share_that_each_view_shows_and_never_calls_a_neighbour_visible() -> None:
+    shown = Visibility(visible_pixels=(12, 0, 30, 60), whole_pixels=(60, 0, 60, 60))
+    body = ball((0, 0, 0), 0.04)
+    fruit = PlacedFruit(id=1, body=body, diameter=0.08, kind="hanging", anchor=None, clump=1, tree=2)
+    record = fruit_record(fruit, "apple", shown, ["a", "b", "c", "d"])
+    assert record["visible_fractions"] == {"a": 0.2, "c": 0.5, "d": 1.0}
+    assert (record["visible"], record["tree"]) == (True, 2)
+    assert fruit_record(replace(fruit, kind="neighbour"), "apple", shown, ["a", "b", "c", "d"])["visible"] is False
+
+
 def test_the_sparse_cloud_lies_on_what_is_seen_and_not_at_fruit_centres() -> None:
     # Two cameras see a wall at y = 0; a fruit's centre 0.04 behind the surface must not show up.
     views = [front_view(), replace(front_view(), name="002.jpg")]
@@ -161,6 +175,12 @@ def test_the_sparse_cloud_lies_on_what_is_seen_and_not_at_fruit_centres() -> Non
     assert np.abs(cloud.points[:, 1]).max() < 0.015
     assert all(track == (0, 1) for track in cloud.tracks)
     assert (cloud.colors == 99).all()
+
+
+def test_our_reader_reads_what_our_writer_wrote(tmp_path: Path) -> None:
+    values = np.array([[0, 1, 65535], [300, 7, 256]], dtype=np.uint16)
+    write_grey(tmp_path / "m.png", values)
+    assert np.array_equal(png_read_grey(tmp_path / "m.png"), values)
 
 
 def test_png_of_16_bits_keeps_its_values(tmp_path: Path) -> None:
@@ -178,7 +198,30 @@ def test_training_scenes_take_species_in_turn_and_start_at_their_own_seeds() -> 
 
 
 @pytest.mark.parametrize(
-    ("wrong", "word"), [({"species": "durian"}, "durian"), ({"variant": "blue"}, "blue"), ({"views": 0}, "views")]
+    ("wrong", "word"),
+    [
+        ({"species": "durian"}, "durian"),
+        ({"variant": "blue"}, "blue"),
+        ({"views": 0}, "views"),
+        ({"form": "hedge"}, "form 'hedge'"),
+        ({"path": "spiral"}, "path 'spiral'"),
+        ({"aim": "sky"}, "aim 'sky'"),
+        ({"clump": 0.5}, "clump is 0.5"),
+        ({"spread": 0.9}, "spread is 0.9"),
+        ({"trees": 0}, "trees is 0"),
+        ({"neighbours": -1}, "neighbours is -1"),
+        ({"posts": -2}, "posts is -2"),
+        ({"tags": -1}, "tags is -1"),
+        ({"flowers": -1}, "flowers is -1"),
+        ({"exposure_drift": -0.1}, "exposure_drift is -0.1"),
+        ({"white_balance_drift": 3.0}, "white_balance_drift is 3.0"),
+        ({"motion_blur": float("nan")}, "motion_blur is nan"),
+        ({"leaf_motion": 100.0}, "leaf_motion is 100.0"),
+        ({"pose_noise": -1.0}, "pose_noise is -1.0"),
+        ({"tree_height": 0.1}, "tree_height is 0.1"),
+        ({"aim": "part", "trees": 2}, "aim part"),
+        ({"fruits": 20000, "trees": 2}, "32000"),
+    ],
 )
 def test_a_setting_that_makes_no_sense_is_named(wrong: dict[str, object], word: str) -> None:
     with pytest.raises(OrchardError, match=word):
@@ -252,7 +295,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_scene_has_every_file(scene: Path) -> None:
     names = {p.relative_to(scene).as_posix() for p in scene.rglob("*") if p.is_file()}
     for stem in ("001", "002", "003"):
-        assert {f"images/{stem}.jpg", f"instances/{stem}.png", f"classes/{stem}.png"} <= names
+        assert {f"images/{stem}.jpg", f"instances/{stem}.png", f"classes/{stem}.png", f"depth/{stem}.png"} <= names
     assert {"truth.json", "classes.json", "orchard.json", "sparse/0/cameras.bin", "sparse/0/points3D.bin"} <= names
     assert not any(n.startswith("cache/") or n.endswith(".part") for n in names)
 
@@ -312,6 +355,25 @@ def test_the_model_reads_and_reprojects_fruit_onto_their_masks(scene: Path) -> N
 
 
 @needs_bpy
+def test_depth_is_in_millimetres_along_the_optical_axis_of_the_true_camera(scene: Path) -> None:
+    truth = json.loads((scene / "truth.json").read_text())
+    assert truth["metres_per_unit"] == 1.0
+    assert [view["name"] for view in truth["views"]] == ["001.jpg", "002.jpg", "003.jpg"]
+    checked = 0
+    for view in truth["views"]:
+        stem = Path(view["name"]).stem
+        mask, depth = read_grey(scene / "instances" / f"{stem}.png"), read_grey(scene / "depth" / f"{stem}.png")
+        pose = np.array(view["world_to_camera"])
+        for fruit in truth["fruits"]:
+            if (mask == fruit["id"]).any():
+                away = (pose[:, :3] @ fruit["center"] + pose[:, 3])[2]
+                front = depth[mask == fruit["id"]].min() / 1000
+                assert away - fruit["diameter"] < front < away + 0.5 * fruit["diameter"]
+                checked += 1
+    assert checked > 5
+
+
+@needs_bpy
 def test_observations_reproject_within_a_few_pixels(scene: Path) -> None:
     import pycolmap
 
@@ -355,3 +417,88 @@ def test_a_finished_scene_is_left_alone_and_other_settings_are_refused(scene: Pa
     other = make(scene, "--seed", "9")
     assert other.returncode == 1
     assert "other settings" in other.stderr
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A row of two vases with neighbours, everything that drifts, and FruitNeRF's layout."""
+    out = tmp_path_factory.mktemp("orchard") / "varied"
+    (out.parent / "row.toml").write_text(
+        'form = "vase"\ntrees = 2\npath = "row"\nneighbours = 2\nfallen = 0\ntags = 3\nflowers = 4\n'
+        "exposure_drift = 0.3\nwhite_balance_drift = 0.2\nmotion_blur = 2.0\nleaf_motion = 10.0\npose_noise = 1.0\n"
+    )
+    done = make(out, "--scene", str(out.parent / "row.toml"), "--fallen", "0", "--layout", "nerfstudio")
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+@needs_bpy
+def test_a_scene_of_a_file_and_flags_keeps_the_settings_it_resolved_to(varied: Path) -> None:
+    config = json.loads((varied / "orchard.json").read_text())["config"]
+    assert (config["form"], config["trees"], config["fruits"], config["pose_noise"]) == ("vase", 2, 12, 1.0)
+
+
+@needs_bpy
+def test_fruit_of_a_row_tell_their_tree_and_those_of_neighbours_are_never_visible(varied: Path) -> None:
+    fruits = json.loads((varied / "truth.json").read_text())["fruits"]
+    assert [f["id"] for f in fruits] == list(range(1, 49))
+    assert [sum(f["tree"] == tree for f in fruits) for tree in (1, 2, 0)] == [12, 12, 24]
+    assert {f["kind"] for f in fruits if f["tree"] == 0} == {"neighbour"}
+    assert not any(f["visible"] for f in fruits if f["kind"] == "neighbour")
+
+
+@needs_bpy
+def test_neighbours_are_where_their_masks_are(varied: Path) -> None:
+    truth = json.loads((varied / "truth.json").read_text())
+    far = {f["id"]: f for f in truth["fruits"] if f["kind"] == "neighbour"}
+    checked = 0
+    for view in truth["views"]:
+        mask = read_grey(varied / "instances" / f"{Path(view['name']).stem}.png")
+        pose = np.array(view["world_to_camera"])
+        for number in set(np.unique(mask).tolist()) & set(far):
+            local = pose[:, :3] @ far[number]["center"] + pose[:, 3]
+            middle = local[:2] / local[2] * view["focal"] + [view["width"] / 2, view["height"] / 2]
+            rows, columns = np.nonzero(mask == number)
+            assert np.hypot(columns + 0.5 - middle[0], rows + 0.5 - middle[1]).max() < 5
+            checked += 1
+    assert checked > 0
+
+
+@needs_bpy
+def test_written_poses_carry_noise_and_truth_undoes_it(varied: Path) -> None:
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(varied / "sparse" / "0"))
+    true = {v["name"]: np.array(v["world_to_camera"]) for v in json.loads((varied / "truth.json").read_text())["views"]}
+    for image in model.images.values():
+        written = image.cam_from_world().matrix()
+        turn = written[:, :3] @ true[image.name][:, :3].T
+        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+        assert 0.1 < angle < 6.0
+
+
+@needs_bpy
+def test_the_nerfstudio_layout_has_masks_a_cloud_and_opengl_poses_of_the_same_cameras(varied: Path) -> None:
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(varied / "sparse" / "0"))
+    poses = {image.name: image.cam_from_world().matrix() for image in model.images.values()}
+    document = json.loads((varied / "transforms.json").read_text())
+    assert (varied / document["ply_file_path"]).read_bytes().startswith(b"ply\n")
+    for frame in document["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        in_front = matrix @ [0.0, 0.0, -2.0, 1.0]
+        np.testing.assert_allclose(poses[Path(frame["file_path"]).name] @ in_front, [0.0, 0.0, 2.0], atol=1e-9)
+        mask = read_grey(varied / frame["semantic_path"])
+        ids = read_grey(varied / "instances" / Path(frame["semantic_path"]).name)
+        assert np.array_equal(mask == 255, ids > 0)
+
+
+@needs_bpy
+def test_a_killed_walk_goes_on_to_the_same_bytes(varied: Path, tmp_path: Path) -> None:
+    out = tmp_path / "again"
+    scene_file = str(varied.parent / "row.toml")
+    assert make(out, "--scene", scene_file, "--fallen", "0", "--preview", "1").returncode == 0
+    assert make(out, "--scene", scene_file, "--fallen", "0").returncode == 0
+    for name in ("truth.json", "images/001.jpg", "images/002.jpg", "instances/003.png", "depth/003.png"):
+        assert (out / name).read_bytes() == (varied / name).read_bytes()

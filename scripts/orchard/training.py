@@ -1,0 +1,51 @@
+"""The scenes that the encoder is trained on: drawn by seed, small, as varied as the generator can be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .config import FIRST_TRAINING_SEED, FORMS, OrchardConfig
+from .species import SPECIES
+
+WALKS = 0.4
+"""Share of training scenes that are seen as users walk around a tree; the others are close-ups."""
+SPINDLES = 0.55
+"""Share of training scenes with the commonest form; the other forms share the rest."""
+
+
+def training_config(seed: int) -> OrchardConfig:
+    """A small scene for training the encoder: species and varieties take turns, the rest is drawn by seed."""
+    rng = np.random.default_rng([seed, 99])
+    number = seed - FIRST_TRAINING_SEED
+    species = list(SPECIES.values())[number % len(SPECIES)]
+    variant = species.variants[number // len(SPECIES) % len(species.variants)]
+    # Leaves to cover the crown of this tree as 3600 leaves of the apple cover its own.
+    cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
+    fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))
+    leaves = int(rng.integers(1600, 4200) * cover)
+    close_ups = bool(rng.random() >= WALKS)
+    fruit_pixels = float(np.exp(rng.uniform(*np.log((11.0, 26.0)))))
+    form = "spindle" if rng.random() < SPINDLES else str(rng.choice(FORMS[1:]))
+    distractors = bool(rng.random() < 0.3)
+    return OrchardConfig(
+        species=species.name,
+        variant=variant.name,
+        seed=seed,
+        form=form,
+        fruits=fruits if close_ups else 2 * fruits,
+        fallen=fallen,
+        leaves=leaves,
+        tags=int(rng.integers(2, 9)) if distractors else 0,
+        flowers=int(rng.integers(4, 25)) if distractors else 0,
+        views=6 if close_ups else 8,
+        width=320 if close_ups else 480,
+        height=320 if close_ups else 360,
+        fruit_pixels=fruit_pixels,
+        exposure_drift=0.15,
+        white_balance_drift=0.06,
+        samples=6 if close_ups else 8,
+        bounces=3,
+        points=500,
+        close_ups=close_ups,
+        light_variety=1.0,
+    )
