@@ -109,7 +109,7 @@ def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, di
     low, high = place.crown[:, 0]
     forth = share if ring % 2 == 0 else 1 - share
     middle = _middle(place)
-    x = low + (high - low) * (1.3 * forth - 0.15)
+    x = low + (high - low) * forth
     yaw = np.radians(rng.uniform(-12, 12))
     away = distance * rng.uniform(0.97, 1.03)
     target = np.array([x + away * np.tan(yaw), middle[1], middle[2]])

@@ -19,10 +19,13 @@ from .foliage import Leaves, turned
 from .ground import TUFT_PROTOTYPES
 from .landscape import backdrop_mesh, ground_mesh
 from .meshes import joined, leaf_prototype, stalk_mesh, tube, tuft_prototype
+from .neighbours import Prototype
 from .planting import Orchard
 from .species import linear_rgb
 
 FloatArray = NDArray[np.float64]
+LEAF_TONES = 6
+"""Colours of a neighbour's leaves."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,24 +138,41 @@ class _Foliage:
 
 
 def _neighbours(orchard: Orchard, bark: _Bark, foliage: _Foliage, fruit: Any) -> None:
-    """Wood and leaves of each prototype once, as a collection that its copies show; fruit are objects for their ids."""
-    collections, meshes = [], []
-    for prototype in orchard.prototypes:
-        collection = bpy.data.collections.new("neighbour")
-        _tree_wood(prototype.branches, prototype.fruits, bark, collection)
-        foliage.hang(prototype.leaves, collection)
-        collections.append(collection)
-        meshes.append([mesh_data("fruit", mesh, fruit) for mesh in prototype.fruit_meshes])
+    """Wood and leaves of each prototype once, as collections that its copies show; fruit are objects for their ids."""
+    shown = [_shown_parts(prototype, bark, foliage) for prototype in orchard.prototypes]
+    meshes = [[mesh_data("fruit", mesh, fruit) for mesh in each.fruit_meshes] for each in orchard.prototypes]
     for neighbour in orchard.neighbours:
         where = matrix_of(neighbour.frame, neighbour.foot, 1.0)
-        copy = add_object("neighbour", None)
-        copy.instance_type = "COLLECTION"
-        copy.instance_collection = collections[neighbour.prototype]
-        copy.matrix_world = where
+        for part in shown[neighbour.prototype]:
+            copy = add_object("neighbour", None)
+            copy.instance_type = "COLLECTION"
+            copy.instance_collection = part.collection
+            copy.color = part.color
+            copy.matrix_world = where
         for i, mesh in enumerate(meshes[neighbour.prototype]):
             thing = add_object("neighbour.fruit", mesh)
             thing.matrix_world = where
             thing.pass_index = neighbour.first_id + i
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ShownPart:
+    """A part of a prototype that its copies show in one colour: Cycles gives instances the colour of who shows them."""
+
+    collection: Any
+    color: tuple[float, ...]
+
+
+def _shown_parts(prototype: Prototype, bark: _Bark, foliage: _Foliage) -> list[_ShownPart]:
+    wood = bpy.data.collections.new("neighbour.wood")
+    _tree_wood(prototype.branches, prototype.fruits, bark, wood)
+    parts = [_ShownPart(collection=wood, color=(1.0, 1.0, 1.0, 1.0))]
+    for rows in np.array_split(np.argsort(prototype.leaves.shades, kind="stable"), LEAF_TONES):
+        if len(rows):
+            collection = bpy.data.collections.new("neighbour.leaves")
+            things = foliage.hang(prototype.leaves.chosen(rows), collection)
+            parts.append(_ShownPart(collection=collection, color=tuple(things[len(things) // 2].color)))
+    return parts
 
 
 def _distractors(orchard: Orchard) -> None:

@@ -195,6 +195,9 @@ def test_training_scenes_take_species_in_turn_and_start_at_their_own_seeds() -> 
     assert all(c.seed >= 1000 for c in configs)
     assert {c.close_ups for c in configs} == {True, False}
     assert len({(c.species, c.variant) for c in configs}) > 16
+    assert len({c.form for c in configs}) > 2
+    for config in configs:
+        check(config)
 
 
 @pytest.mark.parametrize(
@@ -419,12 +422,31 @@ def test_a_finished_scene_is_left_alone_and_other_settings_are_refused(scene: Pa
     assert "other settings" in other.stderr
 
 
+@needs_bpy
+def test_blur_and_drift_change_pictures_and_leave_masks_and_depth_sharp(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "drift"
+    drift = ("--motion-blur", "6", "--exposure-drift", "0.5", "--white-balance-drift", "0.3")
+    assert make(out, *drift, "--preview", "1").returncode == 0
+    assert (out / "images" / "001.jpg").read_bytes() != (scene / "images" / "001.jpg").read_bytes()
+    for name in ("instances/001.png", "depth/001.png"):
+        assert (out / name).read_bytes() == (scene / name).read_bytes()
+
+
+@needs_bpy
+def test_wind_moves_what_is_seen_and_no_fruit(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "wind"
+    assert make(out, "--leaf-motion", "60", "--preview", "1").returncode == 0
+    assert (out / "depth" / "001.png").read_bytes() != (scene / "depth" / "001.png").read_bytes()
+    before, after = (json.loads((each / "truth.json").read_text())["fruits"] for each in (scene, out))
+    assert [f["center"] for f in before] == [f["center"] for f in after]
+
+
 @pytest.fixture(scope="module")
 def varied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A row of two vases with neighbours, everything that drifts, and FruitNeRF's layout."""
     out = tmp_path_factory.mktemp("orchard") / "varied"
     (out.parent / "row.toml").write_text(
-        'form = "vase"\ntrees = 2\npath = "row"\nneighbours = 2\nfallen = 0\ntags = 3\nflowers = 4\n'
+        'form = "vase"\ntrees = 2\npath = "row"\nneighbours = 4\nfruit_pixels = 5\nfallen = 5\ntags = 3\nflowers = 4\n'
         "exposure_drift = 0.3\nwhite_balance_drift = 0.2\nmotion_blur = 2.0\nleaf_motion = 10.0\npose_noise = 1.0\n"
     )
     done = make(out, "--scene", str(out.parent / "row.toml"), "--fallen", "0", "--layout", "nerfstudio")
@@ -441,8 +463,8 @@ def test_a_scene_of_a_file_and_flags_keeps_the_settings_it_resolved_to(varied: P
 @needs_bpy
 def test_fruit_of_a_row_tell_their_tree_and_those_of_neighbours_are_never_visible(varied: Path) -> None:
     fruits = json.loads((varied / "truth.json").read_text())["fruits"]
-    assert [f["id"] for f in fruits] == list(range(1, 49))
-    assert [sum(f["tree"] == tree for f in fruits) for tree in (1, 2, 0)] == [12, 12, 24]
+    assert [f["id"] for f in fruits] == list(range(1, 73))
+    assert [sum(f["tree"] == tree for f in fruits) for tree in (1, 2, 0)] == [12, 12, 48]
     assert {f["kind"] for f in fruits if f["tree"] == 0} == {"neighbour"}
     assert not any(f["visible"] for f in fruits if f["kind"] == "neighbour")
 
