@@ -76,17 +76,17 @@ def leaf_prototype(rng: np.random.Generator, species: Species) -> Mesh:
     t = np.linspace(0.0, 1.0, rows)
     tip = species.leaf_tip
     warped = np.where(t < tip, 0.5 * t / tip, 0.5 + 0.5 * (t - tip) / (1 - tip))
-    half = 0.5 * species.leaf_width / species.leaf_length * np.sin(np.pi * warped) ** 0.75
+    half = 0.5 * rng.uniform(0.85, 1.12) * species.leaf_width / species.leaf_length * np.sin(np.pi * warped) ** 0.75
     half[0] = half[-1] = 0.006
-    fold = np.radians(rng.uniform(12, 32))
-    bend = rng.uniform(0.5, 1.3)
+    fold = np.radians(rng.uniform(8, 38))
+    bend = rng.uniform(0.3, 1.5)
     stalk = 0.22
     # The midrib bends downward along an arc of `bend` radians.
     angle = bend * t
     y = stalk + np.concatenate([[0.0], np.cumsum(np.cos(angle[:-1]))]) / (rows - 1)
     z = -np.concatenate([[0.0], np.cumsum(np.sin(angle[:-1]))]) / (rows - 1) + 0.04
-    ripple = 0.025 * np.sin(2 * np.pi * (1.5 * t + rng.uniform()))
-    twist = rng.uniform(-0.25, 0.25) * t
+    ripple = rng.uniform(0.015, 0.045) * np.sin(2 * np.pi * (rng.uniform(1.0, 2.6) * t + rng.uniform()))
+    twist = rng.uniform(-0.45, 0.45) * t
     across = np.array([-1.0, -0.55, 0.0, 0.55, 1.0])
     u = across[None, :] * half[:, None]
     lift = np.abs(u) * np.tan(fold) + ripple[:, None] * (np.abs(across)[None, :] == 1.0) + u * twist[:, None]
@@ -127,8 +127,8 @@ def fruit_mesh(rng: np.random.Generator, body: Body, variant: Variant, *, segmen
     ring = np.arange(segments)
     after = np.roll(ring, -1)
     caps = [
-        np.stack([after, ring, np.full(segments, top), np.full(segments, top)], axis=1),
-        np.stack([last + ring, last + after, np.full(segments, bottom), np.full(segments, bottom)], axis=1),
+        np.stack([ring, after, np.full(segments, top), np.full(segments, top)], axis=1),
+        np.stack([last + after, last + ring, np.full(segments, bottom), np.full(segments, bottom)], axis=1),
     ]
     quads = np.vstack([_grid_quads(k - 2, segments, wrap=True)[:, ::-1], *caps])
     return Mesh(

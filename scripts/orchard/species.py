@@ -54,6 +54,12 @@ class Species:
     """Of the skin."""
     fuzz: float = 0.0
     """Strength of the sheen of a hairy skin."""
+    lenticels: float = 0.0
+    """Strength of the pale dots of the skin."""
+    pores: float = 0.0
+    """Strength of the dimples of a peel."""
+    bloom: float = 0.0
+    """Greatest share of the pale waxy film, which is wiped off in places."""
 
 
 _APPLE = (
@@ -96,27 +102,28 @@ SPECIES: dict[str, Species] = {
             name="apple", profile=_APPLE, diameter=0.078, spread=0.08, stalk=(0.012, 0.030),
             clump_sizes=(0.45, 0.27, 0.16, 0.08, 0.04),
             variants=(
-                Variant(name="red", top="#a3341f", middle="#b81f22", bottom="#c2473a", blush="#8f0d1c",
+                Variant(name="red", top="#b03a28", middle="#c81f30", bottom="#cf4a48", blush="#a50d24",
                         blush_strength=(0.35, 0.95), blush_width=0.9, stripes=0.25),
-                Variant(name="green-red", top="#9aa33c", middle="#b3ad4b", bottom="#b9b455", blush="#b5261f",
+                Variant(name="green-red", top="#a9ab44", middle="#c6b85a", bottom="#cbc066", blush="#cc2b30",
                         blush_strength=(0.6, 0.98), blush_width=0.62, stripes=0.5),
                 Variant(name="green", top="#7fa02f", middle="#93b53c", bottom="#a3bd52", blush="#bfa65a",
                         blush_strength=(0.0, 0.45), blush_width=0.5),
             ),
-            leaf_length=0.078, leaf_width=0.046,
+            leaf_length=0.078, leaf_width=0.046, roughness=0.34, lenticels=0.3,
         ),
         Species(
             name="pear", profile=_PEAR, diameter=0.074, spread=0.08, stalk=(0.020, 0.038),
             clump_sizes=(0.55, 0.27, 0.13, 0.05),
             variants=(
-                Variant(name="green", top="#7f8d39", middle="#8f9f44", bottom="#97a04c", blush="#9a7a45",
+                Variant(name="green", top="#8b9946", middle="#9bab52", bottom="#a3ac5a", blush="#a8824e",
                         blush_strength=(0.1, 0.55), blush_width=0.7),
-                Variant(name="russet", top="#8b7440", middle="#9a8650", bottom="#8f7a48", blush="#a2643a",
+                Variant(name="russet", top="#9c8048", middle="#ad9152", bottom="#a28550", blush="#b46a44",
                         blush_strength=(0.1, 0.6), blush_width=0.7),
                 Variant(name="yellow", top="#b3a545", middle="#c9b955", bottom="#bfae52", blush="#c0603a",
                         blush_strength=(0.1, 0.75), blush_width=0.5),
             ),
-            leaf_length=0.070, leaf_width=0.045, leaf_tip=0.48, leaf_colors=("#3f6329", "#6f8f42"), roughness=0.5,
+            leaf_length=0.070, leaf_width=0.045, leaf_tip=0.48, leaf_colors=("#3f6329", "#6f8f42"),
+            roughness=0.45, lenticels=0.4,
         ),
         Species(
             name="cherry", profile=_CHERRY, diameter=0.023, spread=0.07, stalk=(0.022, 0.042),
@@ -144,7 +151,7 @@ SPECIES: dict[str, Species] = {
                         blush_strength=(0.0, 0.7), blush_width=0.5),
             ),
             leaf_length=0.070, leaf_width=0.040, leaf_tip=0.58, leaf_colors=("#41632a", "#71903f"),
-            tree_height=2.2, roughness=0.5,
+            tree_height=2.2, roughness=0.42, bloom=0.6,
         ),
         Species(
             name="lemon", profile=_LEMON, diameter=0.062, spread=0.09, stalk=(0.010, 0.022),
@@ -156,7 +163,7 @@ SPECIES: dict[str, Species] = {
                         blush_strength=(0.2, 0.9), blush_width=0.8),
             ),
             leaf_length=0.090, leaf_width=0.046, leaf_tip=0.5, leaf_colors=("#2f5a22", "#6c943a"),
-            tree_height=1.9, roughness=0.42,
+            tree_height=1.9, roughness=0.4, pores=0.5,
         ),
         Species(
             name="orange", profile=_ORANGE, diameter=0.078, spread=0.07, stalk=(0.008, 0.018),
@@ -167,7 +174,8 @@ SPECIES: dict[str, Species] = {
                 Variant(name="green-orange", top="#8c962c", middle="#c28f27", bottom="#d58b22", blush="#e68419",
                         blush_strength=(0.3, 0.95), blush_width=0.8),
             ),
-            leaf_length=0.088, leaf_width=0.044, leaf_tip=0.5, leaf_colors=("#274f1e", "#5b8734"), roughness=0.42,
+            leaf_length=0.088, leaf_width=0.044, leaf_tip=0.5, leaf_colors=("#274f1e", "#5b8734"),
+            roughness=0.4, pores=0.5,
         ),
         Species(
             name="peach", profile=_PEACH, diameter=0.072, spread=0.08, stalk=(0.010, 0.018),
@@ -193,7 +201,7 @@ SPECIES: dict[str, Species] = {
                         blush_strength=(0.1, 0.8), blush_width=0.6),
             ),
             leaf_length=0.150, leaf_width=0.038, leaf_tip=0.5, leaf_colors=("#2b5522", "#5d8836"),
-            tree_height=2.7, roughness=0.45,
+            tree_height=2.7, roughness=0.42, lenticels=0.3,
         ),
     )
 }  # fmt: skip

@@ -199,34 +199,46 @@ def _ground(orchard: Orchard, rng: np.random.Generator) -> None:
 
 
 def _light(orchard: Orchard, rng: np.random.Generator) -> None:
-    scene = bpy.context.scene
+    """A sun with sharp shadows and a paler sky, or a white sky alone, taken by a camera that judged both in its way."""
     v = orchard.config.light_variety
 
     def around(value: float, spread: float) -> float:
         return float(value * np.exp(v * rng.uniform(-spread, spread)))
 
-    overcast = bool(rng.uniform() < 0.6 * v)
-    turn, rise = rng.uniform(0, 2 * np.pi), np.radians(50 + v * rng.uniform(-30, 25))
+    overcast = bool(rng.uniform() < 0.5 * v)
+    # What the camera takes for white: warm or cold, a little green or pink.
+    cast = np.exp(v * rng.uniform(-1.0, 1.0, 3) * [0.08, 0.03, 0.1])
+    _sun(rng, v, cast, energy=around(0.7 if overcast else 5.0, 0.5), angle=around(40.0 if overcast else 2.0, 1.2))
+    zenith, haze = np.array([0.24, 0.45, 0.92]), rng.uniform(0.5, 1.0)
+    cloud = np.array([1.0, 1.0, 1.02]) * (1.0 if overcast else 1.5)
+    materials.sky(
+        bpy.context.scene,
+        horizon=tuple(((zenith + (np.array([0.9, 0.96, 1.0]) - zenith) * haze) * cast).tolist()),
+        zenith=tuple((((0.2 * zenith + 0.75) if overcast else zenith) * cast).tolist()),
+        cloud=tuple((cloud * cast).tolist()),
+        clouds=float(rng.uniform(0.6, 1.0) if overcast else rng.uniform(0.0, 0.8)),
+        strength=around(0.95 if overcast else 0.8, 0.35),
+    )
+    _camera_response(rng, v, stops=1.95 if overcast else 1.1)
+
+
+def _sun(rng: np.random.Generator, variety: float, cast: FloatArray, *, energy: float, angle: float) -> None:
+    """A sun lamp; `angle` is its width in degrees: the wider, the softer the shadows."""
     lamp = bpy.data.lights.new("sun", "SUN")
-    lamp.energy = around(0.6 if overcast else 2.6, 0.8)
-    lamp.angle = float(np.radians(around(40.0 if overcast else 14.0, 1.0)))
-    warm = v * rng.uniform(-0.5, 1.0)
-    lamp.color = (1.0, 0.95 - 0.08 * warm, 0.87 - 0.22 * warm)
-    sun = bpy.data.objects.new("sun", lamp)
-    scene.collection.objects.link(sun)
+    lamp.energy, lamp.angle = energy, float(np.radians(angle))
+    warm = variety * rng.uniform(-0.5, 1.0)
+    lamp.color = tuple((np.array([1.0, 0.95 - 0.08 * warm, 0.87 - 0.22 * warm]) * cast).tolist())
+    turn, rise = rng.uniform(0, 2 * np.pi), np.radians(50 + variety * rng.uniform(-30, 25))
     to_sun = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
     side = unit(np.cross([0.0, 0.0, 1.0], to_sun))
-    sun.matrix_world = matrix_of(np.stack([side, np.cross(to_sun, side), to_sun], axis=1), np.zeros(3), 1.0)
-    haze = rng.uniform(0.6, 1.0)
-    grey = 0.8 if overcast else 0.0
-    zenith = np.array([0.22, 0.42, 0.85]) * (1 - grey) + np.array([0.75, 0.8, 0.88]) * grey
-    materials.sky(
-        scene,
-        horizon=(0.72 * haze, 0.82 * haze, 0.95),
-        zenith=tuple(zenith.tolist()),
-        clouds=float(rng.uniform(0.3, 0.9)),
-        strength=around(0.95, 0.4),
-    )
-    scene.view_settings.view_transform = "AgX"
-    scene.view_settings.look = "AgX - Medium High Contrast"
-    scene.view_settings.exposure = float((1.2 if overcast else 0.55) + v * rng.uniform(-0.8, 0.7))
+    frame = np.stack([side, np.cross(to_sun, side), to_sun], axis=1)
+    add_object("sun", lamp).matrix_world = matrix_of(frame, np.zeros(3), 1.0)
+
+
+def _camera_response(rng: np.random.Generator, variety: float, *, stops: float) -> None:
+    """Plain sRGB, as small cameras write it: bright parts burn out. Exposure and contrast vary."""
+    view = bpy.context.scene.view_settings
+    view.view_transform = "Standard"
+    looks = ("None", "Medium High Contrast", "High Contrast")
+    view.look = looks[int(rng.integers(3))] if variety > 0.5 else looks[1]
+    view.exposure = float(stops + variety * rng.uniform(-1.0, 0.7))

@@ -119,6 +119,16 @@ def test_surface_points_lie_on_the_body() -> None:
     assert np.abs(signed_distance(body, surface_points(body))).max() < 1e-9
 
 
+def test_all_faces_of_a_fruit_look_outward() -> None:
+    (mesh,) = plant(OrchardConfig(seed=1, fruits=1, fallen=0, leaves=1)).fruit_meshes
+    triangles = mesh.triangles
+    edges = {(int(a), int(b)) for t in triangles for a, b in zip(t, np.roll(t, -1), strict=True)}
+    assert len(edges) == 3 * len(triangles)  # each is walked once this way …
+    assert all((b, a) in edges for a, b in edges)  # … and once back, so neighbours agree
+    a, b, c = mesh.vertices[triangles.T]
+    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
+
+
 def test_the_same_seed_plants_the_same_orchard_and_another_seed_another() -> None:
     config = OrchardConfig(seed=5, fruits=10, leaves=100)
     centers = [np.array([f.body.center for f in plant(c).fruits]) for c in (config, config, replace(config, seed=6))]
