@@ -144,7 +144,7 @@ def _bloomy(nodes: _Nodes, species: Species, place: Any, color: Any) -> Any:
     """The colour under a pale film that is wiped off in places."""
     wiped = nodes("ShaderNodeTexNoise", Vector=place, Scale=2.2 / species.diameter, Detail=2.0).outputs[0]
     film = nodes("ShaderNodeMapRange", _0=wiped, _1=0.38, _2=0.6, _3=0.0, _4=species.bloom).outputs[0]
-    return nodes("ShaderNodeMixRGB", _0=film, _1=color, _2=(0.36, 0.4, 0.55, 1)).outputs[0]
+    return nodes("ShaderNodeMixRGB", _0=film, _1=color, _2=(0.24, 0.27, 0.42, 1)).outputs[0]
 
 
 def ground_material() -> Any:

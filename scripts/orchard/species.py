@@ -102,14 +102,14 @@ SPECIES: dict[str, Species] = {
             name="apple", profile=_APPLE, diameter=0.078, spread=0.08, stalk=(0.012, 0.030),
             clump_sizes=(0.45, 0.27, 0.16, 0.08, 0.04),
             variants=(
-                Variant(name="red", top="#b03a28", middle="#c81f30", bottom="#cf4a48", blush="#a50d24",
+                Variant(name="red", top="#a83420", middle="#bb1d22", bottom="#c4443a", blush="#8f0d1c",
                         blush_strength=(0.35, 0.95), blush_width=0.9, stripes=0.25),
                 Variant(name="green-red", top="#a9ab44", middle="#c6b85a", bottom="#cbc066", blush="#cc2b30",
                         blush_strength=(0.6, 0.98), blush_width=0.62, stripes=0.5),
                 Variant(name="green", top="#7fa02f", middle="#93b53c", bottom="#a3bd52", blush="#bfa65a",
                         blush_strength=(0.0, 0.45), blush_width=0.5),
             ),
-            leaf_length=0.078, leaf_width=0.046, roughness=0.34, lenticels=0.3,
+            leaf_length=0.078, leaf_width=0.046, roughness=0.34, lenticels=0.15,
         ),
         Species(
             name="pear", profile=_PEAR, diameter=0.074, spread=0.08, stalk=(0.020, 0.038),
@@ -151,7 +151,7 @@ SPECIES: dict[str, Species] = {
                         blush_strength=(0.0, 0.7), blush_width=0.5),
             ),
             leaf_length=0.070, leaf_width=0.040, leaf_tip=0.58, leaf_colors=("#41632a", "#71903f"),
-            tree_height=2.2, roughness=0.42, bloom=0.6,
+            tree_height=2.2, roughness=0.42, bloom=0.4,
         ),
         Species(
             name="lemon", profile=_LEMON, diameter=0.062, spread=0.09, stalk=(0.010, 0.022),

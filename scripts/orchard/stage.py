@@ -219,7 +219,7 @@ def _light(orchard: Orchard, rng: np.random.Generator) -> None:
         clouds=float(rng.uniform(0.6, 1.0) if overcast else rng.uniform(0.0, 0.8)),
         strength=around(0.95 if overcast else 0.8, 0.35),
     )
-    _camera_response(rng, v, stops=1.95 if overcast else 1.1)
+    _camera_response(rng, v, stops=1.75 if overcast else 1.0)
 
 
 def _sun(rng: np.random.Generator, variety: float, cast: FloatArray, *, energy: float, angle: float) -> None:
@@ -241,4 +241,4 @@ def _camera_response(rng: np.random.Generator, variety: float, *, stops: float) 
     view.view_transform = "Standard"
     looks = ("None", "Medium High Contrast", "High Contrast")
     view.look = looks[int(rng.integers(3))] if variety > 0.5 else looks[1]
-    view.exposure = float(stops + variety * rng.uniform(-1.0, 0.7))
+    view.exposure = float(stops + variety * rng.uniform(-1.0, 0.55))
