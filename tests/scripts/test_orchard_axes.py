@@ -35,16 +35,17 @@ def tips(form: str) -> np.ndarray:
 
 
 def test_a_wall_is_flat_across_its_row_and_a_spindle_is_round() -> None:
-    assert np.ptp(tips("wall")[:, 1]) < 0.5 * np.ptp(tips("wall")[:, 0])
+    assert np.ptp(tips("wall")[:, 1]) < 0.25 * np.ptp(tips("wall")[:, 0])
     assert np.ptp(tips("spindle")[:, 1]) > 0.75 * np.ptp(tips("spindle")[:, 0])
 
 
 def test_a_vase_has_an_open_centre_and_a_spindle_has_none() -> None:
     def in_the_centre(form: str) -> float:
         high = tips(form)[tips(form)[:, 2] > 1.0]
-        return float((np.hypot(high[:, 0], high[:, 1]) < 0.25).mean())
+        return float((np.hypot(high[:, 0], high[:, 1]) < 0.4).mean())
 
-    assert in_the_centre("vase") < 0.02 < 0.1 < in_the_centre("spindle")
+    assert in_the_centre("vase") == 0.0
+    assert in_the_centre("spindle") > 0.2
 
 
 def test_a_bush_has_several_stems_from_the_ground_and_the_other_forms_one_trunk() -> None:
