@@ -149,13 +149,12 @@ class Rungs:
         trained = self._trained(part(progress, 0.0, 0.7))
         probability = masked_probability(trained.gaussians, self.scene.cameras, self.instances, self._ids())
         counted = self._count(trained.gaussians, probability, part(progress, 0.7, 1.0))
-        return dataclasses.replace(counted, **_quality(trained))
+        quality = _counted_by(trained)
+        return dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
 
     def _true_poses(self, progress: Progress) -> Counted:
         result = self._trained(progress)
-        return dataclasses.replace(
-            _counted(result.fruit_count, len(result.scene.cameras)), seconds=result.seconds, **_quality(result)
-        )
+        return _counted_by(result)
 
     def _end_to_end(self, progress: Progress) -> Counted:
         """Count in the frame that the photos alone give, then move the fruit into the frame of the truth."""
@@ -165,13 +164,11 @@ class Rungs:
             np.array([camera.center for camera in found.values()]),
             np.array([true[name].center for name in found]),
         )
-        counted = _counted(result.fruit_count, len(result.scene.cameras))
+        counted = _counted_by(result)
         return dataclasses.replace(
             counted,
             centers=moved.apply(counted.centers),
-            diameters=moved.scale * counted.diameters,
-            seconds=result.seconds,
-            **_quality(result),
+            diameters=moved.apply_to_lengths(counted.diameters),
         )
 
     def _trained(self, progress: Progress) -> Result:
@@ -257,9 +254,11 @@ def _counted(found: FruitCount, views: int) -> Counted:
     )
 
 
-def _quality(result: Result) -> dict[str, float | None]:
+def _counted_by(result: Result) -> Counted:
+    """What the product's own road counted, in the frame that it counted in."""
+    counted = _counted(result.fruit_count, len(result.scene.cameras))
     training = result.origin["training"]
-    return {"psnr": training["psnr"], "ssim": training["ssim"]}
+    return dataclasses.replace(counted, seconds=result.seconds, psnr=training["psnr"], ssim=training["ssim"])
 
 
 def _by_file(scene: Scene) -> dict[str, Camera]:

@@ -69,7 +69,7 @@ def _check_together(config: OrchardConfig) -> None:
     if (config.trees + config.neighbours) * (config.fruits + config.fallen) > MOST_FRUIT:
         raise OrchardError(f"more than {MOST_FRUIT} fruit do not fit into 16-bit masks: ask for fewer")
     if config.aim == "part" and (config.path == "row" or config.trees > 1):
-        raise OrchardError("aim part looks at one tree: use path ring or half-ring and one tree, or aim tree")
+        raise OrchardError("aim part looks at one tree: use path ring, wave or half-ring and one tree, or aim tree")
 
 
 def check_types(values: dict[str, object], where: str) -> None:

@@ -14,7 +14,7 @@ FIRST_TRAINING_SEED = 1000
 
 FORMS = ("spindle", "wall", "vase", "bush")
 """Training systems of the tree."""
-PATHS = ("ring", "half-ring", "row")
+PATHS = ("ring", "wave", "half-ring", "row")
 """Ways the camera goes."""
 AIMS = ("auto", "tree", "part")
 """What the camera looks at."""
@@ -71,7 +71,8 @@ class OrchardConfig:
     """Stakes and posts; -1: drawn by the seed, from none to two."""
 
     path: str = "ring"
-    """Way of the camera: ring, half-ring (the side of negative y), or row (along x on that side, to and fro)."""
+    """Way of the camera: ring, wave (once around, up and down as with a phone in the hand), half-ring (the side of
+    negative y), or row (along x on that side, to and fro)."""
 
     aim: str = "auto"
     """What is looked at: tree, part (a fruitful part of the crown, where the fruit then gather), or auto: a part where
