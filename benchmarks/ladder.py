@@ -62,7 +62,7 @@ class RungRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Origin:
+class Origin:
     """What a generated scene says of itself; empty and None for other scenes."""
 
     species: str = ""
@@ -88,7 +88,7 @@ def climb(
     Raises:
         FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or nothing says what to count.
     """
-    origin = _origin(folder)
+    origin = read_origin(folder)
     if not prompts and not origin.species:
         raise VocabularyError(f"{folder} does not say what grows there; give --prompt")
     asked = list(prompts) or [origin.species]
@@ -155,14 +155,19 @@ def _fruit_calibration(counted: Counted, judgement: Judgement) -> float:
     return calibration_error(counted.probabilities[judged], hits[judged])
 
 
-def _origin(folder: Path) -> _Origin:
+def read_origin(folder: Path) -> Origin:
+    """What the scene's orchard.json says; empty where there is none.
+
+    Raises:
+        FormatError: it is damaged, or the scene is half-made.
+    """
     path = folder / ORCHARD
     if not path.is_file():
-        return _Origin()
+        return Origin()
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         complete = document.get("complete") is True
-        origin = _Origin(species=str(document["config"]["species"]), seed=int(document["config"]["seed"]))
+        origin = Origin(species=str(document["config"]["species"]), seed=int(document["config"]["seed"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(f"{path} is damaged ({error}); make the scene again") from error
     if not complete:
