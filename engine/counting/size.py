@@ -18,6 +18,9 @@ SEEDS = 400
 GRID_STEP = 1.18
 NEIGHBORS = 96
 BANDWIDTH = 0.08
+LEAST_PEAK = 0.5
+"""Of two radii that the points reproduce, the smaller is the fruit's if it has at least this share of the larger's
+evidence: the outline of a whole crown is round as well."""
 LEAST_THINNESS = 0.12
 """Flat neighbourhoods reproduce any radius; thinner ones than this (in radii) do not vote."""
 
@@ -35,7 +38,7 @@ class SizeEstimate:
 def estimate_diameter(
     points: SurfacePoints, smallest: float, *, seed: int, progress: Progress = silent
 ) -> SizeEstimate | None:
-    """Mode of the radii that spheres started at p − r·n along a log grid of r keep when they are refined freely.
+    """First high mode of the radii that spheres started at p − r·n along a log grid of r keep when refined freely.
 
     `smallest`: least radius tried, scene units (about the size of a Gaussian). A fit counts when it keeps its radius
     within 0.6 to 1.6 of the start, by its coverage of directions times the share of its points that lie on the shell.
@@ -64,16 +67,24 @@ def estimate_diameter(
     return _mode(np.concatenate(logs), np.concatenate(weights), len(seeds))
 
 
+def _first_peak(density: FloatArray) -> int:
+    """The leftmost of the peaks that reach LEAST_PEAK of the highest: fruit, not the crown that they make up."""
+    padded = np.pad(density, 1)
+    peaks = (density >= padded[:-2]) & (density >= padded[2:]) & (density >= LEAST_PEAK * density.max())
+    return int(np.flatnonzero(peaks)[0])
+
+
 def _mode(logs: FloatArray, weights: FloatArray, seeds: int) -> SizeEstimate | None:
     if weights.sum() <= 0.0:
         return None
     logs, weights = logs[weights > 0], weights[weights > 0]
     places = np.arange(logs.min() - 0.2, logs.max() + 0.2, 0.02)
     density = (weights * np.exp(-0.5 * ((places[:, None] - logs) / BANDWIDTH) ** 2)).sum(axis=1)
-    mode = places[density.argmax()]
+    peak = _first_peak(density)
+    mode = places[peak]
     for _ in range(20):
         local = weights * np.exp(-0.5 * ((logs - mode) / BANDWIDTH) ** 2)
         mode = float((local * logs).sum() / local.sum())
     close = np.abs(logs - mode) < 0.5
     spread = np.sqrt((weights[close] * (logs[close] - mode) ** 2).sum() / weights[close].sum())
-    return SizeEstimate(float(2.0 * np.exp(mode)), float(spread), float(density.max() / seeds))
+    return SizeEstimate(float(2.0 * np.exp(mode)), float(spread), float(density[peak] / seeds))
