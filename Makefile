@@ -7,7 +7,7 @@ PACKAGES := engine operators fruitlangs_addon benchmarks
 SCRIPT_PACKAGES := orchard encoder
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py)))
 
-.PHONY: demo test lint types pytest extension clean
+.PHONY: demo test lint types pytest baseline extension clean
 
 demo: $(READY)
 	$(BIN)/python scripts/count_fruit.py examples/orchard_tree --prompt apple --out results/demo
@@ -26,6 +26,11 @@ types: $(READY)
 
 pytest: $(READY)
 	$(BIN)/python -m pytest
+
+# About an hour on two cores; goes on where it stopped.
+baseline: $(READY)
+	$(BIN)/python scripts/evaluate.py $(addsuffix -small:101,apple plum lemon pear peach mango) \
+		--out results/baseline --publish benchmarks
 
 extension: $(READY)
 	$(BIN)/python scripts/build_extension.py
