@@ -1,0 +1,140 @@
+"""Putting a result in place: its files are made in a folder of their own and moved in at the end, fruits.json last."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from .config import Config
+from .counting.fruit import FruitCount
+from .errors import FruitLangsError, OutputError
+from .files import file_hash, write_text
+from .language.lift import Features
+from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, Stages
+from .report.meshes import write_glb, write_points_ply
+from .report.pictures import write_strips
+from .report.provenance import run_stamp, versions
+from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
+from .report.tables import fruits_csv
+from .scene.camera import Scene
+from .splatting.gaussians import Gaussians
+
+PICTURES = "pictures"
+_DAY = 86_400.0
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run leaves in memory beside its files.
+
+    probability: (N,) that a Gaussian belongs to the prompt; seconds by stage; reused: stages that an earlier run had
+    done; notices: what the user should know though the run went well; set_id names this set of result files; files:
+    their paths, fruits.json last.
+    """
+
+    scene: Scene
+    gaussians: Gaussians
+    features: Features
+    probability: Tensor
+    fruit_count: FruitCount
+    origin: Mapping[str, Any]
+    config: Config
+    seconds: Mapping[str, float]
+    reused: Sequence[str]
+    notices: Sequence[str]
+    out: Path
+    set_id: str = ""
+    files: Sequence[Path] = ()
+
+
+Writer = Callable[[Path, Result], None]
+"""Writes one more file of the result from what is in memory, for example Blender's scene.blend."""
+
+
+def publish(
+    result: Result, made: Reconstruction, writers: Mapping[str, Writer], keep: Path | None, stages: Stages
+) -> Result:
+    """Make every file in a staging folder, then move the set into place, fruits.json last."""
+    staging = result.out / "cache" / f"publish-{os.getpid()}"
+    _remove_dead(staging)
+    (staging / PICTURES).mkdir(parents=True)
+    try:
+        with stages.timed("report"):
+            hashed = _write_set(staging, result, made)
+            files = {name: file_hash(staging / name) for name in hashed}
+            result = dataclasses.replace(result, set_id=set_id(files))
+            for name, write in writers.items():
+                write(staging / name, result)
+        document = fruits_document(
+            result.fruit_count,
+            config=dataclasses.asdict(made.config),
+            provenance={**result.origin, "versions": versions(), **run_stamp(stages.seconds)},
+            files=files,
+            unhashed_files=list(writers),
+            metres_per_unit=result.scene.metres_per_unit,
+        )
+        write_text(staging / FRUITS_JSON, dump(document))
+        names = [*hashed, *writers, FRUITS_JSON]
+        _move_into_place(staging, result.out, names, keep)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{result.out} cannot be written ({reason}); free space or choose another --out") from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return dataclasses.replace(result, files=[result.out / name for name in names])
+
+
+def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
+    """Write the files whose bytes follow from the inputs alone; returns their names."""
+    shutil.copyfile(made.gaussians_file, folder / GAUSSIANS)
+    shutil.copyfile(made.features_file, folder / FEATURES)
+    shutil.copyfile(made.cameras_file, folder / CAMERAS)
+    csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
+    write_text(folder / "fruits.csv", csv)
+    write_glb(folder / "fruits.glb", result.fruit_count, result.scene.up)
+    write_points_ply(folder / "fruits.ply", result.fruit_count)
+    pictures = write_strips(
+        folder / PICTURES, result.scene, result.gaussians, result.features, result.probability, result.fruit_count
+    )
+    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "fruits.glb", "fruits.ply"]
+    return names + [f"{PICTURES}/{path.name}" for path in pictures]
+
+
+def _remove_dead(staging: Path) -> None:
+    """Remove the staging folders that killed runs left: this process's own, and any that nobody wrote to for a day."""
+    for folder in staging.parent.glob("publish-*"):
+        with suppress(FileNotFoundError):
+            if folder == staging or time.time() - folder.stat().st_mtime > _DAY:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _move_into_place(staging: Path, out: Path, names: Sequence[str], keep: Path | None) -> None:
+    """Replace the old set by the new one; what the new set does not have is removed, so that no old picture remains.
+
+    A scene.blend goes only where the old fruits.json lists it: another one is the user's own.
+    """
+    (out / PICTURES).mkdir(exist_ok=True)
+    stale = [path for path in (out / PICTURES).glob("view_*.png") if f"{PICTURES}/{path.name}" not in names]
+    blend = out / BLEND
+    if BLEND not in names and _lists_blend(out) and (keep is None or keep.resolve() != blend.resolve()):
+        stale.append(blend)
+    for path in stale:
+        path.unlink(missing_ok=True)
+    for name in names:
+        os.replace(staging / name, out / name)
+
+
+def _lists_blend(out: Path) -> bool:
+    """Whether the result in `out`, if there is a sound one, wrote its scene.blend itself."""
+    with suppress(FruitLangsError):
+        return BLEND in read_results(out, verify=False).get("unhashed_files", ())
+    return False

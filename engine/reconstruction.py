@@ -1,0 +1,274 @@
+"""What is known of a scene before any prompt: photos → cameras → Gaussians → features, each kept and reused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .cache import stage_key
+from .config import Config
+from .errors import ConfigError, FruitLangsError, OutputError
+from .files import require_writable, write_text
+from .language.encoders import Encoder
+from .language.lift import Features, encode_photos, lift_features, load_features, save_features
+from .progress import Progress, part
+from .report.results import FRUITS_JSON, read_results
+from .scene.camera import Scene
+from .scene.photo import FilePhoto
+from .scene.source import Source, photos_alone, pose_photos, posed_before
+from .scene.stored import dump_cameras, read_cameras
+from .splatting.borrowed import PLACED, borrow, drawn_again
+from .splatting.gaussians import Gaussians
+from .splatting.ply import read_ply, write_ply
+from .splatting.train import train
+
+GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Everything about a scene that does not depend on the prompt, with the files that hold it.
+
+    origin: what went in (source path, hash of the inputs, encoder) and what training reached, for the provenance.
+    """
+
+    scene: Scene
+    gaussians: Gaussians
+    features: Features
+    gaussians_file: Path
+    features_file: Path
+    cameras_file: Path
+    config: Config
+    origin: Mapping[str, Any]
+
+
+class Stages:
+    """The log of a run: seconds by stage, which stages an earlier run had done, and what the user should know."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.reused: list[str] = []
+        self.notices: list[str] = []
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def reconstruct(
+    source: Path, cache: Path, encoder: Encoder, config: Config, stages: Stages, progress: Progress
+) -> Reconstruction:
+    """Photos → Gaussians → features, each from the cache where it is there."""
+    found, start = Source(path=source), 0.0
+    photos = photos_alone(source)
+    if photos is not None:
+        start = 0.4
+        with stages.timed("photos"):
+            found = pose_photos(photos, cache, config.photos, progress=part(progress, 0.0, start))
+        stages.notices += found.notices
+        stages.reused += ["photos"] if found.reused else []
+    progress = part(progress, start, 1.0)
+    with stages.timed("scene"):
+        scene = _read_photos(found, config, stages, part(progress, 0.0, 0.03))
+        inputs = found.hash()
+    require_writable(cache)
+    train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
+    gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
+    with stages.timed("train"):
+        quality = _train_into(gaussians_file, scene, config, stages, part(progress, 0.03, 0.75))
+        cameras_file = gaussians_file.with_name(CAMERAS)
+        scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
+        # Read back even when just trained: the first prompt must see what later ones will.
+        gaussians = read_ply(gaussians_file)
+    features_file = _embed_into(cache, train_key, scene, gaussians, encoder, config, stages, part(progress, 0.75, 1.0))
+    origin = {
+        "source": str(source.resolve()),
+        "inputs_sha256": inputs,
+        "encoder": encoder.identity,
+        "training": quality,
+    }
+    return Reconstruction(
+        scene=scene,
+        gaussians=gaussians,
+        features=load_features(features_file),
+        gaussians_file=gaussians_file,
+        features_file=features_file,
+        cameras_file=cameras_file,
+        config=config,
+        origin=origin,
+    )
+
+
+def adopt(
+    source: Path,
+    foreign: Path | None,
+    cache: Path,
+    encoder: Encoder,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
+) -> Reconstruction:
+    """A foreign reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself."""
+    with stages.timed("scene"):
+        given = Source(path=source)
+        scene = None if foreign is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
+        inputs = "" if foreign is None else given.hash()
+    require_writable(cache)
+    with stages.timed("borrow"):
+        borrowed = borrow(foreign or source, scene, inputs, config.scene, cache)
+    stages.notices += borrowed.notices
+    if borrowed.reused:
+        stages.reused.append("borrow")
+    features_file = _embed_into(
+        cache, borrowed.key, borrowed.scene, borrowed.gaussians, encoder, config, stages, part(progress, 0.1, 1.0)
+    )
+    return Reconstruction(
+        scene=borrowed.scene,
+        gaussians=borrowed.gaussians,
+        features=load_features(features_file),
+        gaussians_file=borrowed.gaussians_file,
+        features_file=features_file,
+        cameras_file=borrowed.cameras_file,
+        config=config,
+        origin={
+            "source": str(source.resolve()),
+            "inputs_sha256": inputs or borrowed.record["sha256"],
+            "encoder": encoder.identity,
+            "training": {"steps": 0, "gaussians": len(borrowed.gaussians), "psnr": None, "ssim": None, "held_out": []},
+            "foreign": borrowed.record,
+        },
+    )
+
+
+def check_foreign(source: Path, foreign: Path, out: Path) -> None:
+    """Raise where a foreign reconstruction has no place: one is there already, or the result would overwrite it."""
+    if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
+        raise ConfigError(f"{source} holds its own Gaussians; with --gaussians give the photos and cameras as SCENE")
+    if foreign.resolve().parent == out.resolve():
+        raise OutputError(f"{out} is the folder of {foreign.name} itself; choose another folder for the results")
+
+
+def _read_photos(source: Source, config: Config, stages: Stages, progress: Progress) -> Scene:
+    """The posed photos of `source`; notes where they are read smaller than they are."""
+    scene = source.read(config.scene, progress=progress)
+    headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
+    largest = max((max(header.width, header.height) for header in headers), default=0)
+    if 0 < config.scene.max_side < largest / config.scene.downscale:
+        stages.notices.append(
+            f"photos with up to {largest} pixels a side were read at {config.scene.max_side}; --scene.max-side sets it"
+        )
+    return scene
+
+
+def _embed_into(
+    cache: Path,
+    key: str,
+    scene: Scene,
+    gaussians: Gaussians,
+    encoder: Encoder,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
+) -> Path:
+    """The file of the features that the photos lend the Gaussians, which `key` names; made unless it is there."""
+    embed_key = stage_key(("language", "splatting"), key, encoder.identity, config.embed)
+    features_file = cache / f"embed-{embed_key}" / FEATURES
+    with stages.timed("embed"):
+        if features_file.is_file():
+            stages.reused.append("embed")
+        else:
+            lifted = lift_features(
+                gaussians,
+                scene.cameras,
+                encode_photos(scene, encoder),
+                encoder_id=encoder.identity,
+                progress=progress,
+            )
+            save_features(features_file, lifted)
+    return features_file
+
+
+def _train_into(
+    gaussians_file: Path, scene: Scene, config: Config, stages: Stages, progress: Progress
+) -> Mapping[str, Any]:
+    """Train unless `gaussians_file` and its record are there; returns what training reached."""
+    record = gaussians_file.with_name("training.json")
+    if record.is_file() and gaussians_file.is_file():
+        stages.reused.append("train")
+        return json.loads(record.read_text(encoding="utf-8"))
+    checkpoint = gaussians_file.with_name("checkpoint.safetensors")
+    training = train(scene, config.train, checkpoint=checkpoint, progress=progress)
+    write_ply(gaussians_file, training.gaussians)
+    write_text(gaussians_file.with_name(CAMERAS), dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
+    quality = {
+        "steps": training.steps,
+        "gaussians": len(training.gaussians),
+        "psnr": _rounded(training.psnr),
+        "ssim": _rounded(training.ssim),
+        "held_out": [
+            {"view": view.name, "psnr": _rounded(view.psnr), "ssim": _rounded(view.ssim)} for view in training.held_out
+        ],
+    }
+    write_text(record, json.dumps(quality))
+    checkpoint.unlink(missing_ok=True)
+    return quality
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(float(value), 4)
+
+
+def reopen(folder: Path, out: Path, encoder: Encoder, config: Config, stages: Stages) -> Reconstruction:
+    """An earlier result folder: its Gaussians and features as they are, its photos where they still are."""
+    with stages.timed("scene"):
+        document = read_results(folder)
+        stored = Config.from_document(document["config"])
+        for name in ("scene", "photos", "train", "embed"):
+            asked = getattr(config, name)
+            if asked not in (getattr(stored, name), getattr(Config(), name)):
+                raise ConfigError(
+                    f"{folder} was made with other {name} settings; to use new ones give the photos' folder as SCENE"
+                )
+        gaussians_file, features_file = folder / GAUSSIANS, folder / FEATURES
+        features = load_features(features_file)
+        if features.encoder_id != encoder.identity:
+            raise ConfigError(
+                f"{features_file} is of encoder {features.encoder_id}, not {encoder.identity}; "
+                "give the folder of the photos as SCENE to embed it anew"
+            )
+        scene = read_cameras(folder / CAMERAS)
+        kept = ("source", "inputs_sha256", "encoder", "training", "foreign")
+        origin = {key: document["provenance"][key] for key in kept if key in document["provenance"]}
+        gaussians = read_ply(gaussians_file)
+        source = Path(origin["source"])
+        # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
+        with suppress(FruitLangsError):
+            if origin.get("foreign", {}).get("cameras") == PLACED:
+                scene = drawn_again(gaussians, scene)
+            else:
+                photos, found = photos_alone(source), Source(path=source)
+                if photos is not None:
+                    found = posed_before(photos, folder / "cache", out / "cache", stored.photos)
+                if found.hash() == origin["inputs_sha256"]:
+                    scene = found.read(stored.scene)
+        if not scene.images:
+            stages.notices.append(f"the photos at {source} are gone or have changed: no pictures were made")
+    stages.reused += ["train", "embed"]
+    return Reconstruction(
+        scene=scene,
+        gaussians=gaussians,
+        features=features,
+        gaussians_file=gaussians_file,
+        features_file=features_file,
+        cameras_file=folder / CAMERAS,
+        config=dataclasses.replace(stored, count=config.count),
+        origin=origin,
+    )
