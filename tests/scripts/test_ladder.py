@@ -6,6 +6,7 @@ import csv
 import importlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import ball_scene
@@ -16,13 +17,15 @@ from PIL import Image
 from fruitlangs.benchmarks.ladder import RungRow, climb
 from fruitlangs.benchmarks.ladder_pages import losses, rung_table
 from fruitlangs.benchmarks.rungs import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, Rungs
-from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import FormatError, SceneError, VocabularyError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth, read_views
 
-QUICK = Config(train=TrainConfig(steps=60, max_gaussians=4000))
-FLAGS = ["--train.steps", "60", "--train.max-gaussians", "4000", "--rungs", COUNTING_ONLY, TRUE_MASKS]
+COUNT = CountConfig(diameter=0.2, sample_budget=5000)
+QUICK = Config(train=TrainConfig(steps=60, max_gaussians=4000), count=COUNT)
+FLAGS = ["--train.steps", "60", "--train.max-gaussians", "4000", "--count.diameter", "0.2"]
+FLAGS += ["--count.sample-budget", "5000", "--rungs", COUNTING_ONLY, TRUE_MASKS]
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +85,7 @@ def test_other_settings_are_counted_anew(evaluated: Path, scene: Path, monkeypat
     out = evaluated / "balls"
     climb(scene, out, config=QUICK, rungs=[COUNTING_ONLY])
     assert asked == []
-    climb(scene, out, config=Config(train=TrainConfig(steps=61, max_gaussians=4000)), rungs=[COUNTING_ONLY])
+    climb(scene, out, config=replace(QUICK, train=TrainConfig(steps=61, max_gaussians=4000)), rungs=[COUNTING_ONLY])
     assert asked == [COUNTING_ONLY]
 
 

@@ -18,13 +18,13 @@ from fruitlangs.benchmarks.paper_tables import (
     measure_tables,
     passes_without_language,
 )
-from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.renders import read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import true_surface
 from fruitlangs.engine.scene.read import read_scene
 
-QUICK = Config(train=TrainConfig(steps=30, max_gaussians=3000))
+QUICK = Config(train=TrainConfig(steps=30, max_gaussians=3000), count=CountConfig(diameter=0.2, sample_budget=5000))
 
 
 @pytest.fixture(scope="module")
