@@ -98,9 +98,11 @@ def _crop(
         return None
     camera = scene.cameras[best]
     u, v, radius = _disc(camera, mistake.center, mistake.diameter)
-    half = CROP_DIAMETERS * radius
+    half = min(CROP_DIAMETERS * radius, camera.width / 2, camera.height / 2)
     zoom = SIDE / (2.0 * half)
-    box = (u - half, v - half, u + half, v + half)
+    left = float(np.clip(u - half, 0.0, camera.width - 2.0 * half))
+    top = float(np.clip(v - half, 0.0, camera.height - 2.0 * half))
+    box = (left, top, left + 2.0 * half, top + 2.0 * half)
     photo = Image.fromarray(scene.images[best].pixels())
     crop = photo.transform((SIDE, SIDE), Image.Transform.EXTENT, box, Image.Resampling.BICUBIC)
     canvas = ImageDraw.Draw(crop)
@@ -109,11 +111,11 @@ def _crop(
     rings += [(center, size, FOUND) for center, size in _near(counted.centers, counted.diameters, mistake)]
     for center, size, color in rings:
         x, y, r = _disc(camera, center, size)
-        x, y, r = (x - u + half) * zoom, (y - v + half) * zoom, r * zoom
+        x, y, r = (x - left) * zoom, (y - top) * zoom, r * zoom
         canvas.ellipse([x - r, y - r, x + r, y + r], outline=color, width=2)
-    middle = SIDE / 2
-    canvas.line([middle - 4, middle, middle + 4, middle], fill=SUBJECT)
-    canvas.line([middle, middle - 4, middle, middle + 4], fill=SUBJECT)
+    x, y = (u - left) * zoom, (v - top) * zoom
+    canvas.line([x - 4, y, x + 4, y], fill=SUBJECT)
+    canvas.line([x, y - 4, x, y + 4], fill=SUBJECT)
     return crop
 
 

@@ -15,6 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fruitlangs.engine.evaluation.fruitnerf import read_fruit_masks
+from fruitlangs.engine.evaluation.trees import assign_to_trees, compare, places_of, tally
+from fruitlangs.engine.evaluation.truth import read_truth
 from orchard.body import Body, gap, signed_distance, smooth_profile, surface_points
 from orchard.branch import wood_samples
 from orchard.check import check
@@ -524,6 +527,27 @@ def test_the_nerfstudio_layout_has_masks_a_cloud_and_opengl_poses_of_the_same_ca
         mask = read_grey(varied / frame["semantic_path"])
         ids = read_grey(varied / "instances" / Path(frame["semantic_path"]).name)
         assert np.array_equal(mask == 255, ids > 0)
+
+
+@needs_bpy
+def test_the_importer_of_fruitnerfs_layout_reads_what_the_generator_writes(varied: Path) -> None:
+    masks = read_fruit_masks(varied / "transforms.json")
+    assert len(masks) == 3
+    for mask in masks:
+        ids = read_grey(varied / "instances" / Path(mask.name).with_suffix(".png").name)
+        assert np.array_equal(mask.pixels(), ids > 0)
+
+
+@needs_bpy
+def test_the_row_is_compared_tree_by_tree_and_neighbours_belong_to_none(varied: Path) -> None:
+    truth = read_truth(varied / "truth.json")
+    assert truth.trees is not None
+    row = truth.trees > 0
+    places = places_of(truth.centers, truth.trees)
+    assert places.numbers.tolist() == [1, 2]
+    compared = compare(tally(truth.trees, places.numbers), assign_to_trees(truth.centers[row], places))
+    assert compared.true.tolist() == [12, 12]
+    assert compared.counted.sum() >= 20
 
 
 @needs_bpy
