@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from ..engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibi
 from ..engine.evaluation.renders import DEPTH, INSTANCES
 from ..engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 from ..engine.files import file_hash, files_hash, write_text
+from ..engine.language.encoders import open_encoder
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.read import scene_hash
 from .mistakes import draw_mistakes
@@ -29,7 +31,7 @@ from .rungs import END_TO_END, RUNGS, TRUE_POSES, Counted, Rungs
 TRUTH, ORCHARD = "truth.json", "orchard.json"
 WITHOUT_MASKS = (TRUE_POSES, END_TO_END)
 """The rungs that need no picture of what is fruit."""
-_ROOMS = ("scene", "splatting", "language", "counting")
+_ROOMS = ("scene", "splatting", "language", "counting", "evaluation")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,25 +100,28 @@ def climb(
         report(f"{folder.name}: no {TRUTH}; counted and not measured")
     masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
     chosen = [name for name in RUNGS if name in rungs and (name in WITHOUT_MASKS or (truth is not None and masks))]
+    dropped = [name for name in rungs if name not in chosen]
+    if dropped:
+        report(f"{folder.name}: no true masks for {', '.join(dropped)}")
     bench = Rungs(folder, out, truth, read_views(truth_file) if truth else [], asked, config)
     inputs = [scene_hash(folder), file_hash(truth_file) if truth else "", files_hash(masks, folder)]
-    code = files_hash([Path(__file__).with_name("rungs.py")], Path(__file__).parent)
+    made_by = _made_by(config)
     rows = []
     for number, name in enumerate(chosen):
         share = part(progress, number / len(chosen), (number + 1) / len(chosen))
-        key = stage_key(_ROOMS, code, *inputs, config, name, *asked)
+        key = stage_key(_ROOMS, made_by, *inputs, config, name, *asked)
         row = RungRow(species=origin.species, seed=origin.seed, scene=out.name, rung=name, counted=None)
         try:
             counted = _kept(out / f"{name}.json", key)
             if counted is None:
                 counted = bench.run(name, share)
                 write_text(out / f"{name}.json", _dump(counted, key))
-            row = _measured(row, counted, truth)
+            instances = bench.instances if truth is not None and masks else ()
+            picture = out / f"mistakes_{name}.png"
             if truth is not None:
                 judgement = judge(counted.centers, counted.diameters, truth)
-                row = dataclasses.replace(row, mistakes=f"mistakes_{name}.png")
-                instances = bench.instances if masks else ()
-                draw_mistakes(out / row.mistakes, bench.scene, truth, counted, judgement, instances)
+                draw_mistakes(picture, bench.scene, truth, counted, judgement, instances)
+            row = _measured(row, counted, truth, picture.name)
         except FruitLangsError as error:
             row = dataclasses.replace(row, failed=" ".join(str(error).split()))
         report(_line(row))
@@ -124,7 +129,15 @@ def climb(
     return rows
 
 
-def _measured(row: RungRow, counted: Counted, truth: Truth | None) -> RungRow:
+def _made_by(config: Config) -> str:
+    """What a count depends on beside the rooms' code and the inputs: the chain's own code, weights and pycolmap."""
+    root = Path(__file__).resolve().parents[1]
+    chain = [root / "engine" / name for name in ("pipeline.py", "reconstruction.py")]
+    code = files_hash([root / "benchmarks" / "rungs.py", *chain], root)
+    return f"{code} {open_encoder(config.embed).identity} {version('pycolmap')}"
+
+
+def _measured(row: RungRow, counted: Counted, truth: Truth | None, picture: str) -> RungRow:
     row = dataclasses.replace(
         row,
         counted=len(counted.centers),
@@ -143,6 +156,7 @@ def _measured(row: RungRow, counted: Counted, truth: Truth | None) -> RungRow:
         far=measured(judge(counted.centers, counted.diameters, truth, 1.0), truth),
         classes=by_visibility(judgement, truth),
         ece=_fruit_calibration(counted, judgement),
+        mistakes=picture,
     )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..engine.evaluation.metrics import CountMetrics
 from ..engine.evaluation.summary import summarise
-from ..engine.files import write_text
+from ..engine.files import replacing, write_text
 from .ladder import RungRow
 from .rungs import COUNTING_ONLY, END_TO_END, RUNGS, TRUE_MASKS, TRUE_POSES
 
@@ -95,59 +95,66 @@ def visibility_csv(rows: Sequence[RungRow]) -> str:
     return text.getvalue()
 
 
-def rung_table(rows: Sequence[RungRow]) -> str:
-    """Markdown: F1 at half a diameter by scene and rung, and the stage that loses most."""
-    scenes = list(dict.fromkeys(row.scene for row in rows))
-    names = [name for name in RUNGS if any(row.rung == name for row in rows)]
+def rung_rows(rows: Sequence[RungRow]) -> list[list[str]]:
+    """F1 at half a diameter by scene and rung, and the stage that loses most; then means over scenes.
+
+    What loses most in the mean is judged on the scenes that every rung measured.
+    """
+    names = _rungs_of(rows)
     lines = [["scene", "visible", *names, "loses most"]]
-    for scene in scenes:
+    whole = []
+    for scene in dict.fromkeys(row.scene for row in rows):
         own = {row.rung: row for row in rows if row.scene == scene}
         visible = next((str(row.near.visible) for row in own.values() if row.near), "")
-        loss = losses({name: row.near.f1 for name, row in own.items() if row.near})
-        lines.append([scene, visible, *(_f1_cell(own.get(name)) for name in names), loss.largest])
+        f1 = {name: row.near.f1 for name, row in own.items() if row.near}
+        whole += [row for row in own.values() if len(f1) == len(names)]
+        lines.append([scene, visible, *(_f1_cell(own.get(name)) for name in names), losses(f1).largest])
     summaries = {name: summarise(_metrics(rows, name)) for name in names}
-    last = losses({name: summary.f1 for name, summary in summaries.items() if summary.scenes})
+    last = losses({name: summarise(_metrics(whole, name)).f1 for name in names if whole})
     lines.append(["mean F1", "", *(_number(summaries[name].f1) + _some(rows, name) for name in names), last.largest])
     lines.append(["mean precision", "", *(_number(summaries[name].precision) for name in names), ""])
     lines.append(["mean recall", "", *(_number(summaries[name].recall) for name in names), ""])
     lines.append(["bias of all counts", "", *(_percent(summaries[name].bias, sign=True) for name in names), ""])
     lines.append(["MAPE", "", *(_percent(summaries[name].mape) for name in names), ""])
-    return markdown(lines)
+    return lines
 
 
-def loss_table(rows: Sequence[RungRow]) -> str:
-    """Markdown: how much F1 each stage loses on each scene."""
+def loss_rows(rows: Sequence[RungRow]) -> list[list[str]]:
+    """How much F1 each stage loses on each scene."""
     lines = [["scene", *STAGES]]
     for scene in dict.fromkeys(row.scene for row in rows):
         loss = losses({row.rung: row.near.f1 for row in rows if row.scene == scene and row.near})
         lines.append([scene, *(_number(value, sign=True) for value in loss.stages)])
-    return markdown(lines)
+    return lines
 
 
-def visibility_table(rows: Sequence[RungRow]) -> str:
-    """Markdown: recall by visible fraction and rung, all scenes together."""
-    names = [name for name in RUNGS if any(row.rung == name and row.classes for row in rows)]
+def visibility_rows(rows: Sequence[RungRow]) -> list[list[str]]:
+    """Recall by visible fraction and rung, all scenes together, with the number of fruit; nothing without a truth."""
+    names = [name for name in _rungs_of(rows) if any(row.rung == name and row.classes for row in rows)]
     if not names:
-        return ""
+        return []
     classes = next(row.classes for row in rows if row.classes)
-    lines = [["best view shows", "fruit", *names]]
+    lines = [["best view shows", *names]]
     for number, part in enumerate(classes):
-        own = {name: [row.classes[number] for row in rows if row.rung == name and row.classes] for name in names}
-        fruit = sum(each.visible for each in own[names[0]])
         cells = []
         for name in names:
-            seen = sum(each.visible for each in own[name])
-            found = sum(round(each.recall * each.visible) for each in own[name] if each.visible)
-            cells.append(_number(found / seen) if seen else "")
-        lines.append([f"{part.low:.0%} to {part.high:.0%}", str(fruit), *cells])
-    return markdown(lines)
+            own = [row.classes[number] for row in rows if row.rung == name and row.classes]
+            seen = sum(each.visible for each in own)
+            found = sum(round(each.recall * each.visible) for each in own if each.visible)
+            cells.append(f"{found / seen:.3f} of {seen}" if seen else "")
+        lines.append([f"{part.low:.0%} to {part.high:.0%}", *cells])
+    return lines
+
+
+def _rungs_of(rows: Sequence[RungRow]) -> list[str]:
+    return [name for name in RUNGS if any(row.rung == name for row in rows)]
 
 
 def draw_ladder(rows: Sequence[RungRow], path: Path) -> None:
     """F1 at half a diameter from rung to rung, a line a scene."""
     from matplotlib.figure import Figure
 
-    names = [name for name in RUNGS if any(row.rung == name for row in rows)]
+    names = _rungs_of(rows)
     figure = Figure(figsize=(max(6.0, 1.4 * len(names)), 4.5), layout="constrained")
     axes = figure.add_subplot()
     for scene in dict.fromkeys(row.scene for row in rows):
@@ -158,7 +165,8 @@ def draw_ladder(rows: Sequence[RungRow], path: Path) -> None:
     axes.grid(alpha=0.3)
     if rows:
         axes.legend(fontsize=8)
-    figure.savefig(path, dpi=120, metadata={"Software": None})
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, metadata={"Software": None})
 
 
 def write_pages(rows: Sequence[RungRow], out: Path, *, title: str) -> None:
@@ -168,14 +176,22 @@ def write_pages(rows: Sequence[RungRow], out: Path, *, title: str) -> None:
     for name, text in (("ladder", rows_csv(rows)), ("visibility", visibility_csv(rows)), ("times", times_csv(rows))):
         write_text(out / f"{name}.csv", text)
     failed = [f"- {row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
-    parts = [f"# {title}", rung_table(rows), "F1 that each stage loses:", loss_table(rows)]
-    parts += ["Recall by visible fraction:", visibility_table(rows)] if any(row.classes for row in rows) else []
-    parts += ["Failed:", "\n".join(failed)] if failed else []
+    parts = [f"# {title}", *table_parts(rows)] + (["Failed:", "\n".join(failed)] if failed else [])
     write_text(out / "ladder.md", "\n\n".join(parts) + "\n")
     draw_ladder(rows, out / "ladder.png")
     template = Environment(autoescape=True).from_string(_PAGE)
-    tables = [_split(table) for table in (rung_table(rows), loss_table(rows), visibility_table(rows)) if table]
+    tables = [table for table in (rung_rows(rows), loss_rows(rows), visibility_rows(rows)) if table]
     write_text(out / "index.html", template.render(title=title, tables=tables, rows=rows, rungs=RUNGS))
+
+
+def table_parts(rows: Sequence[RungRow]) -> list[str]:
+    """The tables in Markdown, each after its title."""
+    parts = ["F1 at half a diameter against visible fruit:", markdown(rung_rows(rows))]
+    parts += ["F1 that each stage loses:", markdown(loss_rows(rows))]
+    by_visibility = visibility_rows(rows)
+    if by_visibility:
+        parts += ["Recall by visible fraction, all scenes together:", markdown(by_visibility)]
+    return parts
 
 
 def markdown(lines: Sequence[Sequence[str]]) -> str:
@@ -183,11 +199,6 @@ def markdown(lines: Sequence[Sequence[str]]) -> str:
     head, *body = lines
     rule = ["---"] + ["---:"] * (len(head) - 1)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *body))
-
-
-def _split(table: str) -> list[list[str]]:
-    lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()]
-    return [lines[0], *lines[2:]]
 
 
 def _metrics(rows: Sequence[RungRow], rung: str) -> list[CountMetrics]:
@@ -206,7 +217,7 @@ def _f1_cell(row: RungRow | None) -> str:
         return ""
     if row.failed:
         return "failed"
-    return str(row.counted) if row.near is None else f"{row.near.f1:.3f}"
+    return f"{row.counted} counted" if row.near is None else f"{row.near.f1:.3f}"
 
 
 def _number(value: float, *, sign: bool = False) -> str:

@@ -110,6 +110,8 @@ def _crop(
     rings = [(center, size, TRUE) for center, size in _near(truth.centers[visible], truth.diameters[visible], mistake)]
     rings += [(center, size, FOUND) for center, size in _near(counted.centers, counted.diameters, mistake)]
     for center, size, color in rings:
+        if camera.world_to_camera[2, :3] @ center + camera.world_to_camera[2, 3] <= size:
+            continue
         x, y, r = _disc(camera, center, size)
         x, y, r = (x - left) * zoom, (y - top) * zoom, r * zoom
         canvas.ellipse([x - r, y - r, x + r, y + r], outline=color, width=2)
@@ -128,7 +130,8 @@ def _near(centers: FloatArray, diameters: FloatArray, mistake: _Mistake) -> list
 def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]) -> int | None:
     """The view with most pixels of a true fruit, else the one where the fruit's disc is largest and all in frame."""
     if mistake.id and instances:
-        return int(np.argmax([(mask == mistake.id).sum() for mask in instances]))
+        pixels = [int((mask == mistake.id).sum()) for mask in instances]
+        return int(np.argmax(pixels)) if max(pixels) else None
     best, largest = None, 0.0
     for view, camera in enumerate(cameras):
         if (camera.world_to_camera[2, :3] @ mistake.center + camera.world_to_camera[2, 3]) <= mistake.diameter:

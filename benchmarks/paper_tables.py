@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-import trimesh
 
 from ..engine.config import Config
 from ..engine.counting.count import count_fruit
 from ..engine.errors import FormatError, FruitLangsError
+from ..engine.evaluation.cloud import ColoredCloud, write_cloud
 from ..engine.evaluation.metrics import count_metrics
 from ..engine.evaluation.renders import read_depths, read_instances
 from ..engine.evaluation.true_surface import true_surface
@@ -26,13 +26,27 @@ from ..engine.splatting.gaussians import Gaussians
 from ..engine.splatting.rasterize import render
 from .ladder import TRUTH, read_origin
 
-VARIANTS: Mapping[str, dict[str, float]] = {
-    "3DGS": {},
-    "eq. 3": {"pair_alpha": 4.0, "drop_unneeded": 1.0},
-    "eq. 4": {"load_weight": 0.02},
-    "eq. 3 + 4": {"pair_alpha": 4.0, "drop_unneeded": 1.0, "load_weight": 0.02},
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """What of the paper a training has; tiles are handed out by load in all of them, which changes no picture."""
+
+    pair_alpha: float = 1.0
+    drop_unneeded: float = 0.0
+    load_weight: float = 0.0
+
+    def of(self, config: Config) -> Config:
+        return replace(config, train=replace(config.train, **asdict(self)))
+
+
+_TAU, _DROPPED, _LOAD = 4.0, 1.0, 0.02
+VARIANTS: Mapping[str, Variant] = {
+    "3DGS": Variant(),
+    "eq. 3": Variant(pair_alpha=_TAU, drop_unneeded=_DROPPED),
+    "eq. 4": Variant(load_weight=_LOAD),
+    "eq. 3 + 4": Variant(pair_alpha=_TAU, drop_unneeded=_DROPPED, load_weight=_LOAD),
 }
-"""Changes to the training by name. Tiles are handed out by load in all of them: it changes no picture."""
+"""Trainings by name: as in 3DGS, with the paper's pruning of pairs and Gaussians, with its load term, with both."""
 OURS = "eq. 3 + 4"
 CLOUD, FOREIGN = "nerf.ply", "3dgs.ply"
 """Reconstructions of other programs that a scene's folder may hold, in the frame of its cameras."""
@@ -96,21 +110,23 @@ def measure_tables(
         raise FormatError(f"{folder} does not say what grows there; give --prompt")
     truth = read_truth(folder / TRUTH, true_labels(asked)) if (folder / TRUTH).is_file() else None
     results = {}
-    for number, (name, change) in enumerate(VARIANTS.items()):
+    for number, (name, variant) in enumerate(VARIANTS.items()):
         report(f"{folder.name}: training with {name}")
         share = part(progress, 0.15 * number, 0.15 * (number + 1))
-        own = replace(config, train=replace(config.train, **change))  # type: ignore[arg-type]
-        results[name] = count_scene(folder, asked, out / name.replace(" ", ""), config=own, progress=share)
+        results[name] = count_scene(
+            folder, asked, out / name.replace(" ", ""), config=variant.of(config), progress=share
+        )
     scene, ours = read_scene(folder, config.scene), results[OURS]
     report(f"{folder.name}: counting in other reconstructions")
     foreign = folder / FOREIGN if (folder / FOREIGN).is_file() else results["3DGS"].out / "gaussians.ply"
-    from_foreign = _tally(_borrowed(folder, foreign, asked, out / "foreign", config), truth)
+    note = "" if foreign.name == FOREIGN else "our training without eq. 3 and 4"
+    from_foreign = _in_other(folder, foreign, asked, out / "foreign", config, truth, note)
     return SceneTables(
         name=folder.name,
         reconstruction={name: _quality(result) for name, result in results.items()},
         counts={
             "NeRF+Ours": _from_cloud(folder, scene, asked, out, config, truth),
-            "3DGS+Ours": replace(from_foreign, note="" if foreign.name == FOREIGN else "our training, 3DGS settings"),
+            "3DGS+Ours": from_foreign,
             "FruitNeRF": NOT_YET,
             "Ours": _tally(ours, truth),
         },
@@ -138,8 +154,18 @@ def frames_per_second(result: Result) -> float:
     return 1.0 / float(np.median(seconds[1:]))
 
 
-def _borrowed(folder: Path, file: Path, prompts: Sequence[str], out: Path, config: Config) -> Result:
-    return count_scene(folder, prompts, out, config=config, foreign=file)
+def _in_other(
+    folder: Path, file: Path, prompts: Sequence[str], out: Path, config: Config, truth: Truth | None, note: str
+) -> Tally:
+    """A count in another program's reconstruction, or why there is none."""
+    try:
+        return replace(_tally(count_scene(folder, prompts, out, config=config, foreign=file), truth), note=note)
+    except FruitLangsError as error:
+        return _not_measured(error)
+
+
+def _not_measured(error: FruitLangsError) -> Tally:
+    return Tally(note=f"not measured: {' '.join(str(error).split())}")
 
 
 def _from_cloud(
@@ -147,17 +173,15 @@ def _from_cloud(
 ) -> Tally:
     """A count in a coloured point cloud: NeRF's where the folder holds one, else one of true depths where these are."""
     cloud, note = folder / CLOUD, ""
-    try:
-        if not cloud.is_file():
-            cloud, note = out / "true_depths.ply", "points of true depths in NeRF's place"
-            depths, instances = read_depths(folder, scene), read_instances(folder, scene)
-            surface = true_surface(scene, depths, instances).gaussians
-            colors = (255 * surface.base_colors).round().byte().numpy()
-            cloud.parent.mkdir(parents=True, exist_ok=True)
-            trimesh.PointCloud(surface.means.numpy(), colors).export(cloud)
-        return replace(_tally(_borrowed(folder, cloud, prompts, out / "cloud", config), truth), note=note)
-    except FruitLangsError as error:
-        return Tally(note=f"not measured: {' '.join(str(error).split())}")
+    if not cloud.is_file():
+        cloud, note = out / "true_depths.ply", "points of true depths in NeRF's place"
+        try:
+            surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene)).gaussians
+        except FruitLangsError as error:
+            return _not_measured(error)
+        colors = (255 * surface.base_colors).round().byte().numpy()
+        write_cloud(cloud, ColoredCloud(surface.means.double().numpy(), colors))
+    return _in_other(folder, cloud, prompts, out / "cloud", config, truth, note)
 
 
 def passes_without_language(gaussians: Gaussians, scene: Scene) -> torch.Tensor:
@@ -183,7 +207,7 @@ def _without_language(ours: Result, scene: Scene, config: Config, truth: Truth |
             ours.gaussians, probability, ours.scene.cameras, config.count, label="fruit", progress=progress
         )
     except FruitLangsError as error:
-        return Tally(note=f"not measured: {' '.join(str(error).split())}")
+        return _not_measured(error)
     return _tally(replace(ours, fruit_count=found), truth)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..engine.files import write_text
 from .ladder import RungRow
-from .ladder_pages import loss_table, rows_csv, rung_table, visibility_table
+from .ladder_pages import rows_csv, table_parts
 
 _ROOT = Path(__file__).resolve().parents[1]
 
@@ -22,14 +22,9 @@ def publish(rows: Sequence[RungRow], folder: Path, *, command: str) -> None:
         "# Baseline",
         f"Measured on {day} at commit {_commit()} by `{command}`. All columns are in [results.csv](results.csv); what "
         "the rungs and columns mean is in [docs/benchmark.md](../docs/benchmark.md).",
-        "F1 at half a diameter against visible fruit:",
-        rung_table(rows),
-        "F1 that each stage loses:",
-        loss_table(rows),
-        "Recall by visible fraction, all scenes together:",
-        visibility_table(rows),
+        *table_parts(rows),
     ]
-    write_text(folder / "RESULTS.md", "\n\n".join(part for part in parts if part) + "\n")
+    write_text(folder / "RESULTS.md", "\n\n".join(parts) + "\n")
 
 
 def _commit() -> str:

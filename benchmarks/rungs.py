@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 from ..engine.config import Config
 from ..engine.counting.count import count_fruit
 from ..engine.counting.fruit import FruitCount
+from ..engine.errors import FormatError
 from ..engine.evaluation.alignment import align
+from ..engine.evaluation.cloud import ColoredCloud, write_cloud
 from ..engine.evaluation.renders import check_instances, read_depths, read_instances
 from ..engine.evaluation.true_surface import TrueSurface, true_surface
 from ..engine.evaluation.truth import TrueView, Truth
+from ..engine.files import write_text
 from ..engine.language.encoders import open_encoder
 from ..engine.language.lift import encode_photos, lift_features
 from ..engine.language.relevancy import MIN_WEIGHT, relevancy
@@ -147,24 +150,31 @@ class Rungs:
 
     def _true_masks(self, progress: Progress) -> Counted:
         trained = self._trained(part(progress, 0.0, 0.7))
-        probability = masked_probability(trained.gaussians, self.scene.cameras, self.instances, self._ids())
-        counted = self._count(trained.gaussians, probability, part(progress, 0.7, 1.0))
+        cameras = trained.scene.cameras
+        probability = masked_probability(trained.gaussians, cameras, self.instances, self._ids())
+        counted = self._count(trained.gaussians, probability, part(progress, 0.7, 1.0), cameras)
         quality = _counted_by(trained)
-        return dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
+        counted = dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
+        return self._moved(counted, trained.scene) if self.config.train.refine_poses else counted
 
     def _true_poses(self, progress: Progress) -> Counted:
         result = self._trained(progress)
-        return _counted_by(result)
+        counted = _counted_by(result)
+        return self._moved(counted, result.scene) if self.config.train.refine_poses else counted
 
     def _end_to_end(self, progress: Progress) -> Counted:
         """Count in the frame that the photos alone give, then move the fruit into the frame of the truth."""
         result = self._train(self.folder / "images", END_TO_END, progress)
-        true, found = _by_file(self.scene), _by_file(result.scene)
+        return self._moved(_counted_by(result), result.scene)
+
+    def _moved(self, counted: Counted, scene: Scene) -> Counted:
+        """What was counted in the frame of `scene`, in the frame of the truth, by the cameras that both have."""
+        true, found = _by_file(self.scene), _by_file(scene)
+        common = [name for name in found if name in true]
         moved = align(
-            np.array([camera.center for camera in found.values()]),
-            np.array([true[name].center for name in found]),
+            np.array([found[name].center for name in common]).reshape(-1, 3),
+            np.array([true[name].center for name in common]).reshape(-1, 3),
         )
-        counted = _counted_by(result)
         return dataclasses.replace(
             counted,
             centers=moved.apply(counted.centers),
@@ -180,8 +190,15 @@ class Rungs:
         """The product's own road from photos to fruit; what an earlier run trained is taken from its cache."""
         return count_scene(source, self.prompts, self.out / name, config=self.config, progress=progress)
 
-    def _count(self, gaussians: Gaussians, probability: torch.Tensor, progress: Progress) -> Counted:
-        cameras = self.scene.cameras
+    def _count(
+        self,
+        gaussians: Gaussians,
+        probability: torch.Tensor,
+        progress: Progress,
+        cameras: Sequence[Camera] | None = None,
+    ) -> Counted:
+        """Count with the true cameras, or with `cameras` where training moved them."""
+        cameras = self.scene.cameras if cameras is None else cameras
         found = count_fruit(
             gaussians, probability, cameras, self.config.count, label=self.prompts[0], progress=progress
         )
@@ -204,6 +221,9 @@ class Rungs:
             return self.folder
         given = read_scene(self.folder, self.config.scene)
         true = {view.name: view.world_to_camera for view in self.views}
+        unknown = [name for name in _by_file(given) if name not in true]
+        if unknown:
+            raise FormatError(f"the truth lists no true camera of {unknown[0]}; make the scene again")
         off = [np.abs(camera.world_to_camera - true[name]).max() for name, camera in _by_file(given).items()]
         if max(off) < SAME_POSE:
             return self.folder
@@ -230,9 +250,6 @@ def masked_probability(
 
 def write_transforms(path: Path, scene: Scene, poses: Mapping[str, FloatArray]) -> None:
     """Write the scene's photos with other poses, world to camera (4, 4) by photo, as a transforms.json with a cloud."""
-    import trimesh
-
-    path.parent.mkdir(parents=True, exist_ok=True)
     frames = []
     for photo, camera in zip(scene.images, scene.cameras, strict=True):
         assert isinstance(photo, FilePhoto)
@@ -240,8 +257,8 @@ def write_transforms(path: Path, scene: Scene, poses: Mapping[str, FloatArray]) 
         lens = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
         size = {"w": camera.width, "h": camera.height}
         frames.append({"file_path": str(photo.path.resolve()), "transform_matrix": pose.tolist(), **lens, **size})
-    trimesh.PointCloud(scene.points, scene.colors).export(path.with_name("points.ply"))
-    path.write_text(json.dumps({"frames": frames, "ply_file_path": "points.ply"}) + "\n", encoding="utf-8")
+    write_cloud(path.with_name("points.ply"), ColoredCloud(scene.points, scene.colors))
+    write_text(path, json.dumps({"frames": frames, "ply_file_path": "points.ply"}) + "\n")
 
 
 def _counted(found: FruitCount, views: int) -> Counted:

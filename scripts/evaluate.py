@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -26,7 +26,7 @@ import numpy as np
 
 from _terminal import arguments_of, import_tyro, preset_of, run, table, terminal_progress
 from fruitlangs.benchmarks.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder_pages import rung_table, write_pages
+from fruitlangs.benchmarks.ladder_pages import markdown, rung_rows, write_pages
 from fruitlangs.benchmarks.orchards import scene_folder
 from fruitlangs.benchmarks.results import publish
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
@@ -63,7 +63,7 @@ class Arguments:
     """With --truth: measure against true fruit of this word only; else against those of the counted prompts."""
     prompt: tuple[str, ...] = ()
     """With --out: what to count; else the species that each scene says it has."""
-    rungs: tuple[Rung, ...] = ("counting-only", "true-geometry", "true-masks", "true-poses", "end-to-end")
+    rungs: tuple[Rung, ...] = get_args(Rung)
     """With --out: the rungs to count on."""
     publish: Path | None = None
     """Folder that gets results.csv and RESULTS.md too, with the date and the commit."""
@@ -86,6 +86,10 @@ def main(given: Sequence[str] | None = None) -> None:
         raise ConfigError("give --out DIR to count scenes, or --truth truth.json to measure results, and not both")
     if not arguments.given:
         raise ConfigError("nothing is given to measure; name scenes or results")
+    if arguments.truth is not None and (arguments.prompt or arguments.publish):
+        raise ConfigError("--prompt and --publish are for scenes that are counted with --out; leave them out")
+    if arguments.out is not None and arguments.label:
+        raise ConfigError("--label is for results that are measured with --truth; with --out give --prompt")
     if arguments.truth is not None:
         folders = [Path(name) for name in arguments.given]
         rows = [row for folder in folders for row in measure(folder, arguments.truth, arguments.label)]
@@ -103,7 +107,9 @@ def ladder(arguments: Arguments) -> None:
     for number, name in enumerate(arguments.given):
         share = part(progress, number / len(arguments.given), (number + 1) / len(arguments.given))
         try:
-            folder = scene_folder(name, arguments.out / "scenes", report=report)
+            folder = scene_folder(name, arguments.out / "scenes", report=report).resolve()
+            if folder.name in {row.scene for row in rows} | {"scenes"}:
+                raise ConfigError(f"there is another scene called {folder.name}; rename its folder")
             rows += climb(
                 folder,
                 arguments.out / folder.name,
@@ -120,9 +126,9 @@ def ladder(arguments: Arguments) -> None:
             write_pages(rows, arguments.out, title=title)
     progress(1.0, "done")
     if rows:
-        print(rung_table(rows))
+        print(markdown(rung_rows(rows)))
         print(f"\nwritten: {arguments.out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")
-        if arguments.publish is not None:
+        if arguments.publish is not None and not broken and not any(row.failed for row in rows):
             publish(rows, arguments.publish, command=" ".join(["scripts/evaluate.py", *arguments_of(__file__)]))
     broken += [f"{row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
     if broken:

@@ -24,6 +24,7 @@ from fruitlangs.benchmarks.orchards import scene_folder
 from fruitlangs.benchmarks.paper_pages import ablation_table, count_table, reconstruction_table
 from fruitlangs.benchmarks.paper_tables import SceneTables, measure_tables
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
+from fruitlangs.engine.errors import ConfigError, FruitLangsError
 from fruitlangs.engine.files import write_text
 from fruitlangs.engine.progress import part
 
@@ -56,17 +57,27 @@ def main() -> None:
     config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
     progress, measured = terminal_progress(), list[SceneTables]()
     text = ""
+    broken: list[str] = []
     for number, name in enumerate(arguments.scenes):
-        folder = scene_folder(name, arguments.out / "scenes", report=report)
         share = part(progress, number / len(arguments.scenes), (number + 1) / len(arguments.scenes))
-        out = arguments.out / folder.name
-        measured.append(
-            measure_tables(folder, out, config=config, prompts=arguments.prompt, report=report, progress=share)
-        )
+        try:
+            folder = scene_folder(name, arguments.out / "scenes", report=report).resolve()
+            if folder.name in {scene.name for scene in measured} | {"scenes"}:
+                raise ConfigError(f"there is another scene called {folder.name}; rename its folder")
+            out = arguments.out / folder.name
+            measured.append(
+                measure_tables(folder, out, config=config, prompts=arguments.prompt, report=report, progress=share)
+            )
+        except FruitLangsError as error:
+            broken.append(f"{name}: {error}")
+            report(broken[-1])
+            continue
         text = pages(measured, f"{config.train.steps} steps, at most {config.train.max_gaussians} Gaussians")
         write_text(arguments.out / "tables.md", text)
     progress(1.0, "done")
     print(text)
+    if broken:
+        raise ConfigError(f"{len(broken)} of {len(arguments.scenes)} scenes could not be measured; {broken[0]}")
 
 
 def pages(measured: list[SceneTables], setting: str) -> str:

@@ -17,7 +17,7 @@ from .account import Account, account_for
 from .cluster import Clusters, find_fruit
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
 from .sample import SurfacePoints, sample_skin, sample_volume
-from .size import estimate_diameter
+from .size import LEAST_EVIDENCE, estimate_diameter
 from .sphere import Spheres
 from .template import split_by_template
 from .visibility import Picture, Visibility, draw, edge_ratio, look_at, see
@@ -31,8 +31,6 @@ FAINT = 1.0 / 3.0
 SIZING_POINTS = 20_000
 LARGEST_SCALE = 0.5
 """Largest standard deviation, in mean fruit diameters, of a Gaussian that may give points."""
-LEAST_EVIDENCE = 0.3
-"""Below this summed weight a seed of the sphere fits behind a diameter, the selection is sheets and scatter."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
 SMALL = 0.6

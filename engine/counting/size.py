@@ -20,7 +20,9 @@ NEIGHBORS = 96
 BANDWIDTH = 0.08
 LEAST_PEAK = 0.5
 """Of two radii that the points reproduce, the smaller is the fruit's if it has at least this share of the larger's
-evidence: the outline of a whole crown is round as well."""
+evidence, and enough in itself: the outline of a whole crown is round as well."""
+LEAST_EVIDENCE = 0.3
+"""Below this summed weight a seed of the sphere fits behind a diameter, the selection is sheets and scatter."""
 LEAST_THINNESS = 0.12
 """Flat neighbourhoods reproduce any radius; thinner ones than this (in radii) do not vote."""
 
@@ -49,7 +51,7 @@ def estimate_diameter(
     seeds = order[: min(SEEDS, len(points))]
     largest = 0.5 * float(np.linalg.norm(points.positions.max(axis=0) - points.positions.min(axis=0)))
     grid = smallest * GRID_STEP ** np.arange(max(1, int(np.log(max(largest / smallest, 1.0)) / np.log(GRID_STEP)) + 1))
-    logs, weights, owners = [], [], []
+    logs, weights = [], []
     whole = cKDTree(points.positions)
     for step, radius in enumerate(grid[:40]):
         progress(step / min(len(grid), 40), f"trying fruit of radius {radius:.3g}")
@@ -63,14 +65,14 @@ def estimate_diameter(
         round_enough = kept_radius & (spheres.thinness > LEAST_THINNESS)
         logs.append(np.log(spheres.radii))
         weights.append(np.where(round_enough, spheres.coverage * spheres.shell**2, 0.0))
-        owners.append(np.arange(len(seeds)))
     return _mode(np.concatenate(logs), np.concatenate(weights), len(seeds))
 
 
-def _first_peak(density: FloatArray) -> int:
-    """The leftmost of the peaks that reach LEAST_PEAK of the highest: fruit, not the crown that they make up."""
-    padded = np.pad(density, 1)
-    peaks = (density >= padded[:-2]) & (density >= padded[2:]) & (density >= LEAST_PEAK * density.max())
+def _first_peak(density: FloatArray, enough: float) -> int:
+    """The leftmost of the peaks that reach LEAST_PEAK of the highest and are `enough`: fruit, not the crown of them."""
+    padded, highest = np.pad(density, 1), density.max()
+    peaks = (density >= padded[:-2]) & (density >= padded[2:])
+    peaks &= density >= max(LEAST_PEAK * highest, min(enough, highest))
     return int(np.flatnonzero(peaks)[0])
 
 
@@ -80,7 +82,7 @@ def _mode(logs: FloatArray, weights: FloatArray, seeds: int) -> SizeEstimate | N
     logs, weights = logs[weights > 0], weights[weights > 0]
     places = np.arange(logs.min() - 0.2, logs.max() + 0.2, 0.02)
     density = (weights * np.exp(-0.5 * ((places[:, None] - logs) / BANDWIDTH) ** 2)).sum(axis=1)
-    peak = _first_peak(density)
+    peak = _first_peak(density, LEAST_EVIDENCE * seeds)
     mode = places[peak]
     for _ in range(20):
         local = weights * np.exp(-0.5 * ((logs - mode) / BANDWIDTH) ** 2)

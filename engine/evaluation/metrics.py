@@ -79,7 +79,7 @@ def count_metrics(centers: FloatArray, diameters: FloatArray, truth: Truth, radi
 def measured(judgement: Judgement, truth: Truth) -> CountMetrics:
     """The figures of a judgement that was made against `truth`."""
     predicted, visible = judgement.predictions, int(truth.visible.sum())
-    total = len(truth.centers)
+    total = truth.total
     matched, counted = len(judgement.pairs), predicted - len(judgement.ignored)
     errors = _errors(judgement, truth, np.ones(matched, bool))
     return CountMetrics(

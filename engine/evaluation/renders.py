@@ -84,7 +84,7 @@ def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
     if values.shape != (camera.height, camera.width):
         raise FormatError(
             f"{path} has {values.shape[1]}×{values.shape[0]} pixels, its photo {camera.width}×{camera.height}; "
-            "the truth is of other pictures: make the scene again"
+            "leave out --scene.downscale and --scene.max-side, or make the scene again if this is another scene's"
         )
     return values.astype(np.uint16)
 

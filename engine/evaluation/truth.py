@@ -24,7 +24,8 @@ class Truth:
 
     centers: (M, 3); diameters: (M,) scene units; visible: (M,) at least 3 views show 10 % and 12 pixels of it;
     visible_fractions: (M,) largest over views of its unoccluded share; ids: (M,) their values in the instance masks,
-    trees: (M,) the number of the tree each belongs to, from 1, or NO_TREE; both None where the truth does not say.
+    trees: (M,) the number of the tree each belongs to, from 1, or NO_TREE; both None where the truth does not say;
+    neighbours: (M,) which of them belong to rows beside the scene and to no count, None where there are none.
     """
 
     centers: NDArray[np.float64]
@@ -33,6 +34,12 @@ class Truth:
     visible_fractions: NDArray[np.float64]
     ids: NDArray[np.int64] | None = None
     trees: NDArray[np.int64] | None = None
+    neighbours: NDArray[np.bool_] | None = None
+
+    @property
+    def total(self) -> int:
+        """All true fruit of the scene, seen or not."""
+        return len(self.diameters) - (0 if self.neighbours is None else int(self.neighbours.sum()))
 
     @property
     def mean_diameter(self) -> float:
@@ -59,6 +66,7 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
             visible_fractions=np.array([fruit["visible_fraction"] for fruit in fruits], dtype=np.float64),
             ids=_ids(fruits),
             trees=_trees(fruits),
+            neighbours=np.array([fruit.get("kind") == "neighbour" for fruit in fruits], dtype=bool),
         )
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error

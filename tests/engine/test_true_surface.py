@@ -31,12 +31,13 @@ def surface(folder: Path) -> TrueSurface:
     return true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
 
 
-def test_gaussians_of_a_fruit_lie_on_its_surface(surface: TrueSurface) -> None:
+def test_gaussians_of_a_fruit_lie_just_below_its_surface(surface: TrueSurface) -> None:
     means = surface.gaussians.means.numpy()
     for number, (center, diameter) in enumerate(zip(ball_scene.BALLS, ball_scene.DIAMETERS, strict=True), start=1):
         distances = np.linalg.norm(means[surface.fruit == number] - center, axis=1)
         assert len(distances) > 100
-        assert np.abs(np.median(distances) / (diameter / 2) - 1) < 0.03
+        # Half a cell, which is about a pixel, below the surface.
+        assert 0.90 < np.median(distances) / (diameter / 2) < 1.0
 
 
 def test_their_thin_axis_is_the_normal(surface: TrueSurface) -> None:

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from fruitlangs.benchmarks.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder_pages import losses, rung_table
+from fruitlangs.benchmarks.ladder_pages import losses, markdown, rung_rows
 from fruitlangs.benchmarks.rungs import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, Rungs
 from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import FormatError, SceneError, VocabularyError
@@ -99,7 +99,7 @@ def test_a_rung_that_fails_is_no_count_and_the_others_go_on(scene: Path, tmp_pat
     assert (rows[0].counted, rows[0].near) == (None, None)
     assert "003.png is missing" in rows[0].failed
     assert rows[1].near is not None
-    assert "failed" in rung_table(rows)
+    assert "failed" in markdown(rung_rows(rows))
 
 
 def test_a_scene_without_truth_is_counted_and_not_measured(scene: Path, tmp_path: Path) -> None:
@@ -168,5 +168,5 @@ def test_means_leave_out_what_failed(scene: Path) -> None:
         RungRow(scene="a", counted=5, near=all_found, **common),
         RungRow(scene="b", counted=None, failed="no", **common),
     ]
-    mean = next(line for line in rung_table(rows).splitlines() if line.startswith("| mean F1"))
+    mean = next(line for line in rung_rows(rows) if line[0] == "mean F1")
     assert "1.000 (1 of 2)" in mean
