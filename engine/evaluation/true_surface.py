@@ -105,7 +105,7 @@ def _seen(
     normals = np.cross(_slope(points, z, axis=1), _slope(points, z, axis=0))
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     towards = camera.center - points
-    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    towards /= np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-12)  # none where there is only sky
     normals = np.where(lengths > 1e-12, normals / np.maximum(lengths, 1e-12), towards)
     normals *= np.where((normals * towards).sum(-1, keepdims=True) < 0, -1.0, 1.0)
     chosen = np.flatnonzero((something & (z < limit)).ravel())[first::step]

@@ -17,11 +17,15 @@ def engine(monkeypatch, counted, tmp_path):
     """In place of the engine's two slow functions: what they were called with, and a result at once."""
     calls = types.SimpleNamespace(read=[], count=[], error=None)
 
-    def read_scene(source, config, *, progress):
-        calls.read.append((source, config))
-        if calls.error:
-            raise calls.error
-        return counted.scene
+    class Source:
+        def __init__(self, path):
+            self.path = path
+
+        def read(self, config, progress):
+            calls.read.append((self.path, config))
+            if calls.error:
+                raise calls.error
+            return counted.scene
 
     def count_scene(source, prompts, out, **options):
         calls.count.append((source, prompts, out, options))
@@ -30,10 +34,10 @@ def engine(monkeypatch, counted, tmp_path):
         values = dict(zip(("scene", "gaussians", "probability", "fruit_count"), counted.parts(), strict=True))
         return types.SimpleNamespace(**values, config=Config(), notices=["no pictures"], out=out, set_id="f00")
 
-    for name, function in (("scene.read", read_scene), ("pipeline", count_scene)):
-        module = types.ModuleType(f"fruitlangs.engine.{name}")
-        setattr(module, function.__name__, function)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+    source = types.SimpleNamespace(Source=Source, photos_alone=lambda path: None, pose_photos=None)
+    pipeline = types.SimpleNamespace(count_scene=count_scene)
+    monkeypatch.setitem(sys.modules, "fruitlangs.engine.scene.source", source)
+    monkeypatch.setitem(sys.modules, "fruitlangs.engine.pipeline", pipeline)
     return calls
 
 
