@@ -15,7 +15,7 @@ import numpy as np
 
 from ..engine.cache import stage_key
 from ..engine.config import Config
-from ..engine.errors import FormatError, FruitLangsError, VocabularyError
+from ..engine.errors import FruitLangsError, VocabularyError
 from ..engine.evaluation.calibration import calibration_error
 from ..engine.evaluation.judgement import Judgement, judge
 from ..engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
@@ -26,9 +26,9 @@ from ..engine.language.encoders import open_encoder
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.read import scene_hash
 from .mistakes import draw_mistakes
+from .orchards import TRUTH, read_origin
 from .rungs import END_TO_END, RUNGS, TRUE_POSES, Counted, Rungs
 
-TRUTH, ORCHARD = "truth.json", "orchard.json"
 WITHOUT_MASKS = (TRUE_POSES, END_TO_END)
 """The rungs that need no picture of what is fruit."""
 _ROOMS = ("scene", "splatting", "language", "counting", "evaluation")
@@ -61,14 +61,6 @@ class RungRow:
     seconds: Mapping[str, float] = field(default_factory=dict)
     failed: str = ""
     mistakes: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Origin:
-    """What a generated scene says of itself; empty and None for other scenes."""
-
-    species: str = ""
-    seed: int | None = None
 
 
 def climb(
@@ -116,12 +108,14 @@ def climb(
             if counted is None:
                 counted = bench.run(name, share)
                 write_text(out / f"{name}.json", _dump(counted, key))
-            instances = bench.instances if truth is not None and masks else ()
-            picture = out / f"mistakes_{name}.png"
+            found = _counted(row, counted)
             if truth is not None:
+                instances = bench.instances if masks else ()
                 judgement = judge(counted.centers, counted.diameters, truth)
+                picture = out / f"mistakes_{name}.png"
                 draw_mistakes(picture, bench.scene, truth, counted, judgement, instances)
-            row = _measured(row, counted, truth, picture.name)
+                found = _measured(found, counted, truth, judgement, picture.name)
+            row = found
         except FruitLangsError as error:
             row = dataclasses.replace(row, failed=" ".join(str(error).split()))
         report(_line(row))
@@ -137,8 +131,8 @@ def _made_by(config: Config) -> str:
     return f"{code} {open_encoder(config.embed).identity} {version('pycolmap')}"
 
 
-def _measured(row: RungRow, counted: Counted, truth: Truth | None, picture: str) -> RungRow:
-    row = dataclasses.replace(
+def _counted(row: RungRow, counted: Counted) -> RungRow:
+    return dataclasses.replace(
         row,
         counted=len(counted.centers),
         interval=counted.interval,
@@ -147,9 +141,9 @@ def _measured(row: RungRow, counted: Counted, truth: Truth | None, picture: str)
         views=counted.views,
         seconds=counted.seconds,
     )
-    if truth is None:
-        return row
-    judgement = judge(counted.centers, counted.diameters, truth)
+
+
+def _measured(row: RungRow, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> RungRow:
     return dataclasses.replace(
         row,
         near=measured(judgement, truth),
@@ -167,26 +161,6 @@ def _fruit_calibration(counted: Counted, judgement: Judgement) -> float:
     hits = np.zeros(len(counted.centers), bool)
     hits[judgement.pairs.predicted] = True
     return calibration_error(counted.probabilities[judged], hits[judged])
-
-
-def read_origin(folder: Path) -> Origin:
-    """What the scene's orchard.json says; empty where there is none.
-
-    Raises:
-        FormatError: it is damaged, or the scene is half-made.
-    """
-    path = folder / ORCHARD
-    if not path.is_file():
-        return Origin()
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        complete = document.get("complete") is True
-        origin = Origin(species=str(document["config"]["species"]), seed=int(document["config"]["seed"]))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FormatError(f"{path} is damaged ({error}); make the scene again") from error
-    if not complete:
-        raise FormatError(f"{folder} is half-made; run make_orchard.py with the same settings again, it goes on")
-    return origin
 
 
 def _dump(counted: Counted, key: str) -> str:

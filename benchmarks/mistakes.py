@@ -37,6 +37,20 @@ class _Mistake:
     id: int = 0
 
 
+@dataclass(frozen=True)
+class _Disc:
+    """The picture of a sphere: its middle and radius in pixels."""
+
+    u: float
+    v: float
+    radius: float
+
+    def inside(self, camera: Camera) -> bool:
+        """Whether all of it is in the camera's frame."""
+        r = self.radius
+        return r <= self.u <= camera.width - r and r <= self.v <= camera.height - r
+
+
 def draw_mistakes(
     path: Path,
     scene: Scene,
@@ -97,11 +111,13 @@ def _crop(
     if best is None:
         return None
     camera = scene.cameras[best]
-    u, v, radius = _disc(camera, mistake.center, mistake.diameter)
-    half = min(CROP_DIAMETERS * radius, camera.width / 2, camera.height / 2)
+    subject = _disc(camera, mistake.center, mistake.diameter)
+    if subject is None:
+        return None
+    half = min(CROP_DIAMETERS * subject.radius, camera.width / 2, camera.height / 2)
     zoom = SIDE / (2.0 * half)
-    left = float(np.clip(u - half, 0.0, camera.width - 2.0 * half))
-    top = float(np.clip(v - half, 0.0, camera.height - 2.0 * half))
+    left = float(np.clip(subject.u - half, 0.0, camera.width - 2.0 * half))
+    top = float(np.clip(subject.v - half, 0.0, camera.height - 2.0 * half))
     box = (left, top, left + 2.0 * half, top + 2.0 * half)
     photo = Image.fromarray(scene.images[best].pixels())
     crop = photo.transform((SIDE, SIDE), Image.Transform.EXTENT, box, Image.Resampling.BICUBIC)
@@ -110,12 +126,12 @@ def _crop(
     rings = [(center, size, TRUE) for center, size in _near(truth.centers[visible], truth.diameters[visible], mistake)]
     rings += [(center, size, FOUND) for center, size in _near(counted.centers, counted.diameters, mistake)]
     for center, size, color in rings:
-        if camera.world_to_camera[2, :3] @ center + camera.world_to_camera[2, 3] <= size:
+        disc = _disc(camera, center, size)
+        if disc is None:
             continue
-        x, y, r = _disc(camera, center, size)
-        x, y, r = (x - left) * zoom, (y - top) * zoom, r * zoom
+        x, y, r = (disc.u - left) * zoom, (disc.v - top) * zoom, disc.radius * zoom
         canvas.ellipse([x - r, y - r, x + r, y + r], outline=color, width=2)
-    x, y = (u - left) * zoom, (v - top) * zoom
+    x, y = (subject.u - left) * zoom, (subject.v - top) * zoom
     canvas.line([x - 4, y, x + 4, y], fill=SUBJECT)
     canvas.line([x, y - 4, x, y + 4], fill=SUBJECT)
     return crop
@@ -134,17 +150,13 @@ def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence
         return int(np.argmax(pixels)) if max(pixels) else None
     best, largest = None, 0.0
     for view, camera in enumerate(cameras):
-        if (camera.world_to_camera[2, :3] @ mistake.center + camera.world_to_camera[2, 3]) <= mistake.diameter:
-            continue
-        u, v, radius = _disc(camera, mistake.center, mistake.diameter)
-        inside = radius <= u <= camera.width - radius and radius <= v <= camera.height - radius
-        if inside and radius > largest:
-            best, largest = view, radius
+        disc = _disc(camera, mistake.center, mistake.diameter)
+        if disc is not None and disc.inside(camera) and disc.radius > largest:
+            best, largest = view, disc.radius
     return best
 
 
-def _disc(camera: Camera, center: FloatArray, diameter: float) -> tuple[float, float, float]:
-    """Column, row and radius in pixels of a sphere's picture."""
-    x, y, z = camera.world_to_camera[:3, :3] @ center + camera.world_to_camera[:3, 3]
-    u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
-    return float(u), float(v), float(camera.K[0, 0] * 0.5 * diameter / max(z, 1e-9))
+def _disc(camera: Camera, center: FloatArray, diameter: float) -> _Disc | None:
+    """A sphere's picture; None where it is not wholly before the camera."""
+    (u, v), z = camera.project(center)
+    return _Disc(float(u), float(v), float(camera.K[0, 0] * 0.5 * diameter / z)) if z > diameter else None

@@ -2,16 +2,48 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..engine.errors import SceneError
+from ..engine.errors import ConfigError, FormatError, FruitLangsError, SceneError
+from ..engine.progress import Progress, part
 
+TRUTH, ORCHARD = "truth.json", "orchard.json"
 PRESETS = Path(__file__).resolve().parent / "scenes"
 """The generator's presets, one TOML file each."""
 _MAKER = Path(__file__).resolve().parents[1] / "scripts" / "make_orchard.py"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """What a generated scene says of itself; empty and None for other scenes."""
+
+    species: str = ""
+    seed: int | None = None
+
+
+def read_origin(folder: Path) -> Origin:
+    """What the scene's orchard.json says; empty where there is none.
+
+    Raises:
+        FormatError: it is damaged, or the scene is half-made.
+    """
+    path = folder / ORCHARD
+    if not path.is_file():
+        return Origin()
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        complete = document.get("complete") is True
+        origin = Origin(species=str(document["config"]["species"]), seed=int(document["config"]["seed"]))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FormatError(f"{path} is damaged ({error}); make the scene again") from error
+    if not complete:
+        raise FormatError(f"{folder} is half-made; run make_orchard.py with the same settings again, it goes on")
+    return origin
 
 
 def scene_folder(name: str, made: Path, *, report: Callable[[str], None] = lambda _: None) -> Path:
@@ -46,3 +78,30 @@ def scene_folder(name: str, made: Path, *, report: Callable[[str], None] = lambd
     if process.wait() != 0:
         raise SceneError(f"{name} could not be made: {last.removeprefix('error: ')}")
     return folder
+
+
+def measure_each(
+    names: Sequence[str],
+    out: Path,
+    work: Callable[[Path, Progress], None],
+    *,
+    report: Callable[[str], None],
+    progress: Progress,
+) -> list[str]:
+    """Call `work` with the folder of each scene (see `scene_folder`); a scene that fails does not keep the others back.
+
+    Presets are made in `out`/scenes; `out`/NAME is each scene's own, so no two may have one name. Returns a line a
+    scene that failed.
+    """
+    failed, taken = [], {"scenes"}
+    for number, name in enumerate(names):
+        try:
+            folder = scene_folder(name, out / "scenes", report=report).resolve()
+            if folder.name in taken:
+                raise ConfigError(f"there is another scene called {folder.name}; rename its folder")
+            taken.add(folder.name)
+            work(folder, part(progress, number / len(names), (number + 1) / len(names)))
+        except FruitLangsError as error:
+            failed.append(f"{name}: {error}")
+            report(failed[-1])
+    return failed

@@ -24,7 +24,7 @@ from ..engine.scene.camera import Scene
 from ..engine.scene.read import read_scene
 from ..engine.splatting.gaussians import Gaussians
 from ..engine.splatting.rasterize import render
-from .ladder import TRUTH, read_origin
+from .orchards import TRUTH, read_origin
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,6 +75,11 @@ def table(rows: list[tuple[str, ...]]) -> str:
     )
 
 
+def report(message: str) -> None:
+    """Tell how far it is: one line a step, on stderr."""
+    print(message, file=sys.stderr, flush=True)
+
+
 def terminal_progress() -> Progress:
     """A bar on a terminal, nothing in a log."""
     if not sys.stderr.isatty():

@@ -10,7 +10,6 @@ against visible fruit and against all.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,8 +17,8 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from _terminal import table
-from fruitlangs.engine.errors import FormatError, FruitLangsError
+from _terminal import arguments_of, run, table
+from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.trees import (
     TreeComparison,
     assign_to_trees,
@@ -32,21 +31,20 @@ from fruitlangs.engine.evaluation.truth import NO_TREE, read_truth, true_labels
 from fruitlangs.engine.report.results import read_results
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Print the table; 0 when the result could be compared, else 1."""
+def main(given: Sequence[str] | None = None) -> None:
+    """Print the table.
+
+    Raises:
+        FruitLangsError: the result cannot be compared.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("result", type=Path, metavar="RESULT_DIR", help="folder with a fruits.json")
     parser.add_argument("--truth", type=Path, required=True, help="truth.json of the row that was counted")
     parser.add_argument("--trees", type=Path, help="text: number x y z a tree, or number and two corners of its box")
     parser.add_argument("--label", help="compare with true fruit of this word only (default: the counted prompts)")
-    arguments = parser.parse_args(argv)
-    try:
-        visible, total = compare_row(arguments.result, arguments.truth, arguments.trees, arguments.label)
-    except FruitLangsError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    arguments = parser.parse_args(arguments_of(__file__) if given is None else given)
+    visible, total = compare_row(arguments.result, arguments.truth, arguments.trees, arguments.label)
     print(comparison_table(visible, total))
-    return 0
 
 
 def compare_row(
@@ -85,4 +83,4 @@ def comparison_table(visible: TreeComparison, total: TreeComparison) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

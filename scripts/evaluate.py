@@ -24,16 +24,16 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from _terminal import arguments_of, import_tyro, preset_of, run, table, terminal_progress
+from _terminal import arguments_of, import_tyro, preset_of, report, run, table, terminal_progress
 from fruitlangs.benchmarks.ladder import RungRow, climb
 from fruitlangs.benchmarks.ladder_pages import markdown, rung_rows, write_pages
-from fruitlangs.benchmarks.orchards import scene_folder
+from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.benchmarks.results import publish
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
-from fruitlangs.engine.errors import ConfigError, FruitLangsError
+from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth, true_labels
-from fruitlangs.engine.progress import part
+from fruitlangs.engine.progress import Progress
 from fruitlangs.engine.report.results import read_results
 
 if TYPE_CHECKING:
@@ -102,42 +102,32 @@ def ladder(arguments: Arguments) -> None:
     """Climb every scene and write the pages after each, so that an interrupt leaves what was measured."""
     assert arguments.out is not None
     config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
-    progress, rows, broken = terminal_progress(), list[RungRow](), list[str]()
-    title = "Counts by rung of the ladder"
-    for number, name in enumerate(arguments.given):
-        share = part(progress, number / len(arguments.given), (number + 1) / len(arguments.given))
-        try:
-            folder = scene_folder(name, arguments.out / "scenes", report=report).resolve()
-            if folder.name in {row.scene for row in rows} | {"scenes"}:
-                raise ConfigError(f"there is another scene called {folder.name}; rename its folder")
-            rows += climb(
+    out, progress, rows = arguments.out, terminal_progress(), list[RungRow]()
+
+    def climb_one(folder: Path, share: Progress) -> None:
+        rows.extend(
+            climb(
                 folder,
-                arguments.out / folder.name,
+                out / folder.name,
                 config=config,
                 prompts=arguments.prompt,
                 rungs=arguments.rungs,
                 report=report,
                 progress=share,
             )
-        except FruitLangsError as error:
-            broken.append(f"{name}: {error}")
-            report(broken[-1])
-        if rows:
-            write_pages(rows, arguments.out, title=title)
+        )
+        write_pages(rows, out, title="Counts by rung of the ladder")
+
+    broken = measure_each(arguments.given, out, climb_one, report=report, progress=progress)
     progress(1.0, "done")
     if rows:
         print(markdown(rung_rows(rows)))
-        print(f"\nwritten: {arguments.out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")
+        print(f"\nwritten: {out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")
         if arguments.publish is not None and not broken and not any(row.failed for row in rows):
             publish(rows, arguments.publish, command=" ".join(["scripts/evaluate.py", *arguments_of(__file__)]))
     broken += [f"{row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
     if broken:
         raise ConfigError(f"{len(broken)} could not be measured; the first: {broken[0]}")
-
-
-def report(message: str) -> None:
-    """Tell how far it is: one line a step, on stderr."""
-    print(message, file=sys.stderr, flush=True)
 
 
 def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str, ...]]:

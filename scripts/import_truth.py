@@ -9,7 +9,6 @@ sets are not part of FruitLangs; docs/datasets.md says where they are and how ea
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +16,8 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from fruitlangs.engine.errors import ConfigError, FruitLangsError
+from _terminal import arguments_of, run
+from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation import fruitnerf, fuji, pfuji
 from fruitlangs.engine.evaluation.cloud import ColoredCloud, write_cloud
 from fruitlangs.engine.evaluation.imported import ImportedTruth, read_similarity, transformed, write_truth
@@ -26,22 +26,21 @@ from fruitlangs.engine.evaluation.trees import tally
 LAYOUTS = (fruitnerf.LAYOUT, pfuji.LAYOUT, fuji.LAYOUT)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Write the files and say what is in them; 0 when that worked, else 1."""
-    arguments = _parser().parse_args(argv)
-    try:
-        _refuse_foreign_flags(arguments)
-        imported, cloud = _read(arguments)
-        if arguments.transform is not None:
-            imported = transformed(imported, read_similarity(arguments.transform))
-        if cloud is not None:
-            write_cloud(arguments.cloud, cloud)
-        write_truth(arguments.out, imported)
-    except FruitLangsError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+def main(given: Sequence[str] | None = None) -> None:
+    """Write the files and say what is in them.
+
+    Raises:
+        FruitLangsError: the data set cannot be read or the files cannot be written.
+    """
+    arguments = _parser().parse_args(arguments_of(__file__) if given is None else given)
+    _refuse_foreign_flags(arguments)
+    imported, cloud = _read(arguments)
+    if arguments.transform is not None:
+        imported = transformed(imported, read_similarity(arguments.transform))
+    if cloud is not None:
+        write_cloud(arguments.cloud, cloud)
+    write_truth(arguments.out, imported)
     print("\n".join(_summary(imported)))
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -95,4 +94,4 @@ def _summary(imported: ImportedTruth) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

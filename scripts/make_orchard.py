@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _terminal import arguments_of, import_tyro, run
+from _terminal import arguments_of, import_tyro, report, run
 from orchard.check import check
 from orchard.config import FIRST_TRAINING_SEED, OrchardConfig
 from orchard.errors import OrchardError
@@ -78,11 +78,6 @@ def print_presets() -> None:
     width = max((len(scene.name) for scene in scenes), default=0)
     for scene in scenes:
         print(f"{scene.name:{width}}  {scene.about}")
-
-
-def report(message: str) -> None:
-    """Tell how far it is: one line a step, on stderr."""
-    print(message, file=sys.stderr, flush=True)
 
 
 def seeds_of(scenes: str) -> range:

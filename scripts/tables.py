@@ -19,14 +19,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
-from _terminal import arguments_of, import_tyro, preset_of, run, terminal_progress
-from fruitlangs.benchmarks.orchards import scene_folder
+from _terminal import arguments_of, import_tyro, preset_of, report, run, terminal_progress
+from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.benchmarks.paper_pages import ablation_table, count_table, reconstruction_table
 from fruitlangs.benchmarks.paper_tables import SceneTables, measure_tables
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
-from fruitlangs.engine.errors import ConfigError, FruitLangsError
+from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.files import write_text
-from fruitlangs.engine.progress import part
+from fruitlangs.engine.progress import Progress
 
 if TYPE_CHECKING:
     import tyro
@@ -55,27 +55,21 @@ class Arguments:
 def main() -> None:
     arguments = parse(arguments_of(__file__))
     config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
-    progress, measured = terminal_progress(), list[SceneTables]()
-    text = ""
-    broken: list[str] = []
-    for number, name in enumerate(arguments.scenes):
-        share = part(progress, number / len(arguments.scenes), (number + 1) / len(arguments.scenes))
-        try:
-            folder = scene_folder(name, arguments.out / "scenes", report=report).resolve()
-            if folder.name in {scene.name for scene in measured} | {"scenes"}:
-                raise ConfigError(f"there is another scene called {folder.name}; rename its folder")
-            out = arguments.out / folder.name
-            measured.append(
-                measure_tables(folder, out, config=config, prompts=arguments.prompt, report=report, progress=share)
+    out, progress, measured = arguments.out, terminal_progress(), list[SceneTables]()
+    setting = f"{config.train.steps} steps, at most {config.train.max_gaussians} Gaussians"
+
+    def measure(folder: Path, share: Progress) -> None:
+        measured.append(
+            measure_tables(
+                folder, out / folder.name, config=config, prompts=arguments.prompt, report=report, progress=share
             )
-        except FruitLangsError as error:
-            broken.append(f"{name}: {error}")
-            report(broken[-1])
-            continue
-        text = pages(measured, f"{config.train.steps} steps, at most {config.train.max_gaussians} Gaussians")
-        write_text(arguments.out / "tables.md", text)
+        )
+        write_text(out / "tables.md", pages(measured, setting))
+
+    broken = measure_each(arguments.scenes, out, measure, report=report, progress=progress)
     progress(1.0, "done")
-    print(text)
+    if measured:
+        print(pages(measured, setting))
     if broken:
         raise ConfigError(f"{len(broken)} of {len(arguments.scenes)} scenes could not be measured; {broken[0]}")
 
@@ -95,11 +89,6 @@ def pages(measured: list[SceneTables], setting: str) -> str:
         )
         + "\n"
     )
-
-
-def report(message: str) -> None:
-    """Tell how far it is: one line a step, on stderr."""
-    print(message, file=sys.stderr, flush=True)
 
 
 def parse(given: list[str]) -> Arguments:

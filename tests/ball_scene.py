@@ -10,6 +10,8 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
+from orchard.viewpoint import look_at
+
 FloatArray = NDArray[np.float64]
 
 WIDTH, HEIGHT, FOCAL = 128, 96, 140.0
@@ -24,13 +26,8 @@ def poses(views: int) -> list[FloatArray]:
     for view in range(views):
         turn, height = 2 * np.pi * view / views, (0.7, 1.5)[view % 2]
         place = np.array([2.0 * np.cos(turn), 2.0 * np.sin(turn), height])
-        forward = np.array([0.0, 0.0, 0.5]) - place
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
         pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        pose[:3, 3] = -pose[:3, :3] @ place
+        pose[:3] = look_at(place, np.array([0.0, 0.0, 0.5]))
         found.append(pose)
     return found
 

@@ -113,11 +113,9 @@ def hit_share(centers: FloatArray, cameras: Sequence[Camera], masks: Sequence[ND
     hits, within = 0, 0
     seen = np.zeros(len(centers), dtype=bool)
     for camera, mask in zip(cameras, masks, strict=True):
-        local = centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        image = local @ camera.K.T
-        column = np.floor(image[:, 0] / np.maximum(image[:, 2], 1e-12))
-        row = np.floor(image[:, 1] / np.maximum(image[:, 2], 1e-12))
-        inside = (local[:, 2] > 0.0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        pixels, depths = camera.project(centers)
+        column, row = np.floor(pixels).T
+        inside = (depths > 0.0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         hits += int(mask[row[inside].astype(np.int64), column[inside].astype(np.int64)].sum())
         within += int(inside.sum())
         seen |= inside

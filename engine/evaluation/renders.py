@@ -92,10 +92,9 @@ def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
 def _seen_at(
     camera: Camera, mask: NDArray[np.uint16], center: NDArray[np.float64], diameter: float, number: int
 ) -> bool:
-    x, y, z = camera.world_to_camera[:3, :3] @ center + camera.world_to_camera[:3, 3]
+    (u, v), z = camera.project(center)
     if z <= diameter:
         return False
-    u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
     reach = max(1.0, camera.K[0, 0] * 0.5 * diameter / z)
     window = mask[max(int(v - reach), 0) : int(v + reach) + 1, max(int(u - reach), 0) : int(u + reach) + 1]
     return u + reach >= 0 and v + reach >= 0 and bool((window == number).any())

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ..errors import SceneError
 from ..progress import Progress, silent
 from ..scene.camera import Camera, Scene
-from ..splatting.gaussians import SH_C0, Gaussians
+from ..splatting.gaussians import Gaussians, harmonics_of, logit
 
 FloatArray = NDArray[np.float64]
 
@@ -96,12 +96,7 @@ def _seen(
     z = depth.astype(np.float64)
     something = z > 0
     limit = FAR * float(np.median(z[something])) if something.any() else 0.0
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack(
-        [(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], axis=-1
-    )
-    turn = camera.world_to_camera[:3, :3]
-    points = (rays * z[..., None]) @ turn + camera.center
+    points = camera.unproject(z)
     normals = np.cross(_slope(points, z, axis=1), _slope(points, z, axis=0))
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     towards = camera.center - points
@@ -149,8 +144,8 @@ def _merged(seen: _Seen, groups: NDArray[np.int64], width: float) -> TrueSurface
         means=torch.from_numpy(mean(seen.points) - SET_BACK * width * normals).float(),
         log_scales=torch.from_numpy(np.log(scales)).float(),
         quats=torch.from_numpy(_flat_along(normals)).float(),
-        opacity_logits=torch.full((n,), math.log(OPACITY / (1.0 - OPACITY))),
-        sh=torch.from_numpy((mean(seen.colors) - 0.5) / SH_C0).float()[:, None],
+        opacity_logits=torch.full((n,), logit(OPACITY)),
+        sh=harmonics_of(mean(seen.colors)),
         antialiased=True,  # else each is drawn at least a pixel wide and opaque, and all outlines swell
     )
     return TrueSurface(gaussians, fruit)

@@ -112,11 +112,9 @@ def _draw_ids(
     canvas = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=10)
     for fruit in fruits:
-        x, y, z = camera.world_to_camera[:3, :3] @ fruit.center + camera.world_to_camera[:3, 3]
+        (u, v), z = camera.project(fruit.center)
         if z <= fruit.diameter:
             continue
-        u = camera.K[0, 0] * x / z + camera.K[0, 2]
-        v = camera.K[1, 1] * y / z + camera.K[1, 2]
         if not (0 <= u < camera.width and 0 <= v < camera.height):
             continue
         if depth[int(v), int(u)] < z - 1.5 * fruit.diameter:

@@ -40,6 +40,26 @@ class Camera:
         """(3,) unit viewing direction in the world."""
         return self.world_to_camera[2, :3]
 
+    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(…, 2) pixels and (…,) depths along the axis, in scene units, of (…, 3) points in the world.
+
+        A pixel means something only where its depth is above 0; distortion is left out.
+        """
+        x, y, z = np.moveaxis(points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3], -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = self.K[0, 0] * x / z + self.K[0, 2], self.K[1, 1] * y / z + self.K[1, 2]
+        return np.stack([u, v], axis=-1), z
+
+    def unproject(self, depths: FloatArray) -> FloatArray:
+        """(H, W, 3) points in the world that the pixels' centres show, at (H, W) depths along the axis, in scene units.
+
+        Distortion is left out.
+        """
+        v, u = np.mgrid[: self.height, : self.width] + 0.5
+        x, y = (u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1]
+        rays = np.stack([x, y, np.ones_like(u)], axis=-1)
+        return (rays * depths[..., None]) @ self.world_to_camera[:3, :3] + self.center
+
 
 class Photo(Protocol):
     """A photo that loads when asked, already undistorted and at its camera's size."""

@@ -14,7 +14,7 @@ from ..progress import Progress, silent
 from .camera import Scene
 from .colmap import colmap_files, read_colmap
 from .layout import find_model
-from .photos import PHOTO_SUFFIXES
+from .photos import PHOTO_SUFFIXES, list_photos
 from .transforms import TRANSFORMS, read_transforms, transforms_files
 
 _READ_TODAY = (
@@ -23,7 +23,6 @@ _READ_TODAY = (
 )
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}
-_PHOTOS = PHOTO_SUFFIXES
 
 
 def read_scene(
@@ -108,8 +107,7 @@ def _is_transforms(path: Path) -> bool:
         return False
     if (path / TRANSFORMS).is_file():
         return True
-    photos = sum(1 for folder in (path, path / "images") if folder.is_dir()
-                 for file in folder.iterdir() if file.suffix.lower() in _PHOTOS)  # fmt: skip
+    photos = len(list_photos(path)) + len(list_photos(path / "images"))
     if photos:
         raise SceneError(f"{path} has {photos} photos but no model of where they were taken; {_READ_TODAY}")
     raise SceneError(f"{path} holds no model in sparse/0, sparse, itself or colmap/sparse/0; {_READ_TODAY}")
@@ -117,7 +115,11 @@ def _is_transforms(path: Path) -> bool:
 
 def _kind(file: Path) -> str:
     suffix = file.suffix.lower()
-    for suffixes, kind in ((_VIDEOS, "a video"), (_CLOUDS, "a point cloud or splat"), (_PHOTOS, "a single photo")):
+    for suffixes, kind in (
+        (_VIDEOS, "a video"),
+        (_CLOUDS, "a point cloud or splat"),
+        (PHOTO_SUFFIXES, "a single photo"),
+    ):
         if suffix in suffixes:
             return kind
     return "a file, not a folder"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 SH_C0 = 0.28209479177387814
@@ -73,3 +76,34 @@ class Gaussians:
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at `index` (bool mask (N,) or integer indices)."""
         return replace(self, **{name: getattr(self, name)[index] for name in PARAMETERS})
+
+
+def round_gaussians(
+    means: NDArray[np.float64],
+    sizes: NDArray[np.float64],
+    colors: NDArray[np.float64],
+    *,
+    opacity: float,
+    sh_degree: int = 0,
+) -> Gaussians:
+    """N isotropic Gaussians. means: (N, 3) and sizes: (N,) standard deviations in scene units; colors: (N, 3) sRGB."""
+    n = len(means)
+    return Gaussians(
+        means=torch.from_numpy(means).float(),
+        log_scales=torch.from_numpy(np.log(sizes)).float()[:, None].repeat(1, 3),
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        opacity_logits=torch.full((n,), logit(opacity)),
+        sh=harmonics_of(colors, sh_degree),
+    )
+
+
+def harmonics_of(colors: NDArray[np.float64], degree: int = 0) -> Tensor:
+    """(N, (degree + 1)², 3) spherical harmonics of colours (N, 3), sRGB in [0, 1], that are alike from all sides."""
+    sh = torch.zeros(len(colors), (degree + 1) ** 2, 3)
+    sh[:, 0] = torch.from_numpy((colors - 0.5) / SH_C0).float()
+    return sh
+
+
+def logit(opacity: float) -> float:
+    """What the sigmoid turns into this opacity in (0, 1)."""
+    return math.log(opacity / (1.0 - opacity))

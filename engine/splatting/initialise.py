@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import TrainingError
 from ..scene.camera import Camera, Scene, axes_equations
-from .gaussians import SH_C0, Gaussians
+from .gaussians import Gaussians, round_gaussians
 from .photos import PhotoShelf
 
 FEWEST_POINTS = 2000
@@ -58,7 +57,13 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
         kept = np.sort(random.choice(len(points), room, replace=False))
         points, colors = points[kept], colors[kept]
     sizes = np.concatenate([neighbour_distances(points), neighbour_distances(dome)])
-    return _isotropic(np.concatenate([points, dome]), sizes, np.concatenate([colors, dome_colors]), sh_degree)
+    return round_gaussians(
+        np.concatenate([points, dome]),
+        sizes,
+        np.concatenate([colors, dome_colors]),
+        opacity=START_OPACITY,
+        sh_degree=sh_degree,
+    )
 
 
 def neighbour_distances(points: Points) -> NDArray[np.float64]:
@@ -67,19 +72,6 @@ def neighbour_distances(points: Points) -> NDArray[np.float64]:
         return np.ones(len(points))
     distances = cKDTree(points).query(points, k=min(4, len(points)))[0][:, 1:]
     return np.maximum(np.sqrt((distances**2).mean(1)), 1e-7)
-
-
-def _isotropic(points: Points, sizes: NDArray[np.float64], colors: Points, sh_degree: int) -> Gaussians:
-    n = len(points)
-    sh = torch.zeros(n, (sh_degree + 1) ** 2, 3)
-    sh[:, 0] = torch.from_numpy((colors - 0.5) / SH_C0).float()
-    return Gaussians(
-        means=torch.from_numpy(points).float(),
-        log_scales=torch.from_numpy(np.log(sizes)).float()[:, None].repeat(1, 3),
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        opacity_logits=torch.full((n,), math.log(START_OPACITY / (1.0 - START_OPACITY))),
-        sh=sh,
-    )
 
 
 def _looked_at(scene: Scene) -> tuple[Points, float]:

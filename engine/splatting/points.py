@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import FormatError
-from .gaussians import SH_C0, Gaussians
+from .gaussians import Gaussians, round_gaussians
 from .ply import Vertices
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +30,7 @@ _FINEST = 2**20
 
 
 @dataclass(frozen=True, eq=False)
-class ColouredPoints:
+class ColoredPoints:
     """positions: (P, 3) in the file's frame; colors: (P, 3) sRGB in [0, 1]."""
 
     positions: FloatArray
@@ -46,7 +45,7 @@ def has_colored_points(vertices: Vertices) -> bool:
     return _color_names(vertices) is not None and vertices.names >= {"x", "y", "z"}
 
 
-def points_of(vertices: Vertices, path: Path) -> ColouredPoints:
+def points_of(vertices: Vertices, path: Path) -> ColoredPoints:
     """The points of vertices with colours; those with a value that is not finite are left out, as scanners mean them.
 
     Colours may be of any type; their range is 255 for bytes, else the least of 1, 255 and 65,535 that holds them all.
@@ -74,14 +73,14 @@ def points_of(vertices: Vertices, path: Path) -> ColouredPoints:
     whole = np.issubdtype(vertices.table.dtype[names[0]], np.integer)
     ranges = (255.0, 65535.0) if whole else (1.0, 255.0, 65535.0)
     most = next((most for most in ranges if colors.max() <= most), float(colors.max()))
-    return ColouredPoints(positions, np.clip(colors / most, 0.0, 1.0))
+    return ColoredPoints(positions, np.clip(colors / most, 0.0, 1.0))
 
 
 def _color_names(vertices: Vertices) -> tuple[str, ...] | None:
     return next((names for names in _COLORS if vertices.names >= set(names)), None)
 
 
-def thinned(points: ColouredPoints, most: int) -> ColouredPoints:
+def thinned(points: ColoredPoints, most: int) -> ColoredPoints:
     """At most about `most` evenly spread points: the means of all that share a cell of the finest grid that allows it.
 
     Points that (nearly) coincide become one in any case.
@@ -101,7 +100,7 @@ def thinned(points: ColouredPoints, most: int) -> ColouredPoints:
     def means(values: FloatArray) -> FloatArray:
         return np.stack([np.bincount(owner, column) / counts for column in values.T], axis=1)
 
-    return ColouredPoints(middle + means(points.positions - middle), means(points.colors))
+    return ColoredPoints(middle + means(points.positions - middle), means(points.colors))
 
 
 def _cells(places: FloatArray, level: float) -> NDArray[np.int64]:
@@ -110,7 +109,7 @@ def _cells(places: FloatArray, level: float) -> NDArray[np.int64]:
     return (index[:, 0] << 42) | (index[:, 1] << 21) | index[:, 2]
 
 
-def gaussians_from(points: ColouredPoints, path: Path) -> Gaussians:
+def gaussians_from(points: ColoredPoints, path: Path) -> Gaussians:
     """Nearly opaque round Gaussians whose size follows the mean distance to the three nearest points; `path` is named
     in errors.
 
@@ -130,11 +129,4 @@ def gaussians_from(points: ColouredPoints, path: Path) -> Gaussians:
             " offset from the coordinates first"
         )
     sizes = SIZE * np.minimum(distances, LARGEST * typical)
-    n = len(points)
-    return Gaussians(
-        means=torch.from_numpy(points.positions).float(),
-        log_scales=torch.from_numpy(np.log(sizes)).float()[:, None].repeat(1, 3),
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        opacity_logits=torch.full((n,), math.log(OPACITY / (1.0 - OPACITY))),
-        sh=torch.from_numpy((points.colors - 0.5) / SH_C0).float()[:, None],
-    )
+    return round_gaussians(points.positions, sizes, points.colors, opacity=OPACITY)

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from .ground import Ground
-from .meshes import Mesh
+from .meshes import Mesh, grid_quads
 from .species import linear_rgb
+
+UPWARD = [0, 3, 2, 1]
+"""Order of a quad's corners in which rings that grow outward face up."""
 
 
 def ground_mesh(ground: Ground, size: float) -> Mesh:
@@ -21,12 +24,9 @@ def ground_mesh(ground: Ground, size: float) -> Mesh:
     grass = ground.grass[0] + (ground.grass[1] - ground.grass[0]) * tone
     earth = ground.soil[0] + (ground.soil[1] - ground.soil[0]) * tone
     rings, columns = len(radii), len(turns)
-    r = np.arange(rings - 1)[:, None] * columns
-    c = np.arange(columns)[None, :]
-    n = (c + 1) % columns
-    quads = np.stack([r + c, r + columns + c, r + columns + n, r + n], axis=2).reshape(-1, 4)
-    middle = np.full(columns, rings * columns)
-    fan = np.stack([c[0], n[0], middle, middle], axis=1)
+    quads = grid_quads(rings, columns, wrap=True)[:, UPWARD]
+    middle, first = np.full(columns, rings * columns), np.arange(columns)
+    fan = np.stack([first, np.roll(first, -1), middle, middle], axis=1)
     return Mesh(
         vertices=np.stack([x, y, ground.relief(x, y) * fade], axis=1),
         quads=np.vstack([quads, fan]),
@@ -47,8 +47,5 @@ def backdrop_mesh(rng: np.random.Generator, size: float) -> Mesh:
     dark, light = linear_rgb("#46592f"), linear_rgb("#8a9a6a")
     tone = np.clip(0.25 + 0.5 * levels[:, None] + 0.2 * rng.normal(size=(5, 240)), 0, 1).reshape(-1, 1)
     rows, columns = z.shape
-    a = np.arange(rows - 1)[:, None] * columns
-    c = np.arange(columns)[None, :]
-    n = (c + 1) % columns
-    quads = np.stack([a + c, a + columns + c, a + columns + n, a + n], axis=2).reshape(-1, 4)
+    quads = grid_quads(rows, columns, wrap=True)[:, UPWARD]
     return Mesh(vertices=vertices, quads=quads, colors=dark + (light - dark) * tone)

@@ -42,7 +42,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def _grid_quads(rows: int, columns: int, *, wrap: bool) -> IntArray:
+def grid_quads(rows: int, columns: int, *, wrap: bool) -> IntArray:
     """Quads between neighbouring rows of a grid of vertices numbered row by row."""
     r = np.arange(rows - 1)[:, None] * columns
     c = np.arange(columns if wrap else columns - 1)[None, :]
@@ -59,7 +59,7 @@ def tube(points: FloatArray, radii: FloatArray, *, segments: int, cap: bool = Fa
     for point, step, radius in zip(points, steps, radii, strict=True):
         side = unit(side - (side @ step) * step)
         rings.append(point + radius * (np.outer(np.cos(angles), side) + np.outer(np.sin(angles), np.cross(step, side))))
-    quads = _grid_quads(len(points), segments, wrap=True)
+    quads = grid_quads(len(points), segments, wrap=True)
     vertices = np.vstack(rings)
     if cap:
         tip = len(vertices)
@@ -94,7 +94,7 @@ def leaf_prototype(rng: np.random.Generator, species: Species) -> Mesh:
     stem = np.array([[-0.012, 0, 0], [0.012, 0, 0], [0.012, stalk, 0.04], [-0.012, stalk, 0.04]])
     return Mesh(
         vertices=np.vstack([blade.reshape(-1, 3), stem]),
-        quads=np.vstack([_grid_quads(rows, 5, wrap=False), np.arange(4)[None] + rows * 5]),
+        quads=np.vstack([grid_quads(rows, 5, wrap=False), np.arange(4)[None] + rows * 5]),
     )
 
 
@@ -130,7 +130,7 @@ def fruit_mesh(rng: np.random.Generator, body: Body, variant: Variant, *, segmen
         np.stack([ring, after, np.full(segments, top), np.full(segments, top)], axis=1),
         np.stack([last + after, last + ring, np.full(segments, bottom), np.full(segments, bottom)], axis=1),
     ]
-    quads = np.vstack([_grid_quads(k - 2, segments, wrap=True)[:, ::-1], *caps])
+    quads = np.vstack([grid_quads(k - 2, segments, wrap=True)[:, ::-1], *caps])
     return Mesh(
         vertices=body.center + local @ frame_of(body.axis).T, quads=quads, colors=_skin(rng, local, body, variant)
     )

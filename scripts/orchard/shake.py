@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .srgb import from_linear, to_linear
+
 FloatArray = NDArray[np.float64]
 
 
@@ -16,13 +18,11 @@ def shake_of(rng: np.random.Generator, mean_length: float) -> FloatArray:
 
 def shaken(pixels: NDArray[np.uint8], shake: FloatArray) -> NDArray[np.uint8]:
     """The picture (H, W, 3), sRGB, averaged in linear light along the shake, which the sharp picture lies amid."""
-    srgb = pixels / 255.0
-    light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    light = to_linear(pixels / 255.0)
     steps = 2 * int(np.ceil(np.linalg.norm(shake))) + 1
     places = np.linspace(-0.5, 0.5, steps)
-    mean = sum(_shifted(light, shake * s) for s in places) / steps
-    back = np.where(mean <= 0.0031308, 12.92 * mean, 1.055 * np.maximum(mean, 1e-9) ** (1 / 2.4) - 0.055)
-    return np.rint(255 * np.clip(back, 0, 1)).astype(np.uint8)
+    mean = np.asarray(sum(_shifted(light, shake * s) for s in places)) / steps
+    return np.rint(255 * np.clip(from_linear(mean), 0, 1)).astype(np.uint8)
 
 
 def _shifted(light: FloatArray, shift: FloatArray) -> FloatArray:

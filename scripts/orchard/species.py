@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .srgb import to_linear
+
 FloatArray = NDArray[np.float64]
 
 
@@ -208,6 +210,5 @@ SPECIES: dict[str, Species] = {
 
 
 def linear_rgb(hex_color: str) -> FloatArray:
-    """(3,) scene-linear colour of an sRGB hex string (IEC 61966-2-1)."""
-    srgb = np.array([int(hex_color[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    """(3,) scene-linear colour of an sRGB hex string."""
+    return to_linear(np.array([int(hex_color[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fruitlangs.engine.errors import FruitLangsError
 from fruitlangs.engine.evaluation.truth import read_truth
 
 PLACES = np.array([[0.0, 0.0, 1.0], [0.1, 0.1, 1.2], [0.0, 1.0, 1.1], [0.1, 2.0, 1.0]])
@@ -17,7 +19,13 @@ CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def run(script: str, *arguments: object) -> int:
-    return importlib.import_module(script).main([str(argument) for argument in arguments]) or 0
+    """The exit code of a script, whose error goes to stderr."""
+    try:
+        importlib.import_module(script).main([str(argument) for argument in arguments])
+    except FruitLangsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 @pytest.fixture
