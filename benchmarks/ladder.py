@@ -127,7 +127,8 @@ def _made_by(config: Config) -> str:
     """What a count depends on beside the rooms' code and the inputs: the chain's own code, weights and pycolmap."""
     root = Path(__file__).resolve().parents[1]
     chain = [root / "engine" / name for name in ("pipeline.py", "reconstruction.py")]
-    code = files_hash([root / "benchmarks" / "rungs.py", *chain], root)
+    own = [root / "benchmarks" / name for name in ("rungs.py", "frames.py")]
+    code = files_hash([*own, *chain], root)
     return f"{code} {open_encoder(config.embed).identity} {version('pycolmap')}"
 
 

@@ -19,9 +19,8 @@ from ..engine.config import Config
 from ..engine.counting.count import count_fruit
 from ..engine.counting.fruit import FruitCount
 from ..engine.errors import FormatError
-from ..engine.evaluation.alignment import align
 from ..engine.evaluation.cloud import ColoredCloud, write_cloud
-from ..engine.evaluation.renders import check_instances, read_depths, read_instances
+from ..engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ..engine.evaluation.true_surface import TrueSurface, true_surface
 from ..engine.evaluation.truth import TrueView, Truth
 from ..engine.files import write_text
@@ -35,6 +34,7 @@ from ..engine.scene.photo import FilePhoto
 from ..engine.scene.read import read_scene
 from ..engine.splatting.gaussians import Gaussians
 from ..engine.splatting.rasterize import accumulate
+from .frames import by_cameras, by_fruit, cameras_by_file
 
 FloatArray = NDArray[np.float64]
 
@@ -155,26 +155,25 @@ class Rungs:
         counted = self._count(trained.gaussians, probability, part(progress, 0.7, 1.0), cameras)
         quality = _counted_by(trained)
         counted = dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
-        return self._moved(counted, trained.scene) if self.config.train.refine_poses else counted
+        return self._moved(trained, counted) if self.config.train.refine_poses else counted
 
     def _true_poses(self, progress: Progress) -> Counted:
         result = self._trained(progress)
         counted = _counted_by(result)
-        return self._moved(counted, result.scene) if self.config.train.refine_poses else counted
+        return self._moved(result, counted) if self.config.train.refine_poses else counted
 
     def _end_to_end(self, progress: Progress) -> Counted:
         """Count in the frame that the photos alone give, then move the fruit into the frame of the truth."""
         result = self._train(self.folder / "images", END_TO_END, progress)
-        return self._moved(_counted_by(result), result.scene)
+        return self._moved(result, _counted_by(result))
 
-    def _moved(self, counted: Counted, scene: Scene) -> Counted:
-        """What was counted in the frame of `scene`, in the frame of the truth, by the cameras that both have."""
-        true, found = _by_file(self.scene), _by_file(scene)
-        common = [name for name in found if name in true]
-        moved = align(
-            np.array([found[name].center for name in common]).reshape(-1, 3),
-            np.array([true[name].center for name in common]).reshape(-1, 3),
-        )
+    def _moved(self, result: Result, counted: Counted) -> Counted:
+        """What was counted in the frame of `result`, in the frame of the truth."""
+        if self.truth is not None and all((self.folder / name).is_dir() for name in (DEPTH, INSTANCES)):
+            depths = read_depths(self.folder, self.scene)
+            moved = by_fruit(result.gaussians, result.scene, self.scene, depths, self.instances)
+        else:
+            moved = by_cameras(result.scene, self.scene)
         return dataclasses.replace(
             counted,
             centers=moved.apply(counted.centers),
@@ -221,10 +220,10 @@ class Rungs:
             return self.folder
         given = read_scene(self.folder, self.config.scene)
         true = {view.name: view.world_to_camera for view in self.views}
-        unknown = [name for name in _by_file(given) if name not in true]
+        unknown = [name for name in cameras_by_file(given) if name not in true]
         if unknown:
             raise FormatError(f"the truth lists no true camera of {unknown[0]}; make the scene again")
-        off = [np.abs(camera.world_to_camera - true[name]).max() for name, camera in _by_file(given).items()]
+        off = [np.abs(camera.world_to_camera - true[name]).max() for name, camera in cameras_by_file(given).items()]
         if max(off) < SAME_POSE:
             return self.folder
         path = self.out / "true_poses" / "transforms.json"
@@ -276,8 +275,3 @@ def _counted_by(result: Result) -> Counted:
     counted = _counted(result.fruit_count, len(result.scene.cameras))
     training = result.origin["training"]
     return dataclasses.replace(counted, seconds=result.seconds, psnr=training["psnr"], ssim=training["ssim"])
-
-
-def _by_file(scene: Scene) -> dict[str, Camera]:
-    """The cameras by the names of their photos' files, without folders."""
-    return {Path(photo.name).name: camera for photo, camera in zip(scene.images, scene.cameras, strict=True)}
