@@ -44,7 +44,7 @@ def backdrop_mesh(rng: np.random.Generator, size: float) -> Mesh:
     z = levels[:, None] * high
     r = away * (1 + 0.03 * levels[:, None] + 0.015 * shape)
     vertices = np.stack([r * np.cos(turns), r * np.sin(turns), z], axis=2).reshape(-1, 3)
-    dark, light = linear_rgb("#46592f"), linear_rgb("#8a9a6a")
+    dark, light = linear_rgb("#3c4f29"), linear_rgb("#7c8d5c")
     tone = np.clip(0.25 + 0.5 * levels[:, None] + 0.2 * rng.normal(size=(5, 240)), 0, 1).reshape(-1, 1)
     rows, columns = z.shape
     quads = grid_quads(rows, columns, wrap=True)[:, UPWARD]

@@ -148,16 +148,17 @@ def _bloomy(nodes: _Nodes, species: Species, place: Any, color: Any) -> Any:
 
 
 def ground_material() -> Any:
-    """The mesh's own colours, mottled by patches and, dark to light, by blades and clods."""
+    """The mesh's own colours, drier in patches, mottled by clumps a hand wide and by shady blades and clods."""
     material, nodes = _material("ground", CLASSES.index("soil"))
     base = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
     place = nodes("ShaderNodeTexCoord").outputs["Object"]
-    patches = nodes("ShaderNodeTexNoise", Vector=place, Scale=5.0, Detail=1.0).outputs[0]
-    dry = nodes("ShaderNodeMapRange", _0=patches, _1=0.45, _2=0.75, _3=0.0, _4=0.45).outputs[0]
-    tinted = nodes("ShaderNodeMixRGB", _0=dry, _1=base, _2=(0.3, 0.26, 0.1, 1)).outputs[0]
-    noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=75.0, Detail=3.0, Roughness=0.75).outputs[0]
-    mottle = nodes("ShaderNodeMapRange", _0=noise, _1=0.34, _2=0.66, _3=0.3, _4=1.45).outputs[0]
-    color = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=tinted, _2=mottle).outputs[0]
+    patches = nodes("ShaderNodeTexNoise", Vector=place, Scale=2.5, Detail=2.0).outputs[0]
+    dry = nodes("ShaderNodeMapRange", _0=patches, _1=0.4, _2=0.75, _3=0.1, _4=0.65).outputs[0]
+    color = nodes("ShaderNodeMixRGB", _0=dry, _1=base, _2=(0.21, 0.18, 0.08, 1)).outputs[0]
+    for scale, detail, low, high in ((9.0, 3.0, 0.25, 1.1), (75.0, 3.0, 0.3, 1.45)):
+        noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=scale, Detail=detail, Roughness=0.75).outputs[0]
+        mottle = nodes("ShaderNodeMapRange", _0=noise, _1=0.36, _2=0.64, _3=low, _4=high).outputs[0]
+        color = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=color, _2=mottle).outputs[0]
     _finish(nodes, nodes("ShaderNodeBsdfDiffuse", Color=color).outputs[0])
     return material
 
