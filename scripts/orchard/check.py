@@ -22,6 +22,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "neighbours": (0, 100),
     "tags": (0, 10_000),
     "flowers": (0, 10_000),
+    "things": (0, 1000),
     "posts": (-1, 1000),
     "views": (1, 9999),
     "rings": (1, math.inf),

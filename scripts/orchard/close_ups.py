@@ -18,9 +18,17 @@ FloatArray = NDArray[np.float64]
 
 
 def close_ups(
-    rng: np.random.Generator, config: OrchardConfig, species: Species, crown: FloatArray, fruits: Sequence[Body]
+    rng: np.random.Generator,
+    config: OrchardConfig,
+    species: Species,
+    crown: FloatArray,
+    fruits: Sequence[Body],
+    things: FloatArray,
 ) -> list[Viewpoint]:
-    """Views from scattered distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length."""
+    """Views from scattered distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length.
+
+    Where there are things, at places (T, 3), every third view is aimed at one of them, from a tree's width away.
+    """
     size = species.tree_height / 2.3
     middle = crown.mean(axis=0)
     focal = 1.15 * max(config.width, config.height)
@@ -31,6 +39,8 @@ def close_ups(
         outward = unit(np.array([*(target - middle)[:2], 0.0]) + rng.normal(0.0, 0.25, 3) * [1, 1, 0] * size + 1e-6)
         rise = np.tan(np.radians(rng.uniform(-22, 32)))
         distance = max(focal * species.diameter / span, 2.2 * species.diameter)
+        if len(things) and i % 3 == 1:
+            target, distance = things[rng.integers(len(things))], size * rng.uniform(0.8, 2.2)
         place = target + unit(outward + [0, 0, rise]) * distance
         place[2] = max(place[2], 0.15 * size)
         aim = target + rng.normal(0.0, 0.25, 3) * species.diameter

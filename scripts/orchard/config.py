@@ -67,6 +67,9 @@ class OrchardConfig:
     flowers: int = 0
     """Fruit-coloured flowers, half of them in the crown of each tree and half in the grass below."""
 
+    things: int = 0
+    """Buckets, crates, ladders, stones and walls about each tree, which take turns."""
+
     posts: int = -1
     """Stakes and posts; -1: drawn by the seed, from none to two."""
 
@@ -125,6 +128,11 @@ class OrchardConfig:
     """How much sun, sky and exposure vary between seeds, from 0 to 1."""
 
     def digest(self) -> str:
-        """A short hash of every setting and of the generator's version."""
-        text = json.dumps({"generator": GENERATOR_VERSION, **asdict(self)}, sort_keys=True)
+        """A short hash of the generator's version and every setting that is not the default.
+
+        So a new setting leaves old scenes as they are; another default asks for another version.
+        """
+        own, usual = asdict(self), asdict(OrchardConfig())
+        changed = {name: value for name, value in own.items() if value != usual[name]}
+        text = json.dumps({"generator": GENERATOR_VERSION, **changed}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]

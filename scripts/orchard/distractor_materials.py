@@ -1,4 +1,4 @@
-"""Materials of tags and flowers, each with a class of its own."""
+"""Materials of tags, flowers and things, each with a class of its own."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ from typing import Any
 
 import bpy
 
-from .materials import CLASSES
-
-MORE_CLASSES = ("tag", "flower")
-"""Class words that follow after those of the materials."""
+from .classes import CLASSES
 
 
 def distractor_material(word: str, *, translucency: float) -> Any:
     """The mesh's own colours, matte; light shines through it by this share."""
     material = bpy.data.materials.new(word)
     material.use_nodes = True
-    material.pass_index = len(CLASSES) + MORE_CLASSES.index(word)
+    material.pass_index = CLASSES.index(word)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     color = nodes.new("ShaderNodeAttribute")

@@ -6,10 +6,8 @@ from typing import Any
 
 import bpy
 
+from .classes import CLASSES, FRUIT
 from .species import Species
-
-CLASSES = ("sky", "leaf", "branch", "trunk", "soil", "grass", "post", "fruit")
-"""Class words by index; the last stands for the species' word. Ground is soil until `render` tells grass from it."""
 
 
 class _Nodes:
@@ -107,7 +105,7 @@ def wood_material(name: str, colors: tuple[tuple[float, ...], tuple[float, ...]]
 
 def fruit_material(species: Species) -> Any:
     """Skin: the mesh's own colours, speckled, dotted and bloomy as the species is, under a glossy or a hairy layer."""
-    material, nodes = _material("fruit", CLASSES.index("fruit"))
+    material, nodes = _material("fruit", CLASSES.index(FRUIT))
     skin = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
     place = nodes("ShaderNodeTexCoord").outputs["Object"]
     noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=9.0 / species.diameter, Detail=1.0).outputs[0]
@@ -175,7 +173,7 @@ def grass_material() -> Any:
 
 def backdrop_material() -> Any:
     """Far bushes and trees: the mesh's own colours."""
-    material, nodes = _material("backdrop", CLASSES.index("leaf"))
+    material, nodes = _material("backdrop", CLASSES.index("hedge"))
     base = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
     place = nodes("ShaderNodeTexCoord").outputs["Object"]
     noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=2.2, Detail=6.0, Roughness=0.8).outputs[0]

@@ -20,6 +20,7 @@ from .ground import Ground, lay_ground
 from .meshes import Mesh, fruit_mesh
 from .neighbours import Neighbour, Prototype, plant_neighbours
 from .species import SPECIES, Species, Variant
+from .things import Thing, leave_things
 from .tree import grow
 
 FloatArray = NDArray[np.float64]
@@ -46,6 +47,7 @@ class Orchard:
     place: Place
     tags: tuple[Mesh, ...]
     flowers: tuple[Mesh, ...]
+    things: tuple[Thing, ...]
     prototypes: tuple[Prototype, ...]
     neighbours: tuple[Neighbour, ...]
 
@@ -64,7 +66,7 @@ class Orchard:
 def plant(config: OrchardConfig) -> Orchard:
     """Draw the whole orchard from the seed. Each part has its own stream, so none disturbs another."""
     species = species_of(config)
-    streams = [np.random.default_rng([config.seed, part]) for part in range(9)]
+    streams = [np.random.default_rng([config.seed, part]) for part in (*range(9), 11)]
     names = [v.name for v in species.variants]
     variant = species.variants[names.index(config.variant) if config.variant else int(streams[0].integers(len(names)))]
     spacing = SPACING[config.form] * species.tree_height / 2.3
@@ -95,6 +97,11 @@ def plant(config: OrchardConfig) -> Orchard:
             flower
             for these, x in zip(leaves, feet, strict=True)
             for flower in scatter_flowers(decor, species, variant, these, fruits, ground, config.flowers, float(x))
+        ),
+        things=tuple(
+            thing
+            for tree, x in zip(trees, feet, strict=True)
+            for thing in leave_things(streams[9], tree, ground, species.tree_height / 2.3, config.things, float(x))
         ),
         prototypes=prototypes,
         neighbours=neighbours,

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from . import png, sparse, truth
 from .cameras import walk
+from .classes import CLASSES, FRUIT
 from .close_ups import close_ups
 from .config import GENERATOR_VERSION, OrchardConfig
-from .distractor_materials import MORE_CLASSES
 from .errors import OrchardError
-from .materials import CLASSES
 from .nerfstudio import write_nerfstudio
 from .planting import Orchard, plant
 from .poses import disturbed
@@ -64,7 +63,7 @@ def _make(config: OrchardConfig, out: Path, *, classes: bool, preview: int, repo
     passes = _render(orchard, views, out, classes=classes, report=report)
     _describe(orchard, views, passes, out)
     if classes:
-        words = [*CLASSES[:-1], config.species, *MORE_CLASSES]
+        words = [config.species if word == FRUIT else word for word in CLASSES]
         _write_json(out / "classes.json", {str(i): word for i, word in enumerate(words)})
     _write_truth(orchard, views, passes, out)
     if not preview:
@@ -111,7 +110,8 @@ def viewpoints(orchard: Orchard) -> list[Viewpoint]:
     if not orchard.config.close_ups:
         return walk(rng, orchard.config, orchard.species, orchard.place)
     bodies = [f.body for f in orchard.fruits if f.kind != "neighbour"]
-    return close_ups(rng, orchard.config, orchard.species, orchard.place.crown, bodies)
+    things = np.array([thing.mesh.vertices.mean(axis=0) for thing in orchard.things]).reshape(-1, 3)
+    return close_ups(rng, orchard.config, orchard.species, orchard.place.crown, bodies, things)
 
 
 def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes: bool, report: Report) -> list[Passes]:

@@ -15,9 +15,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from .classes import CLASSES
 from .config import OrchardConfig
 from .ground import Ground
-from .materials import CLASSES
 from .shake import shaken
 from .viewpoint import Viewpoint
 

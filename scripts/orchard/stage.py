@@ -180,6 +180,10 @@ def _distractors(orchard: Orchard) -> None:
         if meshes:
             material = distractor_material(word, translucency=translucency)
             add_object(word, mesh_data(word, joined(meshes), material, smooth=False))
+    for thing in orchard.things:
+        smooth = thing.word in ("bucket", "stone")
+        material = distractor_material(thing.word, translucency=0.0)
+        add_object(thing.word, mesh_data(thing.word, thing.mesh, material, smooth=smooth))
 
 
 def _ground(orchard: Orchard, rng: np.random.Generator) -> None:

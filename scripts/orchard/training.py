@@ -37,6 +37,7 @@ def training_config(seed: int) -> OrchardConfig:
         leaves=leaves,
         tags=int(rng.integers(2, 9)) if distractors else 0,
         flowers=int(rng.integers(4, 25)) if distractors else 0,
+        things=int(rng.integers(1, 5)) if rng.random() < 0.5 else 0,
         views=6 if close_ups else 8,
         width=320 if close_ups else 480,
         height=320 if close_ups else 360,

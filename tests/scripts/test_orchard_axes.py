@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from orchard.cameras import Place, walk
 from orchard.check import check
+from orchard.close_ups import close_ups
 from orchard.config import FORMS, OrchardConfig
 from orchard.distractors import hang_tags
 from orchard.errors import OrchardError
@@ -21,6 +23,7 @@ from orchard.poses import disturbed
 from orchard.scene_file import find_scene, presets, read_scene
 from orchard.shake import shaken
 from orchard.species import SPECIES
+from orchard.things import WORDS
 from orchard.tree import grow
 from orchard.viewpoint import Viewpoint, look_at
 
@@ -107,6 +110,38 @@ def test_tags_flowers_and_posts_are_as_many_as_asked_for() -> None:
     orchard = plant(OrchardConfig(trees=2, tags=3, flowers=5, posts=4, fruits=2, leaves=120))
     assert (len(orchard.tags), len(orchard.flowers), len(orchard.ground.posts)) == (6, 10, 4)
     assert lay_ground(np.random.default_rng(0), size=1.0, posts=0).posts == ()
+
+
+def test_things_take_turns_stand_or_hang_about_their_tree_and_move_nothing_else() -> None:
+    bare, full = (plant(OrchardConfig(fruits=5, leaves=20, things=count)) for count in (0, 7))
+    words = [thing.word for thing in full.things]
+    assert len(words) == 7
+    assert set(words) == set(WORDS)
+    assert words[:2] == words[5:]
+    assert all(np.linalg.norm(thing.mesh.vertices.mean(axis=0)[:2]) < 5 for thing in full.things)
+    assert all(thing.mesh.colors.shape == thing.mesh.vertices.shape for thing in full.things)
+    assert [f.body.center.tolist() for f in bare.fruits] == [f.body.center.tolist() for f in full.fruits]
+
+
+def test_every_third_close_up_looks_at_a_thing() -> None:
+    config = OrchardConfig(close_ups=True, views=6)
+    things = np.array([[6.0, 0.0, 0.5], [-6.0, 1.0, 0.2]])
+    views = close_ups(np.random.default_rng(4), config, APPLE, PLACE.crown, [], things)
+    middle = [config.width / 2, config.height / 2]
+    seen = [view.project(things) for view in views]
+    at_one = [bool(((np.linalg.norm(p - middle, axis=1) < 100) & (z > 0) & (z < 3)).any()) for p, z in seen]
+    assert at_one == [False, True, False, False, True, False]
+
+
+def test_a_setting_at_its_default_does_not_enter_the_digest_and_another_value_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with_defaults = {"species": "plum", **{f.name: f.default for f in fields(OrchardConfig) if f.name != "species"}}
+    assert OrchardConfig(**with_defaults).digest() == OrchardConfig(species="plum").digest()
+    assert OrchardConfig(things=1).digest() != OrchardConfig().digest()
+    before = OrchardConfig(species="plum").digest()
+    monkeypatch.setattr("orchard.config.asdict", lambda config: {**asdict(config), "a_new_setting": 0})
+    assert OrchardConfig(species="plum").digest() == before
 
 
 def test_tags_hang_on_twigs() -> None:
