@@ -1,17 +1,21 @@
 """The words the embedded encoder knows, and how a prompt is read.
 
-A prompt is any number of colours followed by at most one thing: "apple", "red apple", "green", "red fruit". Capitals,
-blanks, hyphens, articles and plurals do not matter. "orange" alone is the fruit; "orange apple" is a colour and a
-fruit.
+A prompt names at most one thing, with any number of colours or a ripeness before or after it: "apple", "red apple",
+"green", "unripe plum", "pomme rouge". Capitals, accents, blanks, hyphens, articles and plurals do not matter.
+Ripeness is told by colour and said of fruit alone: unripe fruit is green, ripe fruit has any other colour of fruit.
+"orange" alone is the fruit; "orange apple" is a colour and a fruit.
 """
 
 from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..errors import VocabularyError
+from . import words
+from .words import by_name, fold
 
 FRUITS = ("apple", "pear", "cherry", "plum", "lemon", "orange", "peach", "mango")
 SURROUNDINGS = ("leaf", "branch", "trunk", "soil", "grass", "sky", "post", "background")
@@ -22,39 +26,14 @@ COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown"
 FRUIT_COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink")
 """What is said of fruit: one in shade is brown or black to look at, and red to speak of."""
 
-_GENERAL = {"fruit": FRUITS, "plant": ("leaf", "branch", "trunk", "grass"), "ground": ("soil", "grass")}
-_SYNONYMS = {
-    "fruitlet": "fruit",
-    "foliage": "leaf",
-    "leafage": "leaf",
-    "twig": "branch",
-    "limb": "branch",
-    "bough": "branch",
-    "stem": "trunk",
-    "bole": "trunk",
-    "earth": "soil",
-    "dirt": "soil",
-    "lawn": "grass",
-    "meadow": "grass",
-    "cloud": "sky",
-    "pole": "post",
-    "stake": "post",
-    "wall": "background",
-    "floor": "background",
-    "table": "background",
-    "cloth": "background",
+_GENERAL = {
+    "fruit": FRUITS,
+    "citrus": ("lemon", "orange"),
+    "plant": ("leaf", "branch", "trunk", "grass"),
+    "ground": ("soil", "grass"),
 }
-_PLURALS = {"leaves": "leaf", "branches": "branch", "cherries": "cherry", "peaches": "peach", "mangoes": "mango"}
-_COLOUR_SYNONYMS = {
-    "gray": "grey",
-    "violet": "purple",
-    "magenta": "purple",
-    "crimson": "red",
-    "scarlet": "red",
-    "golden": "yellow",
-    "rose": "pink",
-}
-_FILLERS = frozenset({"a", "an", "the"})
+_RIPE = {"unripe": ("green",), "ripe": tuple(colour for colour in FRUIT_COLOURS if colour != "green")}
+_THINGS, _COLOUR_NAMES, _RIPENESS = by_name(words.THINGS), by_name(words.COLOURS), by_name(words.RIPENESS)
 
 
 @dataclass(frozen=True)
@@ -76,40 +55,59 @@ def parse(prompt: str) -> Phrase:
     Raises:
         VocabularyError: an unknown word (the message names the nearest known ones), no word, or more than one thing.
     """
-    words = [word for word in re.split(r"[\s\-_,]+", prompt.casefold().strip()) if word and word not in _FILLERS]
-    if not words:
+    read = [word for word in re.split(r"[\s\-_,'’]+", fold(prompt.strip())) if word and word not in words.FILLERS]
+    if not read:
         raise VocabularyError(f"the prompt '{prompt}' holds no word; name a fruit, for example 'apple' or 'red apple'")
-    *adjectives, last = words
-    noun = _noun(last)
-    if noun is None:
-        adjectives, last = words, ""
-    for word in adjectives:
-        if _colour(word) is None:
+    for word in read:
+        if not (_thing(word) or _colour(word) or word in _RIPENESS):
             raise VocabularyError(_complaint(word, prompt))
-    colours = tuple(dict.fromkeys(colour for word in adjectives if (colour := _colour(word)) is not None))
-    concepts = () if noun is None else _GENERAL.get(noun, (noun,))
-    text = " ".join([*colours, *([noun] if noun else [])])
-    return Phrase(text, colours, concepts)
+    place = _noun(read, prompt)
+    noun = ("fruit" if _RIPENESS.keys() & read else "") if place is None else _thing(read[place])
+    named, ripeness = [], []
+    for i, word in enumerate(read):
+        if i == place or (_thing(word) and not _colour(word)):  # a wider word, as in "apple fruit", adds nothing
+            continue
+        (ripeness if word in _RIPENESS else named).append(_RIPENESS.get(word) or _colour(word))
+    adjectives = dict.fromkeys(named or ripeness[-1:])
+    colours = dict.fromkeys(colour for word in adjectives for colour in _RIPE.get(word, (word,)))
+    concepts = _GENERAL.get(noun, (noun,)) if noun else ()
+    return Phrase(" ".join([*adjectives, *([noun] if noun else [])]), tuple(colours), concepts)
 
 
 def known_words() -> tuple[str, ...]:
-    """Every word a prompt may hold, in the singular, things first."""
-    things = sorted({*CONCEPTS, *_GENERAL, *_SYNONYMS})
-    return (*things, *sorted({*COLOURS, *_COLOUR_SYNONYMS} - {*things}))
+    """Every word a prompt may hold, in the forms that are listed, things first."""
+    return tuple(dict.fromkeys([*sorted(_THINGS), *sorted(_COLOUR_NAMES), *sorted(_RIPENESS)]))
 
 
-def _noun(word: str) -> str | None:
-    for form in (word, _PLURALS.get(word, ""), word.removesuffix("s"), word.removesuffix("es")):
-        if form in _GENERAL or form in CONCEPTS:
-            return form
-        if form in _SYNONYMS:
-            return _SYNONYMS[form]
-    return None
+def _noun(read: Sequence[str], prompt: str) -> int | None:
+    """Which of the words is the thing: the narrowest; one that may also be a colour only where there is no other.
+
+    Raises:
+        VocabularyError: two are things, and neither is a kind of the other.
+    """
+    things = [i for i, word in enumerate(read) if _thing(word) and not _colour(word)]
+    if not things:
+        either = [i for i, word in enumerate(read) if _thing(word)]
+        return either[-1] if either else None
+
+    def meaning(i: int) -> frozenset[str]:
+        noun = _thing(read[i])
+        return frozenset(_GENERAL.get(noun, (noun,)))
+
+    narrowest = min(things, key=lambda i: len(meaning(i)))
+    if not all(meaning(narrowest) <= meaning(i) for i in things):
+        raise VocabularyError(f"the prompt '{prompt}' names more than one thing; give each as a prompt of its own")
+    return narrowest
 
 
-def _colour(word: str) -> str | None:
-    word = _COLOUR_SYNONYMS.get(word, word)
-    return word if word in COLOURS else None
+def _thing(word: str) -> str:
+    """What a folded word names, in the singular; empty where it names nothing."""
+    forms = (word, word.removesuffix("s"), word.removesuffix("es"))
+    return next((_THINGS[form] for form in forms if form in _THINGS), "")
+
+
+def _colour(word: str) -> str:
+    return _COLOUR_NAMES.get(word, "")
 
 
 def _narrows(mine: tuple[str, ...], theirs: tuple[str, ...]) -> bool:
@@ -117,11 +115,10 @@ def _narrows(mine: tuple[str, ...], theirs: tuple[str, ...]) -> bool:
 
 
 def _complaint(word: str, prompt: str) -> str:
-    if _noun(word) is not None:
-        return f"the prompt '{prompt}' names more than one thing; give each as a prompt of its own"
-    nearest = difflib.get_close_matches(word, known_words(), n=3, cutoff=0.5)
-    hint = f"nearest known: {', '.join(nearest)}" if nearest else f"known fruit: {', '.join(FRUITS)}"
+    nearest = difflib.get_close_matches(word, known_words(), n=3, cutoff=0.6)
+    hint = f"nearest known: {', '.join(nearest)}; " if nearest else ""
+    things = ", ".join([*CONCEPTS, *_GENERAL])
     return (
-        f"the encoder does not know the word '{word}' in the prompt '{prompt}'; {hint}; "
-        f"all words: {', '.join(known_words())}"
+        f"the encoder does not know the word '{word}' in the prompt '{prompt}'; {hint}it knows {things}, "
+        f"their names in German, French and Spanish, and the colours {', '.join(COLOURS)}"
     )
