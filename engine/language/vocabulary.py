@@ -63,7 +63,8 @@ def parse(prompt: str) -> Phrase:
             raise VocabularyError(_complaint(word, prompt))
     place = _noun(read, prompt)
     noun = ("fruit" if _RIPENESS.keys() & read else "") if place is None else _thing(read[place])
-    named, ripeness = [], []
+    named: list[str] = []
+    ripeness: list[str] = []
     for i, word in enumerate(read):
         if i == place or (_thing(word) and not _colour(word)):  # a wider word, as in "apple fruit", adds nothing
             continue
