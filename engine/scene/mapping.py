@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..config import PhotosConfig
 from ..progress import Progress, part
 from .child_process import end_with_parent, give_up, tell
@@ -19,6 +21,10 @@ _BLOCK = 10
 """Pairs are matched in blocks of so many by so many photos: what a cancel loses, and a step of the progress shown."""
 _FEW_PIXELS = 400_000
 """Copies with no more pixels than this get descriptors pooled over sizes: 4 times as long, and it joins more photos."""
+_LARGEST_PATCH = 1.0
+"""Largest size of what a pooled descriptor sees, in sizes of the feature: behind a leaf's edge lies the background."""
+_LOST = 10.0
+"""A photo this many times farther from the middle of all than most, and than the scene, is placed by chance."""
 _LEAST_INLIERS = (20, 8)
 """Points that must place a photo, in the first attempt, and in another where that did not place them all."""
 
@@ -139,6 +145,7 @@ def _find_features(job: Job) -> None:
     options.sift.edge_threshold = 15.0
     options.sift.octave_resolution = 4
     options.sift.upright = job.config.upright
+    options.sift.dsp_max_scale = _LARGEST_PATCH
     options.sift.domain_size_pooling = max(p.copy_width * p.copy_height for p in job.photos) <= _FEW_PIXELS
     names = [photo.copy for photo in job.photos]
     for start in range(0, len(names), _BLOCK):
@@ -226,7 +233,24 @@ def _models(job: Job, least_inliers: int, told: Progress) -> list[Any]:
     told(0.0, f"placing photos: 0 of {len(job.photos)}")
     options = _mapping_options(job.config, least_inliers)
     models = pycolmap.incremental_mapping(job.database, job.copies, folder, options, next_image_callback=count)
+    for model in models.values():
+        drop_lost(model)
     return sorted(models.values(), key=lambda model: -model.num_reg_images())
+
+
+def drop_lost(model: Any) -> None:
+    """Take out of a model the photos that stand absurdly far away: far things alone, or noise, placed them."""
+    placed = [image for image in model.images.values() if image.has_pose]
+    points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
+    if not placed or not len(points):
+        return
+    centers = np.array([image.projection_center() for image in placed])
+    middle = np.median(centers, axis=0)
+    away = np.linalg.norm(centers - middle, axis=1)
+    usual = max(np.percentile(away, 75), np.median(np.linalg.norm(points - middle, axis=1)))
+    for image, distance in zip(placed, away, strict=True):
+        if not distance <= _LOST * usual:  # NaN is lost too
+            model.deregister_frame(image.frame_id)
 
 
 def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:

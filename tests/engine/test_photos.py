@@ -21,7 +21,8 @@ from fruitlangs.engine.errors import Cancelled, SceneError
 from fruitlangs.engine.evaluation.alignment import align
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.engine.scene import child_process
-from fruitlangs.engine.scene.mapping import pairs_to_match
+from fruitlangs.engine.scene.colmap_library import colmap_library
+from fruitlangs.engine.scene.mapping import drop_lost, pairs_to_match
 from fruitlangs.engine.scene.photos import find_poses
 from fruitlangs.engine.scene.source import photos_alone, pose_photos, posed_before
 from fruitlangs.engine.scene.stored import dump_cameras
@@ -298,3 +299,18 @@ def test_photos_alone_are_counted_and_asked_again_from_another_result(walk: Path
     third = count_scene(tmp_path / "second", ["apple"], tmp_path / "third", config=config)
     assert second.notices == third.notices == []
     assert len(list((third.out / "pictures").iterdir())) == 4
+
+
+def test_a_photo_that_is_placed_absurdly_far_away_is_taken_out_and_no_other() -> None:
+    pycolmap = colmap_library()
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 10, 100
+    model = pycolmap.synthesize_dataset(options)
+    drop_lost(model)
+    assert model.num_reg_images() == 10
+    lost = model.frame(sorted(model.reg_frame_ids())[3])
+    pose = lost.rig_from_world
+    lost.rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + [0.0, 0.0, 1e5])
+    drop_lost(model)
+    assert model.num_reg_images() == 9
+    assert not lost.has_pose()

@@ -51,6 +51,17 @@ def test_photos_that_were_read_smaller_are_told(counted: Result) -> None:
     assert max(camera.width for camera in counted.scene.cameras) == 240
 
 
+def test_cameras_that_the_photos_do_not_bear_out_are_told(counted: Result, tmp_path: Path) -> None:
+    assert not [notice for notice in counted.notices if "dB" in notice]
+    scene = shutil.copytree(SAMPLE, tmp_path / "scene")
+    photos = sorted((scene / "images").iterdir())
+    pictures = [photo.read_bytes() for photo in photos]
+    for photo, other in zip(photos, pictures[17:] + pictures[:17], strict=True):
+        photo.write_bytes(other)
+    wrong = count_scene(scene, ["fruit"], tmp_path / "out", config=SMALL)
+    assert len([notice for notice in wrong.notices if "the cameras may be wrong" in notice]) == 1
+
+
 def test_the_files_agree_on_the_count(counted: Result) -> None:
     rows = (counted.out / "fruits.csv").read_text().splitlines()[1:]
     assert document(counted.out)["count"] == len(rows) == counted.fruit_count.count > 0
