@@ -88,8 +88,8 @@ def reconstruct(
         quality = _train_into(gaussians_file, scene, config, stages, part(progress, 0.03, 0.75))
         if quality["ssim"] is not None and quality["ssim"] < POOR:
             stages.notices.append(
-                f"photos kept aside are hardly reproduced (SSIM {quality['ssim']:.2f}): cameras may be wrong, so "
-                "may the count; look at the pictures, and take more photos in smaller steps"
+                f"photos kept aside are hardly reproduced (SSIM {quality['ssim']:.2f}): cameras may be wrong, "
+                "and so may the count; look at the pictures, and take more photos in smaller steps"
             )
         cameras_file = gaussians_file.with_name(CAMERAS)
         scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
