@@ -16,11 +16,12 @@ _ROOT = Path(__file__).resolve().parents[1]
 
 def publish(rows: Sequence[RungRow], folder: Path, *, command: str) -> None:
     """Write results.csv and RESULTS.md into `folder`. command: what measured them, for who wants to repeat it."""
+    commit = _commit()  # before anything is written, which would mark it
     write_text(folder / "results.csv", rows_csv(rows))
     day = datetime.now(UTC).date().isoformat()
     parts = [
         "# Baseline",
-        f"Measured on {day} at commit {_commit()} by `{command}`. All columns are in [results.csv](results.csv); what "
+        f"Measured on {day} at commit {commit} by `{command}`. All columns are in [results.csv](results.csv); what "
         "the rungs and columns mean is in [docs/benchmark.md](../docs/benchmark.md).",
         *table_parts(rows),
     ]
