@@ -15,7 +15,7 @@ from .cache import stage_key
 from .config import Config
 from .errors import ConfigError, FruitLangsError, OutputError
 from .files import require_writable, write_text
-from .language.encoders import Encoder
+from .language.encoders import DenseEncoder, Encoder
 from .language.lift import Features, encode_photos, lift_features, load_features, save_features
 from .progress import Progress, part
 from .report.results import FRUITS_JSON, read_results
@@ -66,7 +66,7 @@ class Stages:
 
 
 def reconstruct(
-    source: Path, cache: Path, encoder: Encoder, config: Config, stages: Stages, progress: Progress
+    source: Path, cache: Path, encoder: DenseEncoder, config: Config, stages: Stages, progress: Progress
 ) -> Reconstruction:
     """Photos → Gaussians → features, each from the cache where it is there."""
     found, start = Source(path=source), 0.0
@@ -118,7 +118,7 @@ def adopt(
     source: Path,
     foreign: Path | None,
     cache: Path,
-    encoder: Encoder,
+    encoder: DenseEncoder,
     config: Config,
     stages: Stages,
     progress: Progress,
@@ -180,7 +180,7 @@ def _embed_into(
     key: str,
     scene: Scene,
     gaussians: Gaussians,
-    encoder: Encoder,
+    encoder: DenseEncoder,
     config: Config,
     stages: Stages,
     progress: Progress,

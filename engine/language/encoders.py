@@ -31,7 +31,7 @@ class Question:
 
 
 class Encoder(Protocol):
-    """Words and photos in one space of unit vectors."""
+    """Words in the space of unit vectors that photos are put into, by a `DenseEncoder` or a `CropEncoder`."""
 
     @property
     def identity(self) -> str:
@@ -47,10 +47,6 @@ class Encoder(Protocol):
         """(P, D) unit float32. Raises VocabularyError for a word it does not know."""
         ...
 
-    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
-        """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row."""
-        ...
-
     def questions(self, prompt: str) -> Sequence[Question]:
         """What to ask so that the product of the answers is the probability of `prompt`."""
         ...
@@ -64,7 +60,23 @@ class Encoder(Protocol):
         ...
 
 
-def open_encoder(config: EmbedConfig) -> Encoder:
+class DenseEncoder(Encoder, Protocol):
+    """An encoder that sees a photo whole and needs no masks."""
+
+    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
+        """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row."""
+        ...
+
+
+class CropEncoder(Encoder, Protocol):
+    """An encoder that sees one masked thing at a time."""
+
+    def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:
+        """Pictures (h, w, 3) sRGB of any size, black outside their mask → (M, D) unit float32."""
+        ...
+
+
+def open_encoder(config: EmbedConfig) -> DenseEncoder:
     """The encoder that the settings name.
 
     Raises:

@@ -19,7 +19,7 @@ from ..progress import Progress, silent
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rasterize import accumulate
-from .encoders import Encoder
+from .encoders import DenseEncoder
 
 FORMAT = "fruitlangs-features-1"
 
@@ -79,7 +79,7 @@ def lift_features(
     return Features(functional.normalize(sums, dim=-1), weights, encoder_id)
 
 
-def encode_photos(scene: Scene, encoder: Encoder) -> Iterator[Tensor]:
+def encode_photos(scene: Scene, encoder: DenseEncoder) -> Iterator[Tensor]:
     """The targets of `lift_features`: each photo's features at its camera's size, zero where its mask says no."""
     for camera, photo in zip(scene.cameras, scene.images, strict=True):
         yield at_size(encoder.encode_dense(photo.pixels()), camera.height, camera.width, photo.mask())
