@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from ..engine.config import Config
 from ..engine.counting.count import count_fruit
 from ..engine.counting.fruit import FruitCount
-from ..engine.errors import FormatError
+from ..engine.errors import EncoderError, FormatError
 from ..engine.evaluation.cloud import ColoredCloud, write_cloud
 from ..engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ..engine.evaluation.true_surface import TrueSurface, true_surface
 from ..engine.evaluation.truth import TrueView, Truth
 from ..engine.files import write_text
-from ..engine.language.encoders import open_encoder
+from ..engine.language.encoders import open_encoder, sees_whole
 from ..engine.language.lift import encode_photos, lift_features
 from ..engine.language.relevancy import MIN_WEIGHT, relevancy
 from ..engine.pipeline import Result, count_scene
@@ -138,6 +138,8 @@ class Rungs:
     def _true_geometry(self, progress: Progress) -> Counted:
         surface = self._true_surface(part(progress, 0.0, 0.2))
         encoder = open_encoder(self.config.embed)
+        if not sees_whole(encoder):
+            raise EncoderError("features of masks cannot be lifted yet; use --encoder embedded")
         features = lift_features(
             surface.gaussians,
             self.scene.cameras,

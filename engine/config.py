@@ -203,8 +203,16 @@ decaying, and harmonics of degree 3; what it leaves open as in 3DGS)."""
 class EmbedConfig:
     """How Gaussians get features that words can query."""
 
-    encoder: Literal["embedded"] = "embedded"
-    """Image and text encoder; 'embedded' ships with the package and needs no download."""
+    encoder: Literal["embedded", "clip"] = "embedded"
+    """Image and text encoder: 'embedded' ships with the package and knows fruit; 'clip' answers any word."""
+    clip: str = "openai/clip-vit-base-patch16"
+    """CLIP or SigLIP checkpoint for encoder 'clip': a local folder or a name on the Hugging Face hub."""
+    masks: Literal["classical", "sam"] = "classical"
+    """What encoder 'clip' looks at one by one: 'classical' needs no download, 'sam' finds better masks."""
+    sam: str = "facebook/sam-vit-huge"
+    """SAM checkpoint for masks 'sam': a local folder or a name on the Hugging Face hub."""
+    allow_download: bool = False
+    """Download a checkpoint that is not on this computer from the Hugging Face hub."""
 
 
 @dataclass(frozen=True, kw_only=True)

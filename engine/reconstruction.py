@@ -13,9 +13,9 @@ from typing import Any
 
 from .cache import stage_key
 from .config import Config
-from .errors import ConfigError, FruitLangsError, OutputError
+from .errors import ConfigError, EncoderError, FruitLangsError, OutputError
 from .files import require_writable, write_text
-from .language.encoders import DenseEncoder, Encoder
+from .language.encoders import CropEncoder, DenseEncoder, Encoder, sees_whole
 from .language.lift import Features, encode_photos, lift_features, load_features, save_features
 from .progress import Progress, part
 from .report.results import FRUITS_JSON, read_results
@@ -66,7 +66,7 @@ class Stages:
 
 
 def reconstruct(
-    source: Path, cache: Path, encoder: DenseEncoder, config: Config, stages: Stages, progress: Progress
+    source: Path, cache: Path, encoder: DenseEncoder | CropEncoder, config: Config, stages: Stages, progress: Progress
 ) -> Reconstruction:
     """Photos → Gaussians → features, each from the cache where it is there."""
     found, start = Source(path=source), 0.0
@@ -118,7 +118,7 @@ def adopt(
     source: Path,
     foreign: Path | None,
     cache: Path,
-    encoder: DenseEncoder,
+    encoder: DenseEncoder | CropEncoder,
     config: Config,
     stages: Stages,
     progress: Progress,
@@ -180,7 +180,7 @@ def _embed_into(
     key: str,
     scene: Scene,
     gaussians: Gaussians,
-    encoder: DenseEncoder,
+    encoder: DenseEncoder | CropEncoder,
     config: Config,
     stages: Stages,
     progress: Progress,
@@ -192,6 +192,8 @@ def _embed_into(
         if features_file.is_file():
             stages.reused.append("embed")
         else:
+            if not sees_whole(encoder):
+                raise EncoderError("features of masks cannot be lifted yet; use --encoder embedded")
             lifted = lift_features(
                 gaussians,
                 scene.cameras,

@@ -17,6 +17,7 @@ REQUIRED = {
     "psutil": "psutil",
     "trimesh": "trimesh",
     "scipy": "scipy",
+    "skimage": "scikit-image",
     "sklearn": "scikit-learn",
     "PIL": "pillow",
 }

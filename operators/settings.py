@@ -110,14 +110,23 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
 
 
 def read_config(settings: Any) -> Config:
-    """Every stage's config from `scene.fruitlangs`.
+    """Every stage's config from `scene.fruitlangs`; nothing is downloaded where Blender may not go online.
 
     Raises:
         ConfigError: a value makes no sense.
     """
     from ..engine.config import Config
 
-    return Config(**{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()})
+    config = Config(
+        **{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()}
+    )
+    consent = config.embed.allow_download and online()
+    return dataclasses.replace(config, embed=dataclasses.replace(config.embed, allow_download=consent))
+
+
+def online() -> bool:
+    """Whether the person at Blender allows it to go online."""
+    return bpy.app.online_access
 
 
 def apply_preset(settings: Any, _context: Any = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -32,6 +33,19 @@ def arguments_of(script: str) -> list[str]:
     if Path(sys.argv[0]).resolve() == Path(script).resolve():
         return sys.argv[1:]
     return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+
+
+def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[str]:
+    """Arguments in which a stage's flags may stand without its name: --encoder clip is --embed.encoder clip."""
+    names = {field.name.replace("_", "-") for field in dataclasses.fields(config_class)}
+    spelled = []
+    for argument in given:
+        flag, equals, value = argument.partition("=")
+        name = flag.removeprefix("--").replace("_", "-")
+        if flag.startswith("--") and {name, name.removeprefix("no-")} & names:
+            flag = f"--{stage}.{name}"
+        spelled.append(flag + equals + value)
+    return spelled
 
 
 def preset_of(given: Sequence[str]) -> Preset:

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _terminal import arguments_of, import_tyro, preset_of, run, terminal_progress
+from _terminal import arguments_of, import_tyro, preset_of, run, spelled_out, terminal_progress
 from fruitlangs.engine.config import (
     PRESETS,
     Config,
@@ -61,6 +61,7 @@ class Arguments:
     photos: PhotosConfig = field(default_factory=PhotosConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     embed: EmbedConfig = field(default_factory=EmbedConfig)
+    """How Gaussians get features that words can query. These flags may go without their stage: --encoder clip."""
     count: CountConfig = field(default_factory=CountConfig)
 
 
@@ -125,7 +126,7 @@ def main() -> None:
 
 def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
-    given = arguments_of(__file__)
+    given = spelled_out(arguments_of(__file__), "embed", EmbedConfig)
     preset = preset_of(given)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])

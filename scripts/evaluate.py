@@ -24,7 +24,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from _terminal import arguments_of, import_tyro, preset_of, report, run, table, terminal_progress
+from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
 from fruitlangs.benchmarks.ladder import RungRow, climb
 from fruitlangs.benchmarks.ladder_pages import markdown, rung_rows, write_pages
 from fruitlangs.benchmarks.orchards import measure_each
@@ -72,6 +72,7 @@ class Arguments:
     scene: SceneConfig = field(default_factory=SceneConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     embed: EmbedConfig = field(default_factory=EmbedConfig)
+    """How Gaussians get features that words can query. These flags may go without their stage: --encoder clip."""
     count: CountConfig = field(default_factory=CountConfig)
 
 
@@ -161,6 +162,7 @@ def cells(name: str, metrics: CountMetrics) -> tuple[str, ...]:
 
 def parse(given: list[str]) -> Arguments:
     """The arguments, or exit 2 with a usage message."""
+    given = spelled_out(given, "embed", EmbedConfig)
     preset = preset_of(given)
     default = Arguments(given=(), preset=preset, train=PRESETS[preset])
     return tyro.cli(Arguments, args=given, default=default, prog="evaluate.py", description=__doc__)

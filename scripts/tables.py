@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
-from _terminal import arguments_of, import_tyro, preset_of, report, run, terminal_progress
+from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, terminal_progress
 from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.benchmarks.paper_pages import ablation_table, count_table, reconstruction_table
 from fruitlangs.benchmarks.paper_tables import SceneTables, measure_tables
@@ -49,6 +49,7 @@ class Arguments:
     scene: SceneConfig = field(default_factory=SceneConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     embed: EmbedConfig = field(default_factory=EmbedConfig)
+    """How Gaussians get features that words can query. These flags may go without their stage: --encoder clip."""
     count: CountConfig = field(default_factory=CountConfig)
 
 
@@ -93,6 +94,7 @@ def pages(measured: list[SceneTables], setting: str) -> str:
 
 def parse(given: list[str]) -> Arguments:
     """The arguments, or exit 2 with a usage message."""
+    given = spelled_out(given, "embed", EmbedConfig)
     preset = preset_of(given)
     missing: Any = tyro.MISSING
     default = Arguments(scenes=missing, out=missing, preset=preset, train=PRESETS[preset])

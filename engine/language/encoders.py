@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,14 +76,23 @@ class CropEncoder(Encoder, Protocol):
         ...
 
 
-def open_encoder(config: EmbedConfig) -> DenseEncoder:
-    """The encoder that the settings name.
+def sees_whole(encoder: Encoder) -> TypeGuard[DenseEncoder]:
+    """Whether an encoder sees a photo whole, rather than one masked thing at a time."""
+    return hasattr(encoder, "encode_dense")
+
+
+def open_encoder(config: EmbedConfig) -> DenseEncoder | CropEncoder:
+    """The encoder that the settings name; one with `encode_crops` wants masks (see `masks.open_segmenter`).
 
     Raises:
-        EncoderError: its weights are missing or unreadable.
+        EncoderError: its weights are missing, unsafe or unreadable.
     """
     if config.encoder == "embedded":
         from .embedded import EmbeddedEncoder
 
         return EmbeddedEncoder.open()
-    raise EncoderError(f"there is no encoder '{config.encoder}'; use 'embedded'")
+    if config.encoder == "clip":
+        from .clip import ClipEncoder
+
+        return ClipEncoder.open(config.clip, allow_download=config.allow_download)
+    raise EncoderError(f"there is no encoder '{config.encoder}'; use 'embedded' or 'clip'")

@@ -34,6 +34,14 @@ def test_changed_settings_arrive_as_typed(extension):
     assert (read.count.threshold, read.count.method, read.train.steps) == (0.3, "template", 77)
 
 
+def test_nothing_is_downloaded_where_blender_may_not_go_online(extension, monkeypatch):
+    settings = bpy.context.scene.fruitlangs
+    settings.config.embed.allow_download = True
+    for online in (False, True):
+        monkeypatch.setattr(conversions, "online", lambda allowed=online: allowed)
+        assert conversions.read_config(settings).embed.allow_download is online
+
+
 def test_zero_of_an_optional_number_means_not_given(extension):
     config = bpy.context.scene.fruitlangs.config
     assert conversions.read_config(bpy.context.scene.fruitlangs).count.diameter is None

@@ -115,6 +115,16 @@ def test_a_bad_scene_is_one_clear_line_and_exit_1(make, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_an_absent_checkpoint_is_one_clear_line_under_short_and_long_flags(tmp_path: Path) -> None:
+    for prefix in ("--", "--embed."):
+        given = ("encoder=clip", "masks=sam", "no-allow-download", "clip=no/clip")
+        flags = (prefix + flag for flag in given)
+        done = count(SAMPLE, "--prompt", "durian", "--out", tmp_path / "out", *flags)
+        assert done.returncode == 1
+        assert len(done.stderr.splitlines()) == 1
+        assert "'no/clip' is not on this computer" in done.stderr
+
+
 def test_an_unknown_word_is_one_clear_line_that_names_the_nearest(tmp_path: Path) -> None:
     done = count(SAMPLE, "--prompt", "appel", "--out", tmp_path)
     assert done.returncode == 1
