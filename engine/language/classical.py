@@ -16,7 +16,7 @@ from .segments import Segments
 
 SEEN_SIDE = 640
 """Longest side, in pixels, of the copy that is cut up; larger photos are shrunk to it, smaller ones stay."""
-LEVEL_COUNTS = (640, 256, 96)
+LEVEL_COUNTS = (640, 340, 120)
 """Most regions a level: parts and small fruit, single fruit and leaves, clusters and branches."""
 SUPERPIXEL_SCALE, SUPERPIXEL_BLUR, LEAST_PIXELS = 15.0, 0.5, 10
 """Of Felzenszwalb and Huttenlocher's superpixels (2004): how readily they grow, blur before, smallest size."""
@@ -42,11 +42,9 @@ class ClassicalSegmenter:
             np.minimum((np.arange(side) + 0.5) * seen / side, seen - 1).astype(np.intp)
             for side, seen in zip((height, width), superpixels.shape, strict=True)
         )
-        labels = np.empty((len(LEVEL_COUNTS), height, width), np.int32)
-        for level, count in enumerate(LEVEL_COUNTS):
-            merged = graph.merge_until(count).astype(np.int32)[superpixels]
-            labels[level] = merged[rows][:, columns]
-        return numbered(labels)
+        levels = [graph.merge_until(count).astype(np.int32)[superpixels] for count in LEVEL_COUNTS]
+        segments = numbered(np.stack(levels))
+        return Segments(segments.labels.take(rows, axis=1).take(columns, axis=2), segments.count)
 
 
 def _seen(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
