@@ -97,12 +97,13 @@ def test_what_is_kept_is_not_made_again_and_is_the_same_bits(tmp_path):
 
 @pytest.mark.parametrize("change", ["photo", "mask", "segmenter", "encoder"])
 def test_another_photo_mask_segmenter_or_encoder_is_made_anew(tmp_path, change):
-    list(segmented_views(scene(1), Quarters(), MeanColour(), tmp_path))
-    given, segmenter, encoder = scene(1), Quarters(), MeanColour()
+    inner = np.arange(WIDTH) < np.full((HEIGHT, 1), WIDTH - 1)
+    list(segmented_views(scene(1, inner), Quarters(), MeanColour(), tmp_path))
+    given, segmenter, encoder = scene(1, inner), Quarters(), MeanColour()
     if change == "photo":
         given.images[0].array[0, 0] ^= 1
     if change == "mask":
-        given = scene(1, valid=np.arange(WIDTH) < np.full((HEIGHT, 1), WIDTH - 1))
+        given = scene(1, inner[:, ::-1])
     if change == "segmenter":
         segmenter.identity = "other"
     if change == "encoder":
