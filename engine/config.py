@@ -223,6 +223,14 @@ class CountConfig(_Checked):
     """Lowest probability at which a Gaussian belongs to the prompt."""
     method: Literal["voting", "template"] = "voting"
     """'voting': centre votes, sphere fits, non-maximum suppression; 'template': the paper's DBSCAN and templates."""
+    select: Literal["calibrated", "dual"] = "calibrated"
+    """'calibrated': by the probability of the prompt; 'dual': by the paper's two thresholds on cosines (eq. 11)."""
+    tau_pos: float = _number(0.25, -1, 1)
+    """With 'dual', a Gaussian's largest cosine to what is counted must exceed this (the paper's τ_pos)."""
+    tau_neg: float = _number(0.25, -1, 1)
+    """With 'dual', a Gaussian's largest cosine to the negatives must stay below this (the paper's τ_neg)."""
+    neighbours: int = _number(0, 0, 1000)
+    """Average probabilities over each Gaussian and this many nearest ones; 0 leaves them as they are."""
     diameter: float | None = _number(None, 0, math.inf, open=True)
     """Mean fruit diameter in scene units; estimated from the scene when not given."""
     sample_budget: int = _number(60_000, 100, 100_000_000)

@@ -18,7 +18,7 @@ from .config import Config
 from .counting.fruit import FruitCount
 from .errors import FruitLangsError, OutputError
 from .files import file_hash, write_text
-from .language.lift import Features
+from .language.features import Features
 from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, Stages
 from .report.meshes import write_glb, write_points_ply
 from .report.pictures import write_strips

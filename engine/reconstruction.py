@@ -16,7 +16,8 @@ from .config import Config
 from .errors import ConfigError, EncoderError, FruitLangsError, OutputError
 from .files import require_writable, write_text
 from .language.encoders import CropEncoder, DenseEncoder, Encoder, sees_whole
-from .language.lift import Features, encode_photos, lift_features, load_features, save_features
+from .language.features import Features, load_features, save_features
+from .language.lift import encode_photos, lift_features
 from .progress import Progress, part
 from .report.results import FRUITS_JSON, read_results
 from .scene.camera import Scene

@@ -9,11 +9,14 @@ from torch import Tensor
 
 from ..errors import EncoderError, VocabularyError
 from .encoders import Encoder, Question
-from .lift import Features
+from .features import Features
+from .levels import best_level
 from .prior import in_scene
 
 MIN_WEIGHT = 0.3
 """A Gaussian that drew less than this many pixels, summed over all views, has no say: its probability is 0."""
+ROWS = 16_384
+"""Gaussians whose features are decoded or brought to single precision at a time."""
 
 
 def relevancy(
@@ -27,26 +30,42 @@ def relevancy(
     Each prompt is answered by the encoder's questions (see `Question`), which put it against every other word that
     makes sense for it; so `negatives` are needed only for what the vocabulary does not already set against the prompt,
     for example "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)), where kinds of fruit
-    have been weighed by how much of the scene's fruit they are (see `prior`).
+    have been weighed by how much of the scene's fruit they are (see `prior`). Each word is answered at the level of
+    masks where it is surest (see `best_level`).
 
     Raises:
         EncoderError: the features were made by another encoder.
         VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.
     """
-    if features.encoder_id != encoder.identity:
-        raise EncoderError(
-            f"the features were made by {features.encoder_id}, the words come from {encoder.identity}; lift the "
-            "features again with this encoder"
-        )
+    check_encoder(features, encoder)
     check_prompts(encoder, prompts, negatives)
-    vectors = in_scene(features.vectors, features.weights, encoder.kinds())
-    missed = torch.ones(len(features.weights))
-    for prompt in prompts:
-        missed *= 1.0 - answer(vectors, encoder.questions(prompt))
+    answers = answers_by_level(features, encoder, [*prompts, *negatives])
+    answers = answers * (features.weights.T >= MIN_WEIGHT)[:, None]
+    missed = torch.ones(len(features))
+    for place in range(len(prompts)):
+        missed *= 1.0 - answers[best_level(answers[:, place], features.weights.T), place]
     found = 1.0 - missed
-    for negative in negatives:
-        found *= 1.0 - answer(vectors, encoder.questions(negative))
-    return torch.where(features.weights >= MIN_WEIGHT, found, torch.zeros(()))
+    for place in range(len(prompts), answers.shape[1]):
+        found *= 1.0 - answers[best_level(answers[:, place], features.weights.T), place]
+    return found
+
+
+def answers_by_level(features: Features, encoder: Encoder, words: Sequence[str]) -> Tensor:
+    """(L, P, N) float32 probability of each word alone, at each level of masks."""
+    questions, kinds = [encoder.questions(word) for word in words], encoder.kinds()
+    answers = torch.empty(features.levels, len(words), len(features))
+    for level in range(features.levels):
+        # What kinds the scene bears is asked of all Gaussians together.
+        for rows in blocks(len(features), len(features) if len(kinds) else ROWS):
+            vectors = in_scene(features.unit(level, rows), features.weights[rows, level], kinds)
+            for place, asked in enumerate(questions):
+                answers[level, place, rows] = answer(vectors, asked)
+    return answers
+
+
+def blocks(n: int, size: int) -> list[slice]:
+    """Ranges of at most `size` rows."""
+    return [slice(begin, min(begin + size, n)) for begin in range(0, n, max(size, 1))]
 
 
 def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:
@@ -64,6 +83,19 @@ def margin(vectors: Tensor, question: Question) -> Tensor:
         positive, negative = (2.0 * cosine.clamp_min(1e-6).log() for cosine in (positive, negative))
         return positive.logsumexp(-1) - negative.logsumexp(-1)
     return positive.amax(-1) - negative.amax(-1)
+
+
+def check_encoder(features: Features, encoder: Encoder) -> None:
+    """Refuse features that the encoder's words mean nothing to.
+
+    Raises:
+        EncoderError: the features were made by another encoder.
+    """
+    if features.encoder_id != encoder.identity:
+        raise EncoderError(
+            f"the features were made by {features.encoder_id}, the words come from {encoder.identity}; lift the "
+            "features again with this encoder"
+        )
 
 
 def check_prompts(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> None:

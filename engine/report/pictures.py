@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ..counting.fruit import Fruit, FruitCount
-from ..language.lift import Features
+from ..language.features import Features
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rasterize import render
@@ -30,14 +30,16 @@ _TITLE_HEIGHT = 22
 def language_colors(features: Features) -> Tensor:
     """(N, 3) in [0, 1]: the three principal directions of the features, stretched between their 2 % and 98 % quantiles.
 
-    A Gaussian that no photo saw is mid-grey.
+    Of several levels the middle one is shown. A Gaussian that no photo saw is mid-grey.
     """
-    vectors = features.vectors.numpy().astype(np.float64)
-    seen = features.weights.numpy() > 0
+    level = features.levels // 2
+    vectors = features.vectors[:, level].numpy()
+    seen = features.weights[:, level].numpy() > 0
     colors = np.full((len(vectors), 3), 0.5)
     if seen.sum() < 4:
         return torch.from_numpy(colors.astype(np.float32))
-    centered = vectors[seen] - vectors[seen].mean(axis=0)
+    centered = vectors[seen].astype(np.float64)
+    centered -= centered.mean(axis=0)
     _, directions = np.linalg.eigh(centered.T @ centered)
     directions = directions[:, ::-1][:, :3]
     # An eigenvector's sign is arbitrary: fix it, so that equal runs give equal pictures.

@@ -58,7 +58,8 @@ def _flat(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().to(torch.float32).contiguous().numpy()
 
 
-def _arrays(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
+def arrays_of(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
+    """The parameters as kernels read them."""
     return {name: _flat(getattr(gaussians, name)) for name in PARAMETERS}
 
 
@@ -80,7 +81,7 @@ class _Render(torch.autograd.Function):
         camera: Camera,
         pulls: Tensor | None,
     ) -> tuple[Tensor, ...]:
-        parameters = _arrays(Gaussians(means, log_scales, quats, opacity_logits, sh))
+        parameters = arrays_of(Gaussians(means, log_scales, quats, opacity_logits, sh))
         workspace = Workspace()
         tiles = tile_view(project_view(parameters, camera, rules, workspace, _flat(offsets)), camera, rules, workspace)
         planes = blend_view(tiles, _flat(features), camera, workspace)
@@ -104,7 +105,7 @@ class _Render(torch.autograd.Function):
         for place, gradient in ((slice(0, 3), color), (3, depth), (4, alpha), (slice(5, None), extra)):
             gradients[place] = 0.0 if gradient is None else gradient.numpy()
         pulled = pull_view(
-            _arrays(Gaussians(*parameters)), ctx.camera, ctx.rules, tiles, planes, gradients, Workspace(),
+            arrays_of(Gaussians(*parameters)), ctx.camera, ctx.rules, tiles, planes, gradients, Workspace(),
             features=_flat(features), background=_flat(background),
             with_depth=depth is not None, with_pulls=ctx.pulls is not None,
         )  # fmt: skip
@@ -150,7 +151,7 @@ def render(
     Raises:
         SceneError: the camera has distortion, or features have another length than the Gaussians.
     """
-    _check_camera(camera)
+    check_camera(camera)
     n = len(gaussians)
     extra = torch.zeros(n, 0) if features is None else features
     if len(extra) != n:
@@ -186,7 +187,7 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
     Raises:
         SceneError: the target's size differs from the camera's, or the camera has distortion.
     """
-    _check_camera(camera)
+    check_camera(camera)
     if target.ndim != 3 or tuple(target.shape[:2]) != (camera.height, camera.width):
         raise SceneError(
             f"the target is {tuple(target.shape)}; its first two sizes must be the camera's"
@@ -194,7 +195,7 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
         )
     n, channels = len(gaussians), target.shape[2]
     rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased), Workspace()
-    tiles = tile_view(project_view(_arrays(gaussians), camera, rules, workspace), camera, rules, workspace)
+    tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
     sums = np.empty((n, channels), np.float32)
     weights = np.empty(n, np.float32)
     for begin in range(0, max(channels, 1), LIFTED_AT_ONCE):
@@ -228,13 +229,14 @@ def measure_load(gaussians: Gaussians, camera: Camera, rules: DrawRules) -> Load
     Raises:
         SceneError: the camera has distortion.
     """
-    _check_camera(camera)
+    check_camera(camera)
     workspace = Workspace()
-    tiles = tile_view(project_view(_arrays(gaussians), camera, rules, workspace), camera, rules, workspace)
+    tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
     planes = blend_view(tiles, np.zeros((len(gaussians), 0), np.float32), camera, workspace)
     return Load(load_view(tiles, planes, workspace)[0], np.diff(tiles.tile_starts).reshape(-1, tiles.columns))
 
 
-def _check_camera(camera: Camera) -> None:
+def check_camera(camera: Camera) -> None:
+    """Refuse a camera with lens distortion, which is not drawn."""
     if camera.distortion is not None and np.any(camera.distortion):
         raise SceneError("the camera has lens distortion; undistort its photo first (the scene readers do)")

@@ -53,13 +53,14 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     """One of the `walks`, seen by the encoder."""
     scene, gaussians = read_scene(folder, SceneConfig()), read_ply(folder / "gaussians.ply")
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
-    truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").vectors
-    seen = features.weights >= MIN_WEIGHT
+    truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
+    weights = features.weights[:, 0]
+    seen = weights >= MIN_WEIGHT
     (question,) = encoder.questions("fruit")
     return LiftedScene(
-        margin(features.vectors[seen], question).double().numpy(),
+        margin(features.unit(0)[seen], question).double().numpy(),
         (truth[:, 0] > truth[:, 1])[seen].numpy(),
-        features.weights[seen].double().numpy(),
+        weights[seen].double().numpy(),
     )
 
 

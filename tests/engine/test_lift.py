@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fruitlangs.engine.errors import FormatError, SceneError
-from fruitlangs.engine.language.lift import (
-    Features,
-    at_size,
-    encode_photos,
-    lift_features,
-    load_features,
-    save_features,
-)
+from fruitlangs.engine.errors import SceneError
+from fruitlangs.engine.language.lift import at_size, encode_photos, lift_features
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
@@ -54,7 +45,7 @@ LEFT, RIGHT, BEHIND = (-0.25, 0.0, 1.0), (0.25, 0.0, 1.0), (0.0, 0.0, -1.0)
 
 def test_each_gaussian_gets_the_feature_of_its_pixels():
     features = lift_features(_gaussians(LEFT, RIGHT), [_camera()], [_halves()], encoder_id="x")
-    assert torch.allclose(features.vectors, torch.eye(2), atol=1e-3)
+    assert torch.allclose(features.unit(0), torch.eye(2), atol=1e-3)
     assert (features.weights > 5.0).all()
     assert features.encoder_id == "x"
 
@@ -62,13 +53,13 @@ def test_each_gaussian_gets_the_feature_of_its_pixels():
 def test_views_are_averaged_and_normalised():
     swapped = _halves().flip(-1)
     features = lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves(), swapped], encoder_id="x")
-    assert torch.allclose(features.vectors[0], torch.full((2,), 0.5**0.5), atol=1e-3)
+    assert torch.allclose(features.unit(0)[0], torch.full((2,), 0.5**0.5), atol=1e-3)
 
 
 def test_a_gaussian_that_no_view_sees_has_weight_and_feature_zero():
     features = lift_features(_gaussians(LEFT, BEHIND), [_camera()], [_halves()], encoder_id="x")
     assert float(features.weights[1]) == 0.0
-    assert not features.vectors[1].any()
+    assert not features.unit(0)[1].any()
 
 
 def test_masked_pixels_count_for_nothing():
@@ -76,7 +67,7 @@ def test_masked_pixels_count_for_nothing():
     masked[:, : SIDE // 2] = 0.0
     features = lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves(), masked], encoder_id="x")
     once = lift_features(_gaussians(LEFT), [_camera()], [_halves()], encoder_id="x")
-    assert torch.allclose(features.vectors, once.vectors, atol=1e-5)
+    assert torch.allclose(features.unit(0), once.unit(0), atol=1e-5)
     assert torch.allclose(features.weights, once.weights, rtol=1e-4)
 
 
@@ -121,25 +112,10 @@ def test_resized_features_stay_unit():
     assert torch.allclose(at_size(features, 19, 23).norm(dim=-1), torch.ones(19, 23), atol=1e-5)
 
 
-def test_features_come_back_from_disk_as_they_were(tmp_path: Path):
-    features = Features(torch.rand(7, 3), torch.rand(7), "embedded-abc")
-    save_features(tmp_path / "features.safetensors", features)
-    loaded = load_features(tmp_path / "features.safetensors")
-    assert torch.equal(loaded.vectors, features.vectors)
-    assert torch.equal(loaded.weights, features.weights)
-    assert loaded.encoder_id == "embedded-abc"
-    assert [path.name for path in tmp_path.iterdir()] == ["features.safetensors"]
-
-
-@pytest.mark.parametrize("kept", [0, 5, 100])
-def test_damaged_features_are_a_format_error(tmp_path: Path, kept: int):
-    path = tmp_path / "features.safetensors"
-    save_features(path, Features(torch.rand(7, 3), torch.rand(7), "x"))
-    path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(FormatError, match="holds no features"):
-        load_features(path)
-
-
-def test_missing_features_are_a_format_error(tmp_path: Path):
-    with pytest.raises(FormatError):
-        load_features(tmp_path / "none.safetensors")
+def test_agreement_is_the_mean_cosine_of_the_views_to_the_feature():
+    swapped = _halves().flip(-1)
+    features = lift_features(_gaussians(LEFT, BEHIND), [_camera()] * 2, [_halves(), swapped], encoder_id="x")
+    assert float(features.agreement[0, 0]) == pytest.approx(0.5**0.5, abs=1e-3)
+    assert float(features.agreement[1, 0]) == 0.0
+    agreed = lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves()] * 2, encoder_id="x")
+    assert float(agreed.agreement[0, 0]) == pytest.approx(1.0, abs=1e-4)

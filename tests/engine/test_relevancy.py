@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fruitlangs.engine.errors import EncoderError, VocabularyError
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
-from fruitlangs.engine.language.lift import Features
+from fruitlangs.engine.language.features import Features
 from fruitlangs.engine.language.network import Network
 from fruitlangs.engine.language.prior import in_scene, kind_shares
 from fruitlangs.engine.language.relevancy import MIN_WEIGHT, answer, relevancy
@@ -32,7 +32,11 @@ def _feature(colour: str, **concepts: float) -> Tensor:
 
 
 def _features(*vectors: Tensor, weight: float = 0.5) -> Features:
-    return Features(torch.stack(vectors), torch.full((len(vectors),), weight), "test")
+    return one_level(torch.stack(vectors), torch.full((len(vectors),), weight), "test")
+
+
+def one_level(vectors: Tensor, weights: Tensor, encoder_id: str) -> Features:
+    return Features(vectors[:, None], weights[:, None], torch.ones(len(vectors), 1), encoder_id)
 
 
 def test_probability_is_that_of_the_feature(encoder: EmbeddedEncoder):
@@ -73,7 +77,7 @@ def test_a_hardly_seen_gaussian_has_probability_zero(encoder: EmbeddedEncoder):
 
 
 def test_an_unseen_gaussian_with_a_zero_feature_has_probability_zero(encoder: EmbeddedEncoder):
-    features = Features(torch.zeros(1, encoder.dimension), torch.zeros(1), "test")
+    features = one_level(torch.zeros(1, encoder.dimension), torch.zeros(1), "test")
     assert float(relevancy(features, encoder, ["apple"])) == 0.0
 
 
@@ -100,7 +104,7 @@ def test_no_prompt_is_refused(encoder: EmbeddedEncoder):
 
 
 def test_features_of_another_encoder_are_refused(encoder: EmbeddedEncoder):
-    features = Features(torch.zeros(1, encoder.dimension), torch.ones(1), "another")
+    features = one_level(torch.zeros(1, encoder.dimension), torch.ones(1), "another")
     with pytest.raises(EncoderError, match="another"):
         relevancy(features, encoder, ["apple"])
 
