@@ -200,7 +200,7 @@ decaying, and harmonics of degree 3; what it leaves open as in 3DGS)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmbedConfig:
+class EmbedConfig(_Checked):
     """How Gaussians get features that words can query."""
 
     encoder: Literal["embedded", "clip"] = "embedded"
@@ -213,6 +213,28 @@ class EmbedConfig:
     """SAM checkpoint for masks 'sam': a local folder or a name on the Hugging Face hub."""
     allow_download: bool = False
     """Download a checkpoint that is not on this computer from the Hugging Face hub."""
+    features: Literal["lift", "joint"] = "lift"
+    """Masks' features in full, averaged into trained Gaussians ('lift'), or the paper's short codes, trained along."""
+    rounds: int = _number(0, 0, 100)
+    """Times that views which disagree about a Gaussian are given less weight when masks' features are lifted."""
+    code_epochs: int = _number(100, 1, 100_000)
+    """How often the autoencoder of the codes sees every mask's feature."""
+    code_batch: int = _number(64, 1, 1_000_000)
+    """Features in one step of the autoencoder."""
+    code_rate: float = _number(7e-4, 0, 10, open=True)
+    """Learning rate of the autoencoder."""
+    code_each_level: bool = False
+    """Train one autoencoder a level of masks instead of one for all."""
+    semantic_rate: float = _number(0.05, 0, 10, open=True)
+    """Learning rate of the Gaussians' codes in joint training."""
+    semantic_after: float = _number(0.5, 0, 0.99)
+    """Share of the training's steps after which codes are trained."""
+    semantic_weight: float = _number(0.1, 0, 1000, open=True)
+    """Weight of the semantic loss beside the photometric one (the paper's λ_sem); matters where it moves Gaussians."""
+    semantic_moves: bool = False
+    """Let the semantic loss move, reshape and fade Gaussians too (the paper); else it trains their codes alone."""
+    seed: int = _number(0, 0, LARGEST)
+    """Seed of every random choice when features are made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,9 +247,9 @@ class CountConfig(_Checked):
     """'voting': centre votes, sphere fits, non-maximum suppression; 'template': the paper's DBSCAN and templates."""
     select: Literal["calibrated", "dual"] = "calibrated"
     """'calibrated': by the probability of the prompt; 'dual': by the paper's two thresholds on cosines (eq. 11)."""
-    tau_pos: float = _number(0.25, -1, 1)
+    tau_pos: float = _number(0.25, 0, 1)
     """With 'dual', a Gaussian's largest cosine to what is counted must exceed this (the paper's τ_pos)."""
-    tau_neg: float = _number(0.25, -1, 1)
+    tau_neg: float = _number(0.25, 0, 1)
     """With 'dual', a Gaussian's largest cosine to the negatives must stay below this (the paper's τ_neg)."""
     neighbours: int = _number(0, 0, 1000)
     """Average probabilities over each Gaussian and this many nearest ones; 0 leaves them as they are."""

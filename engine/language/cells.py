@@ -53,7 +53,9 @@ class CellWeights:
 
     def padded_vectors(self, length: int) -> NDArray[np.float32]:
         """(M · length,) the vectors row by row, zeros behind each, as kernels read them."""
-        return functional.pad(self.vectors, (0, length - self.vectors.shape[1])).contiguous().numpy().reshape(-1)
+        behind = length - self.vectors.shape[1]
+        vectors = functional.pad(self.vectors, (0, behind)) if behind else self.vectors
+        return vectors.contiguous().numpy().reshape(-1)
 
 
 def cell_weights(
@@ -66,7 +68,9 @@ def cell_weights(
         EncoderError: a mask's vector is not finite.
     """
     drawn: list[LabelWeights] = []
-    view_of, row_of, vectors = [], [], []
+    view_of: list[NDArray[np.int32]] = []
+    row_of: list[NDArray[np.int32]] = []
+    vectors: list[Tensor] = []
     rows = 0
     workspace = Workspace()
     for index, (camera, view) in enumerate(zip_views(cameras, views)):
@@ -85,11 +89,11 @@ def cell_weights(
         rows += len(known.vectors)
     if rows == 0:
         raise SceneError("no photo has a mask with a feature; use other masks, or the embedded encoder")
-    table = _all_views(drawn, [len(numbers) for numbers in view_of], len(gaussians))
+    joined = _all_views(drawn, [len(numbers) for numbers in view_of], len(gaussians))
     return CellWeights(
-        table.starts,
-        table.labels,
-        table.weights,
+        joined.starts,
+        joined.labels,
+        joined.weights,
         np.concatenate(view_of),
         np.concatenate(row_of, axis=1),
         torch.cat(vectors),

@@ -19,8 +19,8 @@ FORMAT = "fruitlangs-features-2"
 
 
 @dataclass(frozen=True, eq=False)
-class Decoder:
-    """The half of an autoencoder that turns codes back into features: linear layers with ReLU in between.
+class Perceptron:
+    """Linear layers with ReLU in between, from unit vectors to unit vectors: one half of an autoencoder.
 
     weights: (out, in) and biases: (out,) of each layer, float32.
     """
@@ -28,12 +28,12 @@ class Decoder:
     weights: tuple[Tensor, ...]
     biases: tuple[Tensor, ...]
 
-    def __call__(self, codes: Tensor) -> Tensor:
-        """(…, d) codes → (…, D) unit features. Codes are made unit first; one of length 0 gives a zero feature."""
-        values = functional.normalize(codes.float(), dim=-1)
+    def __call__(self, vectors: Tensor) -> Tensor:
+        """(…, in) → (…, out) unit. Vectors are made unit first; one of length 0 gives a zero vector."""
+        values = functional.normalize(vectors.float(), dim=-1)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = functional.linear(values.relu() if layer else values, weight, bias)
-        return functional.normalize(values, dim=-1) * (codes.abs().amax(-1, keepdim=True) > 0)
+        return functional.normalize(values, dim=-1) * (vectors.abs().amax(-1, keepdim=True) > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Features:
     weights: Tensor
     agreement: Tensor
     encoder_id: str
-    decoders: tuple[Decoder, ...] = ()
+    decoders: tuple[Perceptron, ...] = ()
 
     def __len__(self) -> int:
         return self.vectors.shape[0]
@@ -112,11 +112,11 @@ def load_features(path: Path) -> Features:
         raise FormatError(f"{path} holds no features ({str(error).splitlines()[0]}); lift them again") from error
 
 
-def _read_decoder(tensors: dict[str, Tensor], number: int) -> Decoder:
+def _read_decoder(tensors: dict[str, Tensor], number: int) -> Perceptron:
     layers = sum(name.startswith(f"decoder.{number}.weights.") for name in tensors)
     weights, biases = (
         tuple(tensors[f"decoder.{number}.{part}.{layer}"] for layer in range(layers)) for part in ("weights", "biases")
     )
     if not layers or not all(torch.isfinite(tensor).all() for tensor in (*weights, *biases)):
         raise ValueError(f"decoder {number} is missing or broken")
-    return Decoder(weights, biases)
+    return Perceptron(weights, biases)

@@ -14,7 +14,7 @@ from ..compiled import kernel, njit, prange
 from ..splatting.blocks import next_block
 from ..splatting.lanes import LANES, fill, load, store, total
 
-ZERO, ONE = np.float32(0), np.float32(1)
+ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-20)
 NEAREST = np.float32(1e-2)
 """Distances between unit vectors below this count as this when views are weighed: the mean need not sit on a view."""
 
@@ -69,7 +69,7 @@ def _say(
         drew[views - 1] += weights[entry]
     for view in range(views):
         sure[view] = math.sqrt(_dot(says, view * length, says, view * length, length))
-        _scale(says, view * length, length, ONE / max(sure[view], np.float32(1e-20)))
+        _scale(says, view * length, length, ONE / (sure[view] + TINY))
     return views
 
 
@@ -82,7 +82,7 @@ def _mean(
         store(out, d, fill(ZERO))
     for view in range(views):
         _add(out, 0, says, view * length, length, shares[view])
-    _scale(out, 0, length, ONE / max(math.sqrt(_dot(out, 0, out, 0, length)), np.float32(1e-20)))
+    _scale(out, 0, length, ONE / (math.sqrt(_dot(out, 0, out, 0, length)) + TINY))
 
 
 @kernel
@@ -141,7 +141,7 @@ def mix(
                     all_sure += sure[view]
                     agreeing += sure[view] * _dot(says, view * length, mean, 0, length)
                 drawn[i] = pixels
-                agreement[i] = agreeing / max(all_sure, np.float32(1e-20))
+                agreement[i] = agreeing / (all_sure + TINY)
             first, last = next_block(counter, n)
 
 
@@ -156,7 +156,10 @@ def append_view(
     all_cells: NDArray[np.int32],
     all_weights: NDArray[np.float32],
 ) -> None:
-    """Put a view's rows behind the earlier views' in a table of all views; places (N,) moves on. offset: of its cells."""
+    """Put a view's rows behind the earlier views' in a table of all views; places (N,) moves on.
+
+    offset: the number of the view's first cell.
+    """
     n = places.shape[0]
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):

@@ -79,9 +79,9 @@ def _largest_cosines(features: Features, text: Tensor) -> Tensor:
 
 
 def smoothed(probability: Tensor, weights: Tensor, means: Tensor, neighbours: int) -> Tensor:
-    """(N,) probabilities averaged over each Gaussian and its nearest `neighbours`, by the pixels they drew, weights (N,).
+    """(N,) probabilities averaged over each Gaussian and its nearest `neighbours`, by the pixels they drew.
 
-    A Gaussian that no pixel drew keeps its own.
+    weights: (N,) those pixels. A Gaussian that no pixel drew keeps its own.
     """
     usable = torch.isfinite(means).all(1) & (weights >= MIN_WEIGHT)
     if not usable.any():

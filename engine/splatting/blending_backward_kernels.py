@@ -80,6 +80,7 @@ def _blend_tile_backward(
     gradients: NDArray[np.float32],
     with_depth: bool,
     with_pulls: bool,
+    features_push: bool,
     scratch: NDArray[np.float32],
     weights: NDArray[np.float32],
     moments: NDArray[np.float32],
@@ -125,7 +126,7 @@ def _blend_tile_backward(
                 d_depth = load(scratch, 3 * PIXELS + place)
                 here = here + d_depth * depth
                 sum_depth = sum_depth + weight * d_depth
-            for channel in range(extra):
+            for channel in range(extra if features_push else 0):
                 here = here + load(scratch, (7 + channel) * PIXELS + place) * features[gaussian_of[entry], channel]
             behind = load(scratch, 6 * PIXELS + place)
             change = here - behind
@@ -172,6 +173,7 @@ def blend_backward(
     gradients: NDArray[np.float32],
     with_depth: bool,
     with_pulls: bool,
+    features_push: bool,
     moments: NDArray[np.float32],
     feature_moments: NDArray[np.float32],
 ) -> None:
@@ -179,7 +181,8 @@ def blend_backward(
 
     planes: (CHANNELS + C, H, W) what `blend` wrote; gradients: (5 + C, H, W) of r, g, b, depth, alpha, features, where
     the colour is the one over `background` (3,). with_depth: whether the gradient of the depth is not 0; with_pulls:
-    whether the absolute gradients of the mean are wanted, which are 0 else.
+    whether the absolute gradients of the mean are wanted, which are 0 else; features_push: whether the features'
+    gradient reaches the Gaussians that blend them, or the features alone.
     """
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
@@ -191,7 +194,8 @@ def blend_backward(
                 break
             _blend_tile_backward(
                 order[place], columns, records, features, tile_starts, gaussian_of, pair_of,
-                background, planes, gradients, with_depth, with_pulls, scratch, weights, moments, feature_moments,
+                background, planes, gradients, with_depth, with_pulls, features_push, scratch, weights,
+                moments, feature_moments,
             )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from ..scene.camera import Scene
 from .densify import Pulls
 from .exposure import Exposures
 from .gaussians import PARAMETERS
-from .parameters import Parameters
+from .parameters import CHANNELS, Parameters
 from .poses import Poses
 
 SCHEMA = 2
@@ -52,9 +52,12 @@ class TrainingState:
         self.pulls = Pulls(self.pulls.sums[index], self.pulls.counts[index])
 
 
-def training_key(scene: Scene, config: TrainConfig) -> str:
-    """Hash of what a checkpoint must agree with: the settings, the cameras, the photos' names and the sparse cloud."""
-    digest = hashlib.sha256(json.dumps(asdict(config), sort_keys=True).encode())
+def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
+    """Hash of what a checkpoint must agree with: the settings, the cameras, the photos' names and the sparse cloud.
+
+    extra: what further channels are trained on, as text; empty for none.
+    """
+    digest = hashlib.sha256((json.dumps(asdict(config), sort_keys=True) + extra).encode())
     for camera, photo in zip(scene.cameras, scene.images, strict=True):
         digest.update(f"{photo.name} {camera.width} {camera.height}".encode())
         digest.update(np.ascontiguousarray(camera.K, np.float64).tobytes())
@@ -72,7 +75,7 @@ def write_checkpoint(path: Path, state: TrainingState, key: str) -> None:
     parameters = state.parameters
     tensors = {"pulls.sums": state.pulls.sums, "pulls.counts": state.pulls.counts, "updates": parameters.updates}
     for group in ("values", "first", "second"):
-        tensors |= {f"{group}.{name}": getattr(parameters, group)[name].contiguous() for name in PARAMETERS}
+        tensors |= {f"{group}.{name}": tensor.contiguous() for name, tensor in getattr(parameters, group).items()}
     for part, kind in _PARTS.items():
         held = getattr(state, part)
         if held is not None:
@@ -93,8 +96,9 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         if about["schema"] != SCHEMA or about["key"] != key:
             raise TrainingError(f"{path} belongs to another scene or other settings")
+        names = [*PARAMETERS, *([CHANNELS] if f"values.{CHANNELS}" in tensors else [])]
         values, first, second = (
-            {name: tensors[f"{group}.{name}"] for name in PARAMETERS} for group in ("values", "first", "second")
+            {name: tensors[f"{group}.{name}"] for name in names} for group in ("values", "first", "second")
         )
         parameters = Parameters(values, first, second, tensors["updates"], step=int(about["step"]))
         pulls = Pulls(tensors["pulls.sums"], tensors["pulls.counts"])

@@ -77,9 +77,9 @@ def densify(parameters: Parameters, pulls: Pulls, rules: DensifyRules, middle: T
     split[chosen] = gaussians.log_scales[chosen].amax(1) > math.log(rules.small)
     cloned = gaussians.select(chosen[~split[chosen]])
     halves = _halves(gaussians.select(split), np.random.default_rng(seed))
-    parameters.select(~split)
-    parameters.append(cloned)
-    parameters.append(halves)
+    parameters.append(cloned, chosen[~split[chosen]])
+    parameters.append(halves, split.nonzero()[:, 0].repeat(2))
+    parameters.select(torch.cat([~split, torch.ones(len(parameters) - len(split), dtype=torch.bool)]))
 
 
 def _strongest(pull: Tensor, threshold: float, room: int) -> Tensor:

@@ -189,12 +189,14 @@ def pull_view(
     load_gradient: NDArray[np.float32] | None = None,
     with_depth: bool = True,
     with_pulls: bool = True,
+    features_push: bool = True,
 ) -> dict[str, NDArray[Any]]:
     """Gradients of a view's pixels → gradients of the parameters, by name.
 
     gradients: (5 + C, H, W) of red, green, blue (over `background` (3,)), Σ α T z, alpha, features; load_gradient:
     (H, W) of the pixels' loads as `load_view` gives them; with_depth: False where the gradient of Σ α T z is known to
-    be 0; with_pulls: False where `pulls` are not wanted, which are then 0.
+    be 0; with_pulls: False where `pulls` are not wanted, which are then 0; features_push: False where the features'
+    gradient shall reach the features alone, not the Gaussians.
 
     Beside the parameters' gradients come those of `features` (N, C); of the projected means as `offsets` (N, 2), and as
     `pulls` (N, 2) their absolute values summed over pixels; and of the camera as `pose` (15,), see
@@ -206,8 +208,8 @@ def pull_view(
     feature_moments = workspace.take("feature_moments", (tiles.pairs, channels))
     blend_backward(
         threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), features, tiles.tile_starts,
-        tiles.gaussian_of, tiles.pair_of, background, planes, gradients, with_depth, with_pulls, moments,
-        feature_moments,
+        tiles.gaussian_of, tiles.pair_of, background, planes, gradients, with_depth, with_pulls, features_push,
+        moments, feature_moments,
     )  # fmt: skip
     if load_gradient is not None:
         pull_loads(

@@ -20,7 +20,7 @@ from .tile_kernels import CHANNELS, LOG2_FAINTEST, MAX_ALPHA, PIXELS, STOP, TRAN
 def _number_labels(
     labels: NDArray[np.int32], x0: int, y0: int, local: NDArray[np.int32], found: NDArray[np.int32]
 ) -> int:
-    """Number a tile's labels as they come: local (PIXELS,) the number of each pixel's or -1, found what they stand for."""
+    """Number a tile's labels as they come: local (PIXELS,) each pixel's number or -1, found what they stand for."""
     height, width = labels.shape
     count = 0
     local[:] = -1

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .gaussians import PARAMETERS, Gaussians
+from .gaussians import Gaussians
 from .parameters import Parameters
 
 DEAD = 0.005
@@ -47,7 +47,7 @@ def relocate(parameters: Parameters, most: int, remaining: int, seed: list[int])
         opacities = parameters.gaussians().opacities.numpy().astype(np.float64)
         sources = random.choice(len(opacities), added, p=_normal(opacities))
         places = len(parameters) + np.arange(added)
-        parameters.append(parameters.gaussians().select(torch.from_numpy(sources)))
+        parameters.append(parameters.gaussians().select(torch.from_numpy(sources)), torch.from_numpy(sources))
         _share(parameters, sources, places)
 
 
@@ -66,7 +66,7 @@ def _share(parameters: Parameters, sources: NDArray[np.int64], places: NDArray[n
     parameters.values["opacity_logits"][at] = torch.from_numpy(np.log(new / (1.0 - new))).float()
     parameters.values["log_scales"][at] += torch.from_numpy(np.log(shrink)).float()[:, None]
     from_, to = torch.from_numpy(sources), torch.from_numpy(places)
-    for name in PARAMETERS:
+    for name in parameters.values:
         parameters.values[name][to] = parameters.values[name][from_]
         for moments in (parameters.first, parameters.second):
             moments[name][at] = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from ..config import TrainConfig
 from .checkpoint import TrainingState
 from .densify import Pulls, densify, hold_sizes, reset_opacity
 from .drawing import blend_view, load_view, project_view, pull_view, tile_view
+from .extra import ExtraChannels
 from .losses import PhotometricLoss, unevenness
-from .parameters import Parameters
+from .parameters import CHANNELS, Parameters
 from .photos import Picture
 from .relocate import explore, relocate
 from .schedule import Schedule
+from .tile_kernels import CHANNELS as PLANES
 from .workspace import Workspace
 
 HOLD_EVERY = 10
@@ -30,17 +33,19 @@ _BLACK = np.zeros(3, np.float32)
 class Step:
     """What steps share: memory that is used again, and what the loss remembers of the photos."""
 
-    def __init__(self, schedule: Schedule) -> None:
+    def __init__(self, schedule: Schedule, extra: ExtraChannels | None = None) -> None:
         self.schedule = schedule
+        self.extra = extra
         self.workspace = Workspace()
         self.loss = PhotometricLoss(schedule.config.ssim_weight, self.workspace)
 
     def take(self, state: TrainingState, picture: Picture) -> float:
-        """Draw, compare, move; come and go when it is time. Returns the photometric loss."""
+        """Draw, compare, move; come and go when it is time. Returns the loss of the picture and of further channels."""
         schedule, config, step = self.schedule, self.schedule.config, state.step
         drawn, pulled, loss = self._pull(state, picture, step)
         regularise(pulled, state.parameters, config, schedule.extent)
-        state.parameters.update(pulled, schedule.rates(step), schedule.rules(step).sh_degree, drawn)
+        rates = replace(schedule.rates(step), channels=self._channel_rate(step))
+        state.parameters.update(pulled, rates, schedule.rules(step).sh_degree, drawn)
         if config.densify == "mcmc":
             explore(state.parameters, schedule.extent, schedule.done(step), [config.seed, step, 0])
         elif schedule.watches_pulls(step):
@@ -58,10 +63,11 @@ class Step:
         if state.poses is not None:
             camera = state.poses.camera(picture.view, camera)
         parameters = state.parameters.arrays()
-        features = np.zeros((len(state.parameters), 0), np.float32)
+        extra = self.extra if self._channel_rate(step) > 0 else None
+        features = np.zeros((len(state.parameters), 0), np.float32) if extra is None else state.parameters.channels()
         tiles = tile_view(project_view(parameters, camera, rules, workspace), camera, rules, workspace)
         planes = blend_view(tiles, features, camera, workspace)
-        gradients = workspace.zeros("gradients", (5, camera.height, camera.width))
+        gradients = workspace.zeros("gradients", (5 + features.shape[1], camera.height, camera.width))
         image = planes[:3]
         if state.exposures is not None:
             image = state.exposures.apply(picture.view, image, workspace)
@@ -71,6 +77,8 @@ class Step:
         loss = self.loss.pull(image, picture.pixels, mask, gradients[:3], key=(picture.view, camera.width))
         if state.exposures is not None:
             state.exposures.learn(picture.view, planes[:3], gradients[:3], self.schedule.done(step), workspace)
+        if extra is not None:
+            loss += extra.loss(picture.view, planes[PLANES:], gradients[5:])
         load_gradient = None
         share = self.schedule.config.load_weight
         if share > 0:
@@ -80,10 +88,16 @@ class Step:
             parameters, camera, rules, tiles, planes, gradients, workspace,
             features=features, background=_BLACK, load_gradient=load_gradient,
             with_depth=False, with_pulls=self.schedule.watches_pulls(step),
+            features_push=extra is not None and extra.moves_gaussians,
         )  # fmt: skip
+        if extra is not None:
+            pulled[CHANNELS] = pulled["features"]
         if state.poses is not None:
             state.poses.learn(picture.view, pulled["pose"], self.schedule.done(step), self.schedule.extent)
         return tiles.counts, pulled, loss
+
+    def _channel_rate(self, step: int) -> float:
+        return 0.0 if self.extra is None else self.extra.rate_at(self.schedule.done(step))
 
     def _come_and_go(self, state: TrainingState) -> None:
         schedule, config, done = self.schedule, self.schedule.config, state.step

@@ -20,6 +20,7 @@ from ..scene.camera import Camera, Scene
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
 from .densify import Pulls
 from .exposure import Exposures, fitted
+from .extra import ExtraChannels
 from .gaussians import PARAMETERS, Gaussians
 from .initialise import first_gaussians
 from .losses import psnr, ssim
@@ -46,7 +47,8 @@ class Training:
     """Trained Gaussians and what is known of their quality.
 
     held_out: scores of the photos kept aside; steps: optimiser steps behind the Gaussians; checks: (step, held-out PSNR
-    in dB) measured on the way; cameras: the scene's, at the poses that were refined.
+    in dB) measured on the way; cameras: the scene's, at the poses that were refined; channels: (N, C) the further
+    channels that were asked for, C = 0 where none were.
     """
 
     gaussians: Gaussians
@@ -54,6 +56,7 @@ class Training:
     steps: int
     checks: tuple[tuple[int, float], ...]
     cameras: tuple[Camera, ...]
+    channels: Tensor
 
     @property
     def psnr(self) -> float | None:
@@ -71,9 +74,14 @@ LEAST_GAIN = 0.02
 
 
 def train(
-    scene: Scene, config: TrainConfig, *, checkpoint: Path | None = None, progress: Progress = silent
+    scene: Scene,
+    config: TrainConfig,
+    *,
+    checkpoint: Path | None = None,
+    extra: ExtraChannels | None = None,
+    progress: Progress = silent,
 ) -> Training:
-    """Train Gaussians on a scene's photos.
+    """Train Gaussians on a scene's photos, and with `extra` further channels that they carry.
 
     With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it takes
     up from it: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or of
@@ -99,11 +107,11 @@ def train(
             "--train.patience stops by measurements of photos kept aside: give --train.check-every, and a"
             " --train.holdout-every that keeps some"
         )
-    key = training_key(scene, config)
+    key = training_key(scene, config, "" if extra is None else extra.key)
     near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
-        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, progress)
+        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, extra, progress)
     finally:
         shelf.close()
     gaussians = training.gaussians
@@ -151,13 +159,15 @@ def _train(
     kept_aside: Sequence[int],
     checkpoint: Path | None,
     key: str,
+    extra: ExtraChannels | None,
     progress: Progress,
 ) -> Training:
-    state = _resume(checkpoint, key, progress) or _start(shelf, views, config, progress)
+    channels = 0 if extra is None else extra.count
+    state = _resume(checkpoint, key, progress) or _start(shelf, views, config, channels, progress)
     if not compiled_before():
         progress(0.0, "compiling for this machine, about half a minute, the first time only")
     schedule = Schedule(config, scene)
-    step = Step(schedule)
+    step = Step(schedule, extra)
     blank = 0
     while state.step < config.steps:
         picture = _picture(shelf, state.step, views, schedule)
@@ -184,7 +194,8 @@ def _train(
         if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(checkpoint, state, key)
     trained = _drawable(state, config)
-    gaussians = trained.select(finite(trained))
+    whole = finite(trained)
+    gaussians = trained.select(whole)
     progress(0.96, "measuring the photos kept aside")
     held_out = _scores(gaussians, shelf, kept_aside, config)
     return Training(
@@ -193,6 +204,7 @@ def _train(
         steps=state.step,
         checks=tuple(state.checks),
         cameras=tuple(_posed(state, scene, view) for view in range(len(scene.cameras))),
+        channels=torch.from_numpy(state.parameters.channels())[whole],
     )
 
 
@@ -212,12 +224,14 @@ def _usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list
     return usable
 
 
-def _start(shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, progress: Progress) -> TrainingState:
+def _start(
+    shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, channels: int, progress: Progress
+) -> TrainingState:
     progress(0.0, "placing the first Gaussians")
     gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
     exposures = Exposures.neutral(len(shelf.scene.cameras)) if config.exposure else None
     poses = Poses.of(shelf.scene.cameras) if config.refine_poses else None
-    return TrainingState(Parameters.start(gaussians), Pulls.none(len(gaussians)), exposures, poses)
+    return TrainingState(Parameters.start(gaussians, channels), Pulls.none(len(gaussians)), exposures, poses)
 
 
 def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Schedule) -> Picture:

@@ -9,13 +9,13 @@ import torch
 
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.files import write_tensors
-from fruitlangs.engine.language.features import Decoder, Features, load_features, save_features
+from fruitlangs.engine.language.features import Features, Perceptron, load_features, save_features
 
 FILE = "features.safetensors"
 
 
 def _features(decoders: int = 0, levels: int = 3) -> Features:
-    own = [Decoder((torch.rand(4, 3), torch.rand(5, 4)), (torch.rand(4), torch.rand(5))) for _ in range(decoders)]
+    own = [Perceptron((torch.rand(4, 3), torch.rand(5, 4)), (torch.rand(4), torch.rand(5))) for _ in range(decoders)]
     return Features(torch.rand(7, levels, 3), torch.rand(7, levels), torch.rand(7, levels), "x-abc", tuple(own))
 
 
@@ -33,7 +33,8 @@ def test_features_come_back_from_disk_as_they_were(tmp_path: Path, decoders: int
 
 
 def test_half_precision_halves_the_file_and_moves_cosines_by_less_than_a_thousandth(tmp_path: Path):
-    vectors = torch.nn.functional.normalize(torch.randn(200, 3, 512, generator=torch.Generator().manual_seed(0)), dim=-1)
+    drawn = torch.randn(200, 3, 512, generator=torch.Generator().manual_seed(0))
+    vectors = torch.nn.functional.normalize(drawn, dim=-1)
     whole = Features(vectors, torch.ones(200, 3), torch.ones(200, 3), "x")
     save_features(tmp_path / FILE, whole)
     size = (tmp_path / FILE).stat().st_size
@@ -47,7 +48,7 @@ def test_half_precision_halves_the_file_and_moves_cosines_by_less_than_a_thousan
 
 def test_codes_are_decoded_to_unit_features_with_their_own_levels_decoder():
     double, swap = torch.eye(3) * 2.0, torch.eye(3).flip(0)
-    decoders = tuple(Decoder((weight,), (torch.zeros(3),)) for weight in (double, swap))
+    decoders = tuple(Perceptron((weight,), (torch.zeros(3),)) for weight in (double, swap))
     codes = torch.tensor([[[0.0, 0.0, 0.5], [0.0, 0.0, 0.5]]])
     features = Features(codes, torch.ones(1, 2), torch.ones(1, 2), "x", decoders)
     assert torch.allclose(features.unit(0), torch.tensor([[0.0, 0.0, 1.0]]))
@@ -55,7 +56,7 @@ def test_codes_are_decoded_to_unit_features_with_their_own_levels_decoder():
 
 
 def test_a_code_of_length_zero_is_a_zero_feature():
-    decoder = Decoder((torch.eye(3),), (torch.ones(3),))
+    decoder = Perceptron((torch.eye(3),), (torch.ones(3),))
     assert not decoder(torch.zeros(1, 3)).any()
 
 
@@ -87,10 +88,8 @@ def test_tensors_that_do_not_fit_each_other_are_a_format_error(tmp_path: Path):
 
 
 def test_a_decoder_that_holds_nan_is_a_format_error(tmp_path: Path):
-    broken = Decoder((torch.full((5, 3), torch.nan),), (torch.zeros(5),))
+    broken = Perceptron((torch.full((5, 3), torch.nan),), (torch.zeros(5),))
     features = _features()
-    save_features(
-        tmp_path / FILE, Features(features.vectors, features.weights, features.agreement, "x", (broken,))
-    )
+    save_features(tmp_path / FILE, Features(features.vectors, features.weights, features.agreement, "x", (broken,)))
     with pytest.raises(FormatError, match="decoder 0"):
         load_features(tmp_path / FILE)

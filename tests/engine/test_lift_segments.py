@@ -181,7 +181,9 @@ def one_says_otherwise(views: int, wrong: int) -> tuple[Gaussians, list[Segmente
     """Gaussians that all views call (1, 0, …) but the first `wrong`, which call them (0, 1, 0, …)."""
     labels = np.zeros((1, 50, 70), np.int32)
     right, other = torch.eye(DIMENSION)[:1], torch.eye(DIMENSION)[1:2]
-    return random_gaussians(40, 0, 1), [SegmentedView(labels, other if view < wrong else right) for view in range(views)]
+    return random_gaussians(40, 0, 1), [
+        SegmentedView(labels, other if view < wrong else right) for view in range(views)
+    ]
 
 
 def test_agreement_falls_where_a_view_says_otherwise():
