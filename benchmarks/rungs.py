@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from ..engine.config import Config
 from ..engine.counting.count import count_fruit
 from ..engine.counting.fruit import FruitCount
-from ..engine.errors import EncoderError, FormatError
+from ..engine.errors import FormatError
 from ..engine.evaluation.cloud import ColoredCloud, write_cloud
 from ..engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ..engine.evaluation.true_surface import TrueSurface, true_surface
 from ..engine.evaluation.truth import TrueView, Truth
 from ..engine.files import write_text
-from ..engine.language.encoders import open_encoder, sees_whole
-from ..engine.language.lift import encode_photos, lift_features
-from ..engine.language.relevancy import MIN_WEIGHT, relevancy
+from ..engine.language.embedder import Embedder
+from ..engine.language.relevancy import MIN_WEIGHT
+from ..engine.language.selection import select
 from ..engine.pipeline import Result, count_scene
 from ..engine.progress import Progress, part
 from ..engine.scene.camera import Camera, Scene
@@ -137,17 +137,9 @@ class Rungs:
 
     def _true_geometry(self, progress: Progress) -> Counted:
         surface = self._true_surface(part(progress, 0.0, 0.2))
-        encoder = open_encoder(self.config.embed)
-        if not sees_whole(encoder):
-            raise EncoderError("features of masks cannot be lifted yet; use --encoder embedded")
-        features = lift_features(
-            surface.gaussians,
-            self.scene.cameras,
-            encode_photos(self.scene, encoder),
-            encoder_id=encoder.identity,
-            progress=part(progress, 0.2, 0.6),
-        )
-        probability = relevancy(features, encoder, self.prompts)
+        embedder = Embedder.open(self.config.embed)
+        features = embedder.lift(surface.gaussians, self.scene, self.out / "cache", progress=part(progress, 0.2, 0.6))
+        probability = select(features, embedder.encoder, self.prompts, (), self.config.count, surface.gaussians.means)
         return self._count(surface.gaussians, probability, part(progress, 0.6, 1.0))
 
     def _true_masks(self, progress: Progress) -> Counted:

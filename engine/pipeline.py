@@ -12,10 +12,11 @@ from pathlib import Path
 
 from .config import Config
 from .counting.count import count_fruit
-from .errors import OutputError
+from .errors import OutputError, VocabularyError
 from .files import require_writable
-from .language.encoders import open_encoder
-from .language.relevancy import check_prompts, relevancy
+from .language.embedder import Embedder
+from .language.relevancy import check_prompts
+from .language.selection import select
 from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
@@ -51,22 +52,23 @@ def count_scene(
         FruitLangsError: something the user can act on; earlier results in `out` are then as they were.
         Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
     """
-    encoder = open_encoder(config.embed)
+    embedder = Embedder.open(config.embed)
+    encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
     stages = Stages()
     if foreign is not None:
         check_foreign(source, foreign, out)
     if (source / FRUITS_JSON).is_file():
-        made = reopen(source, out, encoder, config, stages)
+        made = reopen(source, out, embedder, config, stages)
         require_writable(out / "cache")
     elif out.resolve() == (source.parent if source.is_file() else source).resolve():
         raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
     elif foreign is not None or source.suffix.lower() == ".ply":
-        made = adopt(source, foreign, out / "cache", encoder, config, stages, part(progress, 0.0, 0.9))
+        made = adopt(source, foreign, out / "cache", embedder, config, stages, part(progress, 0.0, 0.9))
     else:
-        made = reconstruct(source, out / "cache", encoder, config, stages, part(progress, 0.0, 0.9))
+        made = reconstruct(source, out / "cache", embedder, config, stages, part(progress, 0.0, 0.9))
     with stages.timed("count"):
-        probability = relevancy(made.features, encoder, prompts, negatives)
+        probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
         fruit_count = count_fruit(
             made.gaussians,
             probability,
@@ -96,4 +98,12 @@ def count_scene(
 
 def _label(prompts: Sequence[str]) -> str:
     """What the counted things are called: "Apples" → "apple"; several prompts are joined."""
-    return " or ".join(dict.fromkeys(parse(prompt).text for prompt in prompts))
+    return " or ".join(dict.fromkeys(_name(prompt) for prompt in prompts))
+
+
+def _name(prompt: str) -> str:
+    """A prompt as the vocabulary has it; as it is written where only CLIP knows the word."""
+    try:
+        return parse(prompt).text
+    except VocabularyError:
+        return " ".join(prompt.casefold().split())

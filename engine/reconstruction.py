@@ -13,11 +13,11 @@ from typing import Any
 
 from .cache import stage_key
 from .config import Config
-from .errors import ConfigError, EncoderError, FruitLangsError, OutputError
+from .errors import ConfigError, FruitLangsError, OutputError
 from .files import require_writable, write_text
-from .language.encoders import CropEncoder, DenseEncoder, Encoder, sees_whole
+from .language.embedder import Embedder, portable
 from .language.features import Features, load_features, save_features
-from .language.lift import encode_photos, lift_features
+from .language.joint import judged
 from .progress import Progress, part
 from .report.results import FRUITS_JSON, read_results
 from .scene.camera import Scene
@@ -67,7 +67,7 @@ class Stages:
 
 
 def reconstruct(
-    source: Path, cache: Path, encoder: DenseEncoder | CropEncoder, config: Config, stages: Stages, progress: Progress
+    source: Path, cache: Path, embedder: Embedder, config: Config, stages: Stages, progress: Progress
 ) -> Reconstruction:
     """Photos → Gaussians → features, each from the cache where it is there."""
     found, start = Source(path=source), 0.0
@@ -84,9 +84,11 @@ def reconstruct(
         inputs = found.hash()
     require_writable(cache)
     train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
+    if embedder.trains:
+        train_key = stage_key(("language",), train_key, embedder.key)
     gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
     with stages.timed("train"):
-        quality = _train_into(gaussians_file, scene, config, stages, part(progress, 0.03, 0.75))
+        quality = _train_into(gaussians_file, scene, cache, embedder, config, stages, part(progress, 0.03, 0.75))
         if quality["ssim"] is not None and quality["ssim"] < POOR:
             stages.notices.append(
                 f"photos kept aside are hardly reproduced (SSIM {quality['ssim']:.2f}): cameras may be wrong, "
@@ -96,11 +98,14 @@ def reconstruct(
         scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
         # Read back even when just trained: the first prompt must see what later ones will.
         gaussians = read_ply(gaussians_file)
-    features_file = _embed_into(cache, train_key, scene, gaussians, encoder, config, stages, part(progress, 0.75, 1.0))
+    if embedder.trains:
+        features_file = gaussians_file.with_name(FEATURES)
+    else:
+        features_file = _embed_into(cache, train_key, scene, gaussians, embedder, stages, part(progress, 0.75, 1.0))
     origin = {
         "source": str(source.resolve()),
         "inputs_sha256": inputs,
-        "encoder": encoder.identity,
+        "encoder": embedder.encoder.identity,
         "training": quality,
     }
     return Reconstruction(
@@ -119,12 +124,18 @@ def adopt(
     source: Path,
     foreign: Path | None,
     cache: Path,
-    encoder: DenseEncoder | CropEncoder,
+    embedder: Embedder,
     config: Config,
     stages: Stages,
     progress: Progress,
 ) -> Reconstruction:
-    """A foreign reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself."""
+    """A foreign reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself.
+
+    Raises:
+        ConfigError: features shall be trained along with Gaussians that are not trained.
+    """
+    if embedder.trains:
+        raise ConfigError("--features joint trains with the Gaussians, and these are given; use --features lift")
     with stages.timed("scene"):
         given = Source(path=source)
         scene = None if foreign is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
@@ -136,7 +147,7 @@ def adopt(
     if borrowed.reused:
         stages.reused.append("borrow")
     features_file = _embed_into(
-        cache, borrowed.key, borrowed.scene, borrowed.gaussians, encoder, config, stages, part(progress, 0.1, 1.0)
+        cache, borrowed.key, borrowed.scene, borrowed.gaussians, embedder, stages, part(progress, 0.1, 1.0)
     )
     return Reconstruction(
         scene=borrowed.scene,
@@ -149,7 +160,7 @@ def adopt(
         origin={
             "source": str(source.resolve()),
             "inputs_sha256": inputs or borrowed.record["sha256"],
-            "encoder": encoder.identity,
+            "encoder": embedder.encoder.identity,
             "training": {"steps": 0, "gaussians": len(borrowed.gaussians), "psnr": None, "ssim": None, "held_out": []},
             "foreign": borrowed.record,
         },
@@ -181,41 +192,49 @@ def _embed_into(
     key: str,
     scene: Scene,
     gaussians: Gaussians,
-    encoder: DenseEncoder | CropEncoder,
-    config: Config,
+    embedder: Embedder,
     stages: Stages,
     progress: Progress,
 ) -> Path:
     """The file of the features that the photos lend the Gaussians, which `key` names; made unless it is there."""
-    embed_key = stage_key(("language", "splatting"), key, encoder.identity, config.embed)
+    embed_key = stage_key(("language", "splatting"), key, embedder.key)
     features_file = cache / f"embed-{embed_key}" / FEATURES
     with stages.timed("embed"):
         if features_file.is_file():
             stages.reused.append("embed")
         else:
-            if not sees_whole(encoder):
-                raise EncoderError("features of masks cannot be lifted yet; use --encoder embedded")
-            lifted = lift_features(
-                gaussians,
-                scene.cameras,
-                encode_photos(scene, encoder),
-                encoder_id=encoder.identity,
-                progress=progress,
-            )
-            save_features(features_file, lifted)
+            save_features(features_file, embedder.lift(gaussians, scene, cache, progress=progress))
     return features_file
 
 
 def _train_into(
-    gaussians_file: Path, scene: Scene, config: Config, stages: Stages, progress: Progress
+    gaussians_file: Path,
+    scene: Scene,
+    cache: Path,
+    embedder: Embedder,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
 ) -> Mapping[str, Any]:
-    """Train unless `gaussians_file` and its record are there; returns what training reached."""
+    """Train unless `gaussians_file` and its record are there, with features where they are trained along.
+
+    Returns what training reached.
+    """
     record = gaussians_file.with_name("training.json")
     if record.is_file() and gaussians_file.is_file():
-        stages.reused.append("train")
+        stages.reused += ["train", "embed"] if embedder.trains else ["train"]
         return json.loads(record.read_text(encoding="utf-8"))
     checkpoint = gaussians_file.with_name("checkpoint.safetensors")
-    training = train(scene, config.train, checkpoint=checkpoint, progress=progress)
+    if embedder.trains:
+        views = embedder.views(scene, cache, progress=part(progress, 0.0, 0.3))
+        semantics = embedder.prepare(scene, views, progress=part(progress, 0.3, 0.4))
+        extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
+    else:
+        views, semantics, extra = [], None, None
+    training = train(scene, config.train, checkpoint=checkpoint, extra=extra, progress=progress)
+    if semantics is not None:
+        features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
+        save_features(gaussians_file.with_name(FEATURES), features)
     write_ply(gaussians_file, training.gaussians)
     write_text(gaussians_file.with_name(CAMERAS), dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
     quality = {
@@ -236,23 +255,25 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)
 
 
-def reopen(folder: Path, out: Path, encoder: Encoder, config: Config, stages: Stages) -> Reconstruction:
+def reopen(folder: Path, out: Path, embedder: Embedder, config: Config, stages: Stages) -> Reconstruction:
     """An earlier result folder: its Gaussians and features as they are, its photos where they still are."""
     with stages.timed("scene"):
         document = read_results(folder)
         stored = Config.from_document(document["config"])
         for name in ("scene", "photos", "train", "embed"):
-            asked = getattr(config, name)
-            if asked not in (getattr(stored, name), getattr(Config(), name)):
+            asked, before, usual = (
+                portable(each.embed) if name == "embed" else getattr(each, name) for each in (config, stored, Config())
+            )
+            if asked not in (before, usual):
                 raise ConfigError(
                     f"{folder} was made with other {name} settings; to use new ones give the photos' folder as SCENE"
                 )
         gaussians_file, features_file = folder / GAUSSIANS, folder / FEATURES
         features = load_features(features_file)
-        if features.encoder_id != encoder.identity:
+        if features.encoder_id != embedder.encoder.identity:
             raise ConfigError(
-                f"{features_file} is of encoder {features.encoder_id}, not {encoder.identity}; "
-                "give the folder of the photos as SCENE to embed it anew"
+                f"{features_file} is of encoder {features.encoder_id}, not {embedder.encoder.identity}; "
+                "ask with the same --encoder, or give the folder of the photos as SCENE to embed it anew"
             )
         scene = read_cameras(folder / CAMERAS)
         kept = ("source", "inputs_sha256", "encoder", "training", "foreign")

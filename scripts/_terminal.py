@@ -37,7 +37,7 @@ def arguments_of(script: str) -> list[str]:
 
 def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[str]:
     """Arguments in which a stage's flags may stand without its name: --encoder clip is --embed.encoder clip."""
-    names = {field.name.replace("_", "-") for field in dataclasses.fields(config_class)}
+    names = {field.name.replace("_", "-") for field in dataclasses.fields(config_class) if field.name != "seed"}
     spelled = []
     for argument in given:
         flag, equals, value = argument.partition("=")

@@ -81,6 +81,11 @@ def sees_whole(encoder: Encoder) -> TypeGuard[DenseEncoder]:
     return hasattr(encoder, "encode_dense")
 
 
+def sees_crops(encoder: Encoder) -> TypeGuard[CropEncoder]:
+    """Whether an encoder sees one masked thing at a time."""
+    return hasattr(encoder, "encode_crops")
+
+
 def open_encoder(config: EmbedConfig) -> DenseEncoder | CropEncoder:
     """The encoder that the settings name; one with `encode_crops` wants masks (see `masks.open_segmenter`).
 

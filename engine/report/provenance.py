@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any
 
-_PACKAGES = ("numba", "numpy", "pycolmap", "scikit-learn", "scipy", "torch")
+_PACKAGES = ("numba", "numpy", "pycolmap", "scikit-image", "scikit-learn", "scipy", "torch")
 
 
 def versions() -> dict[str, str]:
