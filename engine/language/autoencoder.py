@@ -20,8 +20,8 @@ CODE = 3
 """Numbers of a code, d in the paper."""
 ENCODER, DECODER = (256, 128, 64, 32, CODE), (16, 32, 64, 128, 256, 256)
 """Widths behind the feature's D, and between the code and the D of the result."""
-MOST_VECTORS = 20_000
-"""Features that are learnt from at most; of more, so many are drawn by the seed. A minute or two on two cores."""
+MOST_VECTORS = 10_000
+"""Features that are learnt from at most; of more, so many are drawn by the seed: a few minutes on one core."""
 
 
 @dataclass(frozen=True, eq=False)

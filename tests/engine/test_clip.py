@@ -18,7 +18,7 @@ from fruitlangs.engine.errors import VocabularyError
 from fruitlangs.engine.language import clip as clip_module
 from fruitlangs.engine.language.clip import ClipEncoder
 from fruitlangs.engine.language.encoders import open_encoder
-from fruitlangs.engine.language.lift import Features
+from fruitlangs.engine.language.features import Features
 from fruitlangs.engine.language.relevancy import check_prompts, relevancy
 
 
