@@ -98,7 +98,7 @@ def test_a_prompt_is_put_against_the_negatives_but_not_against_itself(encoder):
 
 def test_a_gaussian_that_looks_like_the_prompt_is_likelier_than_one_that_looks_like_a_negative(encoder):
     vectors = encoder.encode_text(["apple", "leaf"])
-    features = Features(vectors, torch.ones(2), encoder.identity)
+    features = Features(vectors[:, None], torch.ones(2, 1), torch.ones(2, 1), encoder.identity)
     apple, leaf = relevancy(features, encoder, ["apple"])
     assert apple > 0.5 > leaf
 
