@@ -226,7 +226,7 @@ def _train_into(
         return json.loads(record.read_text(encoding="utf-8"))
     checkpoint = gaussians_file.with_name("checkpoint.safetensors")
     if embedder.trains:
-        views = embedder.views(scene, cache, progress=part(progress, 0.0, 0.3))
+        views = list(embedder.views(scene, cache, progress=part(progress, 0.0, 0.3)))
         semantics = embedder.prepare(scene, views, progress=part(progress, 0.3, 0.4))
         extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
     else:

@@ -6,7 +6,7 @@ serves all levels.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..splatting.gaussians import Gaussians
 from ..splatting.label_weights import LabelWeights, label_weights
 from ..splatting.workspace import Workspace
 from .mixing_kernels import append_view
+from .pairing import paired
 from .segments import SegmentedView
 
 LEAST_LENGTH = 1e-6
@@ -73,20 +74,19 @@ def cell_weights(
     vectors: list[Tensor] = []
     rows = 0
     workspace = Workspace()
-    for index, (camera, view) in enumerate(zip_views(cameras, views)):
+    for index, (camera, view) in enumerate(with_masks(cameras, views)):
         progress(index / len(cameras), f"lifting masks of view {index + 1} of {len(cameras)}")
         if index and (len(view.labels), view.vectors.shape[1]) != (len(row_of[0]), vectors[0].shape[1]):
             raise SceneError(
                 f"view {index} has {len(view.labels)} levels of {view.vectors.shape[1]} numbers, those before "
                 f"{len(row_of[0])} of {vectors[0].shape[1]}; segment all photos the same way"
             )
-        known = usable(view, index)
-        cells, table = cells_of(known.labels)
+        cells, table = cells_of(view.labels)
         drawn.append(label_weights(gaussians, camera, cells, workspace=workspace))
         view_of.append(np.full(table.shape[1], index, np.int32))
         row_of.append(np.where(table >= 0, table + rows, -1).astype(np.int32))
-        vectors.append(known.vectors)
-        rows += len(known.vectors)
+        vectors.append(view.vectors)
+        rows += len(view.vectors)
     if rows == 0:
         raise SceneError("no photo has a mask with a feature; use other masks, or the embedded encoder")
     joined = _all_views(drawn, [len(numbers) for numbers in view_of], len(gaussians))
@@ -101,27 +101,15 @@ def cell_weights(
     )
 
 
-def zip_views(cameras: Sequence[Camera], views: Iterable[SegmentedView]) -> Iterable[tuple[Camera, SegmentedView]]:
-    """Cameras with their masks, which must be as many and of their sizes.
+def with_masks(cameras: Sequence[Camera], views: Iterable[SegmentedView]) -> Iterator[tuple[Camera, SegmentedView]]:
+    """Each camera with its masks, the ones that have a feature (see `usable`).
 
     Raises:
-        SceneError: they are not, or there is no camera.
+        SceneError: views and cameras do not fit, or a label has no vector.
+        EncoderError: a vector is not finite.
     """
-    given = iter(views)
-    for index, camera in enumerate(cameras):
-        view = next(given, None)
-        if view is None:
-            raise SceneError(f"masks for {index} of {len(cameras)} views were given; give them for each camera")
-        if view.labels.ndim != 3 or view.labels.shape[1:] != (camera.height, camera.width):
-            raise SceneError(
-                f"the masks of view {index} are {view.labels.shape}, its camera has {camera.width}×{camera.height} "
-                "pixels; segment the photo at its camera's size"
-            )
-        yield camera, view
-    if not len(cameras):
-        raise SceneError("there is no camera to lift features from; the scene needs at least one photo")
-    if next(given, None) is not None:
-        raise SceneError(f"masks for more views than the {len(cameras)} cameras were given; give them for each camera")
+    for index, (camera, view) in enumerate(paired(cameras, views, lambda view: view.labels.shape[1:], "masks")):
+        yield camera, usable(view, index)
 
 
 def usable(view: SegmentedView, index: int) -> SegmentedView:

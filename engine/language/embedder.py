@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -75,21 +75,20 @@ class Embedder:
                 encoder_id=identity,
                 progress=progress,
             )
-        views = self.views(scene, cache, progress=part(progress, 0.0, 0.8))
         return lift_segments(
             gaussians,
             scene.cameras,
-            views,
+            self.views(scene, cache, progress=part(progress, 0.0, 0.8)),
             encoder_id=identity,
             rounds=self.config.rounds,
             progress=part(progress, 0.8, 1.0),
         )
 
-    def views(self, scene: Scene, cache: Path, *, progress: Progress = silent) -> list[SegmentedView]:
-        """Every photo's masks with their features, kept in `cache`."""
+    def views(self, scene: Scene, cache: Path, *, progress: Progress = silent) -> Iterator[SegmentedView]:
+        """Every photo's masks with their features, one view at a time, kept in `cache`."""
         assert self.segmenter is not None
         assert sees_crops(self.encoder)
-        return list(segmented_views(scene, self.segmenter, self.encoder, cache, progress))
+        return segmented_views(scene, self.segmenter, self.encoder, cache, progress)
 
     def prepare(self, scene: Scene, views: Sequence[SegmentedView], *, progress: Progress = silent) -> Semantics:
         """What training needs to train codes along."""

@@ -71,6 +71,11 @@ class Features:
         return vectors
 
 
+def blocks(n: int, size: int) -> list[slice]:
+    """Ranges of at most `size` rows."""
+    return [slice(begin, min(begin + size, n)) for begin in range(0, n, max(size, 1))]
+
+
 def save_features(path: Path, features: Features) -> None:
     """Write `features.safetensors` atomically; the encoder's identity is in its header.
 

@@ -20,7 +20,7 @@ from ..scene.camera import Camera
 from ..splatting.extra import ExtraChannels
 from ..splatting.gaussians import Gaussians
 from .autoencoder import CODE, Autoencoder, train_autoencoders
-from .cells import cell_weights, cells_of, usable, zip_views
+from .cells import cell_weights, cells_of, with_masks
 from .features import Features
 from .lift_segments import judge_features
 from .segments import SegmentedView
@@ -101,7 +101,7 @@ def prepare_joint(
         SceneError: views and cameras do not fit, or no photo has a mask.
         EncoderError: a mask's vector is not finite.
     """
-    known = [usable(view, index) for index, (_, view) in enumerate(zip_views(cameras, views))]
+    known = [view for _, view in with_masks(cameras, views)]
     shapes = {(len(view.labels), view.vectors.shape[1]) for view in known}
     if len(shapes) > 1:
         raise SceneError(f"the photos' masks differ in levels or features ({shapes}); segment all the same way")

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..errors import SceneError
 from ..progress import Progress, silent
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rasterize import accumulate
 from .encoders import DenseEncoder
 from .features import Features
+from .pairing import paired
 
 
 def lift_features(
@@ -36,26 +36,14 @@ def lift_features(
     """
     sums: Tensor | None = None
     weights, said = torch.zeros(len(gaussians)), torch.zeros(len(gaussians))
-    given = iter(targets)
-    for index, camera in enumerate(cameras):
+    for index, (camera, target) in enumerate(paired(cameras, targets, lambda target: target.shape[:2], "features")):
         progress(index / len(cameras), f"lifting features of view {index + 1} of {len(cameras)}")
-        target = next(given, None)
-        if target is None:
-            raise SceneError(f"features for {index} of {len(cameras)} views were given; give one a camera")
-        if tuple(target.shape[:2]) != (camera.height, camera.width):
-            raise SceneError(
-                f"the features of view {index} are {target.shape[1]}×{target.shape[0]} pixels, its camera has "
-                f"{camera.width}×{camera.height}; resize them"
-            )
         usable = target.square().sum(-1, keepdim=True) > 0.0
         drawn = accumulate(gaussians, camera, torch.cat([target, usable.to(target.dtype)], dim=-1))
         sums = drawn.sums[:, :-1] if sums is None else sums + drawn.sums[:, :-1]
         weights += drawn.sums[:, -1]
         said += drawn.sums[:, :-1].norm(dim=-1)
-    if sums is None:
-        raise SceneError("there is no camera to lift features from; the scene needs at least one photo")
-    if next(given, None) is not None:
-        raise SceneError(f"features for more views than the {len(cameras)} cameras were given; give one a camera")
+    assert sums is not None  # `paired` refuses a scene without cameras
     progress(1.0, "features lifted")
     # Σ |c|·cos(c, Σ c) = |Σ c|, so that one pass tells how far the views' contributions c agree.
     agreement = sums.norm(dim=-1) / said.clamp_min(1e-12)

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from ..compiled import threads
-from ..progress import Progress, part, silent
+from ..progress import Progress, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from ..splatting.lanes import LANES
 from .cells import CellWeights, cell_weights
-from .features import Features
+from .features import Features, blocks
 from .mixing_kernels import mix
 from .segments import SegmentedView
 
@@ -38,12 +38,14 @@ def lift_segments(
     `rounds` views that disagree with the others count for less: each round weighs a view by 1 / its distance from the
     mean so far (Weiszfeld's steps towards the spherical median, which bears nearly half of the views being wrong).
 
+    Views are asked for one at a time and tell of themselves; `progress` is of what comes after the last one.
+
     Raises:
         SceneError: views and cameras do not fit, or no photo has a mask.
         EncoderError: a mask's vector is not finite.
     """
-    table = cell_weights(gaussians, cameras, views, progress=part(progress, 0.0, 0.6))
-    return mix_features(table, len(gaussians), encoder_id=encoder_id, rounds=rounds, progress=part(progress, 0.6, 1.0))
+    table = cell_weights(gaussians, cameras, views)
+    return mix_features(table, len(gaussians), encoder_id=encoder_id, rounds=rounds, progress=progress)
 
 
 def mix_features(
@@ -54,7 +56,7 @@ def mix_features(
     vectors = torch.empty(n, levels, length, dtype=torch.float16)
     weights, agreement = torch.empty(n, levels), torch.empty(n, levels)
     for level in range(levels):
-        for rows in blocks(n, length):
+        for rows in blocks(n, _at_once(length)):
             progress((level + rows.start / max(n, 1)) / levels, f"mixing features of level {level + 1} of {levels}")
             mixed = _Mixed(table, rows, level, rounds)
             vectors[rows, level] = mixed.vectors.half()
@@ -64,10 +66,9 @@ def mix_features(
     return Features(vectors, weights, agreement, encoder_id)
 
 
-def blocks(n: int, length: int) -> list[slice]:
-    """Ranges of rows that are worked on at a time."""
-    size = max(AT_ONCE // max(length, 1), 1)
-    return [slice(begin, min(begin + size, n)) for begin in range(0, n, size)]
+def _at_once(length: int) -> int:
+    """How many Gaussians are worked on at a time when features have so many numbers."""
+    return max(AT_ONCE // max(length, 1), 1)
 
 
 class _Mixed:
@@ -96,7 +97,7 @@ def judge_features(table: CellWeights, features: Features, *, progress: Progress
     n, length = len(features), table.vectors.shape[1]
     weights, agreement = torch.empty(n, table.levels), torch.empty(n, table.levels)
     for level in range(table.levels):
-        for rows in blocks(n, length):
+        for rows in blocks(n, _at_once(length)):
             progress((level + rows.start / max(n, 1)) / table.levels, "comparing features with the photos'")
             mixed = _Mixed(table, rows, level, given=features.unit(level, rows))
             weights[rows, level], agreement[rows, level] = mixed.weights, mixed.agreement

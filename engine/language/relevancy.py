@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..errors import EncoderError, VocabularyError
 from .encoders import Encoder, Question
-from .features import Features
+from .features import Features, blocks
 from .levels import best_level
 from .prior import in_scene
 
@@ -61,11 +61,6 @@ def answers_by_level(features: Features, encoder: Encoder, words: Sequence[str])
             for place, asked in enumerate(questions):
                 answers[level, place, rows] = answer(vectors, asked)
     return answers
-
-
-def blocks(n: int, size: int) -> list[slice]:
-    """Ranges of at most `size` rows."""
-    return [slice(begin, min(begin + size, n)) for begin in range(0, n, max(size, 1))]
 
 
 def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:

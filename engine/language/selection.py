@@ -10,9 +10,9 @@ from torch import Tensor
 
 from ..config import CountConfig
 from .encoders import Encoder
-from .features import Features
+from .features import Features, blocks
 from .levels import best_level
-from .relevancy import MIN_WEIGHT, ROWS, blocks, check_encoder, check_prompts, relevancy
+from .relevancy import MIN_WEIGHT, ROWS, check_encoder, check_prompts, relevancy
 
 
 def select(
