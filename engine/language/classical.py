@@ -10,6 +10,7 @@ from PIL import Image
 from skimage.color import rgb2lab
 from skimage.segmentation import felzenszwalb
 
+from ..progress import Progress, silent
 from .masks import numbered
 from .regions import RegionGraph
 from .segments import Segments
@@ -28,7 +29,9 @@ class ClassicalSegmenter:
 
     identity: str = "classical"
 
-    def segment(self, image: NDArray[np.uint8]) -> Segments:
+    def segment(self, image: NDArray[np.uint8], *, progress: Progress = silent) -> Segments:
+        """See `Segmenter`."""
+        progress(0.0, "merging superpixels")
         height, width = image.shape[:2]
         colours = rgb2lab(_seen(image))
         superpixels = felzenszwalb(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..config import EmbedConfig
 from ..errors import EncoderError
+from ..progress import Progress, silent
 from .segments import Segments
 
 
@@ -20,8 +21,8 @@ class Segmenter(Protocol):
         """Name and, where it has weights, their fingerprint; masks of another identity are not reused."""
         ...
 
-    def segment(self, image: NDArray[np.uint8]) -> Segments:
-        """(H, W, 3) sRGB → masks with labels of (L, H, W)."""
+    def segment(self, image: NDArray[np.uint8], *, progress: Progress = silent) -> Segments:
+        """(H, W, 3) sRGB → masks with labels of (L, H, W). Raises Cancelled: `progress` asked for it."""
         ...
 
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from torch.nn import functional
 from ..cache import stage_key
 from ..errors import SceneError
 from ..files import write_tensors
-from ..progress import Progress, silent
+from ..progress import Progress, part, silent
 from ..scene.camera import Scene
 from .crops import masked_crops
 from .encoders import CropEncoder
@@ -28,6 +28,8 @@ from .masks import Segmenter, numbered
 from .segments import SegmentedView
 
 FORMAT = "fruitlangs-segments-1"
+FINDING = 0.5
+"""Share of a view's progress that is told while its masks are found; the rest while they are looked at."""
 BATCH = 32
 """Crops in memory at once; progress is told, and a wish to stop heard, between two batches."""
 
@@ -49,8 +51,9 @@ def segmented_views(
     """
     folder = cache / f"segments-{stage_key(('language',), segmenter.identity, encoder.identity)}"
     for index, (camera, photo) in enumerate(zip(scene.cameras, scene.images, strict=True)):
-        start, text = index / len(scene.cameras), f"masks of view {index + 1} of {len(scene.cameras)}"
-        progress(start, text)
+        mine = part(progress, index / len(scene.cameras), (index + 1) / len(scene.cameras))
+        place = f"view {index + 1} of {len(scene.cameras)}"
+        mine(0.0, f"masks of {place}")
         image, usable = photo.pixels(), photo.mask()
         if image.shape[:2] != (camera.height, camera.width):
             raise SceneError(
@@ -61,10 +64,10 @@ def segmented_views(
         view = _read(path, encoder.dimension)
         if view is None:
 
-            def within(share: float, start: float = start, text: str = text) -> None:
-                progress(start + share / len(scene.cameras), text)
+            def told(share: float, doing: str, mine: Progress = mine, place: str = place) -> None:
+                mine(share, f"{place}: {doing}")
 
-            view = _segmented(image, usable, segmenter, encoder, within)
+            view = _segmented(image, usable, segmenter, encoder, told)
             _write(path, view)
         yield view
     progress(1.0, "masks of all views are there")
@@ -75,15 +78,16 @@ def _segmented(
     usable: NDArray[np.bool_] | None,
     segmenter: Segmenter,
     encoder: CropEncoder,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> SegmentedView:
     """What `_read` would give after `_write`: the vectors have been through half precision."""
-    segments = segmenter.segment(image)
+    segments = segmenter.segment(image, progress=part(progress, 0.0, FINDING))
     if usable is not None:
         segments = numbered(np.where(usable, segments.labels, np.int32(-1)))
     crops, vectors = masked_crops(image, segments), [torch.zeros(0, encoder.dimension)]
     while batch := list(islice(crops, BATCH)):
-        progress(sum(map(len, vectors)) / segments.count)
+        seen = sum(map(len, vectors))
+        progress(FINDING + (1.0 - FINDING) * seen / segments.count, f"looking at mask {seen + 1} of {segments.count}")
         vectors.append(encoder.encode_crops(batch))
     return SegmentedView(segments.labels, _unit(torch.cat(vectors).half()))
 

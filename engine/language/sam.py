@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..progress import Progress, silent
 from .checkpoints import SAM, Checkpoint, fitting, open_checkpoint
 from .masks import numbered
 from .segments import Segments
@@ -61,13 +62,17 @@ class SamSegmenter:
     def identity(self) -> str:
         return self.checkpoint.identity
 
-    def segment(self, image: NDArray[np.uint8]) -> Segments:
+    def segment(self, image: NDArray[np.uint8], *, progress: Progress = silent) -> Segments:
         """See `Segmenter`; a pixel that no mask holds is -1. A photo without any mask has a count of 0."""
         height, width = image.shape[:2]
         seen = self._seen(image)
         steps = (torch.arange(POINTS_A_SIDE) + 0.5) / POINTS_A_SIDE
         points = torch.cartesian_prod(steps, steps).flip(-1)
-        answers = [self._answers(seen, batch, LEAST_AREA / (height * width)) for batch in points.split(BATCH)]
+        answers: list[list[_Masks]] = []
+        for batch in points.split(BATCH):
+            asked = BATCH * len(answers)
+            progress(asked / len(points), f"asking SAM at point {asked + 1} of {len(points)}")
+            answers.append(self._answers(seen, batch, LEAST_AREA / (height * width)))
         labels = np.full((LEVELS, height, width), -1, np.int32)
         for level in range(LEVELS):
             found = [answer[level] for answer in answers]

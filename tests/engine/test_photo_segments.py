@@ -19,6 +19,7 @@ from fruitlangs.engine.language.clip import ClipEncoder
 from fruitlangs.engine.language.masks import numbered
 from fruitlangs.engine.language.photo_segments import segmented_views
 from fruitlangs.engine.language.segments import Segments
+from fruitlangs.engine.progress import Progress, silent
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 
 HEIGHT, WIDTH = 30, 40
@@ -32,7 +33,7 @@ class Quarters:
     def __init__(self) -> None:
         self.asked = 0
 
-    def segment(self, image: np.ndarray) -> Segments:
+    def segment(self, image: np.ndarray, *, progress: Progress = silent) -> Segments:
         self.asked += 1
         height, width = image.shape[:2]
         down, right = np.mgrid[:height, :width] * 2 // np.array([height, width])[:, None, None]
@@ -42,7 +43,7 @@ class Quarters:
 class Nothing(Quarters):
     identity = "nothing"
 
-    def segment(self, image: np.ndarray) -> Segments:
+    def segment(self, image: np.ndarray, *, progress: Progress = silent) -> Segments:
         return Segments(np.full((3, *image.shape[:2]), -1, np.int32), 0)
 
 

@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from checkpoints import write_sam
 
 from fruitlangs.engine.config import EmbedConfig
+from fruitlangs.engine.errors import Cancelled
 from fruitlangs.engine.language import sam
 from fruitlangs.engine.language.checkpoints import Checkpoint
 from fruitlangs.engine.language.masks import open_segmenter
@@ -101,6 +102,19 @@ def test_a_mask_that_is_unsure_unsteady_or_small_is_left_out(fault):
     assert segments.count == 0
     assert segments.labels.shape == (3, SIDE, SIDE)
     assert (segments.labels == -1).all()
+
+
+def test_a_wish_to_stop_is_heard_between_two_batches_of_points(monkeypatch):
+    monkeypatch.undo()
+    model = Known()
+
+    def stop_at_the_third(fraction: float, message: str) -> None:
+        if fraction >= 2 * sam.BATCH / sam.POINTS_A_SIDE**2:
+            raise Cancelled(message)
+
+    with pytest.raises(Cancelled, match=f"point {2 * sam.BATCH + 1} of"):
+        segmenter(model).segment(black(SIDE, SIDE), progress=stop_at_the_third)
+    assert len(torch.cat(model.points)) == 2 * sam.BATCH
 
 
 def test_the_photo_is_embedded_once_and_asked_at_a_grid_of_points_over_it(monkeypatch):
