@@ -225,9 +225,9 @@ class EmbedConfig(_Checked):
     """Learning rate of the autoencoder."""
     code_each_level: bool = False
     """Train one autoencoder a level of masks instead of one for all."""
-    semantic_rate: float = _number(0.05, 0, 10, open=True)
+    semantic_rate: float = _number(0.02, 0, 10, open=True)
     """Learning rate of the Gaussians' codes in joint training."""
-    semantic_after: float = _number(0.5, 0, 0.99)
+    semantic_after: float = _number(0.3, 0, 0.99)
     """Share of the training's steps after which codes are trained."""
     semantic_weight: float = _number(0.1, 0, 1000, open=True)
     """Weight of the semantic loss beside the photometric one (the paper's λ_sem); matters where it moves Gaussians."""

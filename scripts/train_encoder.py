@@ -1,8 +1,9 @@
 """Train the embedded encoder on rendered orchards and a folder of photos, and write its weights and model card.
 
 PHOTOS holds one folder a set, each with `images/` and `annotations.csv` (image, split, label, xmin, ymin, xmax, ymax;
-split train or val; boxes in pixels). RENDERS holds one folder a scene, as scripts/make_orchard.py writes them with
-class masks. The same inputs, seed and number of steps give the same weights on the same machine.
+split train or val; boxes in pixels). RENDERS holds one folder a scene, as `scripts/make_orchard.py --scenes` writes
+them; whole walks among them are not trained on: Gaussians are trained from each, to calibrate on what many views give.
+The same inputs, seed and number of steps give the same weights on the same machine.
 """
 
 from __future__ import annotations
@@ -24,20 +25,20 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple a
 import numpy as np
 import torch
 from encoder.batches import Material, make_batch
+from encoder.calibration import calibrate
 from encoder.card import write_card
-from encoder.lifted import calibrate_lifted, intersection_over_union, lifted_scene, walks
+from encoder.lifted import calibrate_lifted, lifted_measures, lifted_scene, walks
 from encoder.losses import concept_loss
-from encoder.measures import calibrate, measure, sample
+from encoder.measures import Unseen, halves, measure
 from encoder.pasting import cut_fruit
-from encoder.pictures import Picture, read_photos, read_renders, training_seeds
-from safetensors import safe_open
-from safetensors.torch import load_file
+from encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
+from encoder.samples import sample
 
 from _terminal import import_tyro, run
 from fruitlangs.engine.errors import ConfigError, EncoderError
-from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, save_weights
+from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network, normalise
-from fruitlangs.engine.language.vocabulary import CONCEPTS
+from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 tyro = import_tyro()
 
@@ -50,14 +51,11 @@ class Options:
     """What to train on and for how long."""
 
     renders: Path | None = None
-    """Folder of rendered training scenes."""
+    """Folder of rendered training scenes and walks."""
     photos: Path
     """Folder of photo sets with annotations.csv."""
-    lifted: Path | None = None
-    """Folder of rendered walks with the gaussians.ply trained from each, to calibrate on Gaussians that many views
-    drew; without it the calibration is that of single pixels."""
     start: Path | None = None
-    """Weights of an earlier run to go on from; without it the network starts at random."""
+    """Weights of an earlier run to go on from, of this or an earlier vocabulary; without it all starts at random."""
     out: Path
     """Weights to write; OUT with suffix .json and MODEL_CARD.md are written beside it."""
     steps: int = 6000
@@ -83,7 +81,7 @@ def main(options: Options) -> None:
     torch.manual_seed(options.seed)
     photos, val_photos = read_photos(options.photos, "train"), read_photos(options.photos, "val")
     pictures = read_renders(options.renders) if options.renders else []
-    lifted = walks(options.lifted) if options.lifted else []
+    lifted = walks(options.renders) if options.renders else []
     rendered = [options.renders / name for name in {p.source for p in pictures}] if options.renders else []
     seeds = training_seeds([*rendered, *lifted])
     renders, held_out = split_scenes(pictures)
@@ -113,22 +111,21 @@ def main(options: Options) -> None:
         return EmbeddedEncoder.open(draft)
 
     encoder = opened(Calibration())
-    photo_sample, render_sample = sample(encoder, val_photos), sample(encoder, held_out)
-    pixels = calibrate(encoder, photo_sample, render_sample)
-    measures = measure(opened(pixels), val_photos, photo_sample, render_sample)
-    calibration, overlap = pixels, None
-    if lifted:
-        scenes = [lifted_scene(encoder, walk) for walk in lifted]
-        calibration = calibrate_lifted(scenes, pixels)
-        overlap = intersection_over_union(scenes, calibration)
+    unseen = Unseen(val_photos, held_out, *(sample(encoder, each) for each in (val_photos, held_out, plain_pictures())))
+    fitted, judged = halves(unseen)
+    pixels = calibrate(encoder, fitted.photo_samples, fitted.render_samples)
+    measures = measure(opened(pixels.calibration), unseen, judged, pixels)
+    scenes = [lifted_scene(encoder, walk) for walk in lifted]
+    calibration = calibrate_lifted(scenes, pixels.calibration).calibration if scenes else pixels.calibration
+    overlap = lifted_measures(scenes, pixels.calibration)
     opened(calibration)
     draft.replace(options.out)
     document = {
         **notes,
         "held_out_renders": len(held_out),
         "calibration": asdict(calibration),
-        "pixel_calibration": asdict(pixels),
-        "lifted_iou": overlap,
+        "pixel_calibration": asdict(pixels.calibration),
+        "lifted": asdict(overlap) if overlap else None,
         "measures": measures.document(),
     }
     options.out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -144,17 +141,24 @@ class Past:
 
 
 def resume(network: Network, start: Path) -> Past:
-    """Load earlier weights into `network`; returns what made them.
+    """Load earlier weights into `network`; words that they do not know start at random. Returns what made them.
 
     Raises:
-        EncoderError: they cannot be read or do not record what made them.
+        EncoderError: they cannot be read, are of another size, or do not record what made them.
     """
-    EmbeddedEncoder.open(start)  # says what is wrong with them
-    with safe_open(start, framework="pt") as file:
-        header = json.loads(file.metadata()["fruitlangs"])
-    network.load_state_dict({name: tensor.float() for name, tensor in load_file(start).items()})
+    stored = read_weights(start)
+    if (stored.widths, stored.depths) != (WIDTHS, DEPTHS):
+        raise EncoderError(f"the weights {start} are of a network of another size; start from weights of this script")
+    tensors = dict(stored.tensors)
+    for name in ("head.weight", "head.bias"):
+        rows = network.state_dict()[name].clone()
+        for row, word in enumerate(CONCEPTS):
+            if word in stored.concepts:
+                rows[row] = tensors[name][stored.concepts.index(word)]
+        tensors[name] = rows
+    network.load_state_dict(tensors)
     try:
-        return Past(header["runs"], header["seeds"])
+        return Past(stored.notes["runs"], stored.notes["seeds"])
     except KeyError as error:
         raise EncoderError(
             f"the weights {start} do not record the {error.args[0]} behind them; start from weights of this script"
@@ -165,7 +169,7 @@ def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]
     """Training pictures and held-out pictures; every HELD_OUT_EVERY-th scene of each fruit is held out."""
     by_fruit: dict[int, list[str]] = {}
     for picture in pictures:
-        fruit = picture.labels[picture.labels < 8]
+        fruit = picture.labels[picture.labels < len(FRUITS)]
         kind = int(np.bincount(fruit).argmax()) if fruit.size else -1
         scenes = by_fruit.setdefault(kind, [])
         if not any(picture.source in names for names in by_fruit.values()):

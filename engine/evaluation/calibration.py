@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,14 +14,30 @@ FloatArray = NDArray[np.float64]
 BINS = 15
 
 
-def calibration_error(
-    probabilities: FloatArray, outcomes: NDArray[np.bool_], *, bins: int = BINS, balanced: bool = False
-) -> float:
-    """Expected calibration error: Σ_b w_b |mean outcome − mean probability| over bins of equal mass.
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """Bins of probabilities: each one's share of the mass, mean probability and mean outcome, (B,) each."""
 
-    probabilities: (N,) in [0, 1]; outcomes: (N,) whether it was so; balanced: both outcomes weigh the same in all,
-    however rare one is, where both occur. NaN for N = 0. Equal probabilities stay in one bin, so that the order of the
-    inputs changes nothing (Guo et al. 2017, eq. 3, with bins of equal mass as Nguyen & O'Connor 2015).
+    masses: FloatArray
+    predicted: FloatArray
+    observed: FloatArray
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error: Σ_b mass · |mean outcome − mean probability|; NaN without bins."""
+        if len(self.masses) == 0:
+            return float("nan")
+        return float((self.masses * np.abs(self.observed - self.predicted)).sum())
+
+
+def reliability(
+    probabilities: FloatArray, outcomes: NDArray[np.bool_], *, weights: FloatArray | None = None, bins: int = BINS
+) -> Reliability:
+    """How often what was said with a probability was so, in bins of equal mass.
+
+    probabilities: (N,) in [0, 1]; outcomes: (N,) whether it was so; weights: (N,) above 0, all alike without them.
+    Equal probabilities stay in one bin, so that the order of the inputs changes nothing (Guo et al. 2017, eq. 3, with
+    bins of equal mass as Nguyen & O'Connor 2015). Bins without mass are left out.
 
     Raises:
         CountingError: shapes differ, or a probability is not in [0, 1].
@@ -30,18 +48,37 @@ def calibration_error(
         raise CountingError(f"there are {len(chances)} probabilities and {len(hits)} outcomes; give as many")
     if not ((chances >= 0.0) & (chances <= 1.0)).all():  # also NaN
         raise CountingError("a probability is not a number from 0 to 1")
-    if len(chances) == 0:
-        return float("nan")
-    weights = np.ones(len(chances))
-    if balanced and hits.any() and not hits.all():
-        weights = np.where(hits, 0.5 / hits.sum(), 0.5 / (~hits).sum())
-    weights = weights / weights.sum()
+    mass = np.ones(len(chances)) if weights is None else np.asarray(weights, np.float64).reshape(-1)
+    mass = mass / mass.sum()
     level_of = np.unique(chances, return_inverse=True)[1]
-    mass = np.bincount(level_of, weights)
+    of_level = np.bincount(level_of, mass)
     # The bin of a level is where the middle of its mass falls.
-    bin_of = np.minimum((bins * (np.cumsum(mass) - 0.5 * mass)).astype(np.int64), bins - 1)[level_of]
-    gaps = np.bincount(bin_of, weights * (hits - chances), minlength=bins)
-    return float(np.abs(gaps).sum())
+    bin_of = np.minimum((bins * (np.cumsum(of_level) - 0.5 * of_level)).astype(np.int64), bins - 1)[level_of]
+    masses = np.asarray(np.bincount(bin_of, mass, bins), np.float64)
+    filled = masses > 0
+    predicted, observed = (np.bincount(bin_of, mass * values, bins)[filled] for values in (chances, hits))
+    return Reliability(masses[filled], predicted / masses[filled], observed / masses[filled])
+
+
+def calibration_error(
+    probabilities: FloatArray, outcomes: NDArray[np.bool_], *, bins: int = BINS, balanced: bool = False
+) -> float:
+    """Expected calibration error of (N,) probabilities (see `reliability`); NaN for N = 0.
+
+    balanced: both outcomes weigh the same in all, however rare one is, where both occur.
+
+    Raises:
+        CountingError: shapes differ, or a probability is not in [0, 1].
+    """
+    hits = np.asarray(outcomes, bool).reshape(-1)
+    both = balanced and hits.any() and not hits.all()
+    return reliability(probabilities, hits, weights=balanced_weights(hits) if both else None, bins=bins).error
+
+
+def balanced_weights(outcomes: NDArray[np.bool_], weights: FloatArray | None = None) -> FloatArray:
+    """(N,) weights that sum to one half over each of the two outcomes, both of which occur."""
+    given = np.ones(len(outcomes)) if weights is None else weights
+    return np.where(outcomes, 0.5 * given / given[outcomes].sum(), 0.5 * given / given[~outcomes].sum())
 
 
 def interval_coverage(low: FloatArray, high: FloatArray, true: FloatArray) -> float:

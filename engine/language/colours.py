@@ -12,7 +12,7 @@ _PROTOTYPES = {
     "orange": (240, 140, 30, 205, 100, 25, 235, 155, 80),
     "yellow": (245, 220, 50, 190, 165, 30, 235, 215, 120),
     "green": (60, 140, 40, 35, 75, 20, 150, 180, 60),
-    "blue": (40, 80, 190, 110, 160, 230, 20, 35, 100),
+    "blue": (40, 80, 190, 110, 160, 230, 20, 35, 100, 195, 240, 250),
     "purple": (100, 30, 110, 60, 20, 65, 140, 90, 170),
     "pink": (240, 160, 175, 230, 110, 140, 245, 195, 190),
     "brown": (115, 75, 45, 70, 45, 28, 150, 110, 80),
@@ -20,7 +20,7 @@ _PROTOTYPES = {
     "grey": (128, 128, 128, 85, 85, 85, 175, 175, 175),
     "black": (12, 12, 12, 30, 30, 30, 40, 32, 30),
 }
-"""Three sRGB examples a word: typical, shaded or deep, and pale."""
+"""sRGB examples of a word: typical, shaded or deep, pale."""
 _SPREAD = 14.0
 """Standard deviation of a colour word about an example, in CIELAB units."""
 _LIGHTNESS = 0.6
@@ -32,10 +32,10 @@ def colour_words(image: Tensor) -> Tensor:
 
     Each example draws with a Gaussian in CIELAB; a word has its nearest example's pull.
     """
-    examples = torch.tensor([_PROTOTYPES[word] for word in COLOURS], dtype=torch.float32).reshape(-1, 3) / 255.0
     weight = torch.tensor([_LIGHTNESS, 1.0, 1.0])
-    distance = torch.cdist((_lab(image) * weight).reshape(-1, 3), _lab(examples) * weight)
-    nearest = distance.reshape(-1, len(COLOURS), 3).amin(-1)
+    colours = (_lab(image) * weight).reshape(-1, 3)
+    examples = (torch.tensor(_PROTOTYPES[word]).reshape(-1, 3) / 255.0 for word in COLOURS)
+    nearest = torch.stack([torch.cdist(colours, _lab(own) * weight).amin(-1) for own in examples], dim=-1)
     return torch.softmax(-0.5 * (nearest / _SPREAD) ** 2, dim=-1).reshape(*image.shape[:-1], len(COLOURS))
 
 

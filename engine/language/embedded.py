@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -63,24 +64,14 @@ class EmbeddedEncoder:
         Raises:
             EncoderError: they are missing, damaged, or made for other words.
         """
-        if not path.is_file():
-            raise EncoderError(f"the encoder's weights {path} are missing; install the package again")
-        try:
-            with safe_open(path, framework="pt") as file:
-                header = json.loads((file.metadata() or {})["fruitlangs"])
-            tensors = {name: tensor.float() for name, tensor in load_file(path).items()}
-            if header["format"] != FORMAT or header["concepts"] != list(CONCEPTS):
-                raise EncoderError(
-                    f"the encoder's weights {path} were made for another vocabulary; train them again with "
-                    "scripts/train_encoder.py"
-                )
-            network = Network(len(CONCEPTS), widths=tuple(header["widths"]), depths=tuple(header["depths"]))
-            network.load_state_dict(tensors)
-            calibration = Calibration(**header["calibration"])
-        except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        stored = read_weights(path)
+        if stored.concepts != CONCEPTS:
             raise EncoderError(
-                f"the encoder's weights {path} cannot be read ({str(error).splitlines()[0]}); install the package again"
-            ) from error
+                f"the encoder's weights {path} were made for another vocabulary; train them again with "
+                "scripts/train_encoder.py"
+            )
+        network = stored.network()
+        calibration = stored.calibration
         fingerprint = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
         return cls(network.fuse(), calibration, f"embedded-{fingerprint}")
 
@@ -147,6 +138,53 @@ class EmbeddedEncoder:
 
     def excludes(self, prompt: str, negative: str) -> bool:
         return parse(prompt).within(parse(negative))
+
+
+@dataclass(frozen=True, eq=False)
+class StoredWeights:
+    """What `save_weights` wrote. notes: whatever else stands in the header."""
+
+    concepts: tuple[str, ...]
+    widths: tuple[int, ...]
+    depths: tuple[int, ...]
+    calibration: Calibration
+    tensors: Mapping[str, Tensor]
+    notes: Mapping[str, Any]
+
+    def network(self) -> Network:
+        """The network with these weights, not fused."""
+        network = Network(len(self.concepts), widths=self.widths, depths=self.depths)
+        network.load_state_dict(dict(self.tensors))
+        return network
+
+
+def read_weights(path: Path) -> StoredWeights:
+    """Read what `save_weights` wrote, for whatever words.
+
+    Raises:
+        EncoderError: it is missing or damaged.
+    """
+    if not path.is_file():
+        raise EncoderError(f"the encoder's weights {path} are missing; install the package again")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})["fruitlangs"])
+        if header["format"] != FORMAT:
+            raise ValueError(f"format {header['format']}")
+        stored = StoredWeights(
+            tuple(header["concepts"]),
+            tuple(header["widths"]),
+            tuple(header["depths"]),
+            Calibration(**header["calibration"]),
+            {name: tensor.float() for name, tensor in load_file(path).items()},
+            header,
+        )
+        stored.network()
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise EncoderError(
+            f"the encoder's weights {path} cannot be read ({str(error).splitlines()[0]}); install the package again"
+        ) from error
+    return stored
 
 
 def seen_scales(height: int, width: int) -> tuple[float, ...]:

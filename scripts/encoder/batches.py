@@ -28,13 +28,13 @@ class Material:
 
 
 def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """(B, 3, CROP, CROP) in [0, 1] and (B, CROP, CROP) labels: mostly renders, a quarter photos, some plain."""
+    """(B, 3, CROP, CROP) in [0, 1] and (B, CROP, CROP) labels: mostly renders, a third photos, some plain."""
     images, labels = [], []
     for _ in range(size):
         kind = rng.random()
-        if kind < 0.12:
+        if kind < 0.1:
             crop = _plain(material, rng)
-        elif kind < 0.37 or not material.renders:
+        elif kind < 0.44 or not material.renders:
             crop = _crop(material.photos[rng.integers(len(material.photos))], rng, (0.3, 1.6))
             _paste_some(crop, material, rng, chance=0.5, sizes=(12, 100))
         else:

@@ -10,17 +10,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image
-from sklearn.linear_model import LogisticRegression
 from torch import Tensor
 
-from fruitlangs.engine.config import SceneConfig
-from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.config import PRESETS, SceneConfig
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.lift import encode_photos, lift_features
 from fruitlangs.engine.language.relevancy import MIN_WEIGHT, margin
 from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.scene.read import read_scene
-from fruitlangs.engine.splatting.ply import read_ply
+from fruitlangs.engine.splatting.gaussians import Gaussians
+from fruitlangs.engine.splatting.ply import read_ply, write_ply
+from fruitlangs.engine.splatting.train import train
+
+from .calibration import Fit, logistic
+from .pictures import LEAST_WALK
+from .reliability import judged
 
 FloatArray = NDArray[np.float64]
 
@@ -37,21 +41,33 @@ class LiftedScene:
     weights: FloatArray
 
 
-def walks(folder: Path) -> list[Path]:
-    """Every scene below `folder`: a walk around a tree with instances/ and the gaussians.ply trained from it.
+@dataclass(frozen=True)
+class LiftedMeasures:
+    """Means over walks of the calibration error of "fruit" (see `reliability`) and of `intersection_over_union`."""
 
-    Raises:
-        FormatError: there is none.
-    """
-    found = [path.parent for path in sorted(folder.glob("*/gaussians.ply"))]
-    if not found:
-        raise FormatError(f"{folder} has no scene with a gaussians.ply; count its scenes with count_fruit.py first")
-    return found
+    walks: int
+    calibration_error: float
+    iou: float
+
+
+def walks(folder: Path) -> list[Path]:
+    """Every finished scene below `folder` with pictures enough to train Gaussians from."""
+    scenes = (path.parent for path in sorted(folder.glob("*/truth.json")))
+    return [scene for scene in scenes if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
+
+
+def trained(folder: Path) -> Gaussians:
+    """The Gaussians of a walk, trained the first time and kept in its folder."""
+    kept = folder / "gaussians.ply"
+    if not kept.is_file():
+        training = train(read_scene(folder, SceneConfig()), PRESETS["standard"])
+        write_ply(kept, training.gaussians)
+    return read_ply(kept)
 
 
 def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     """One of the `walks`, seen by the encoder."""
-    scene, gaussians = read_scene(folder, SceneConfig()), read_ply(folder / "gaussians.ply")
+    scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
     truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
     weights = features.weights[:, 0]
@@ -70,14 +86,29 @@ def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
         yield torch.stack([mask, 1.0 - mask], dim=-1)
 
 
-def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Calibration:
+def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
     """Temperature and bias of "fruit" for lifted features; each scene and, in it, each drawn pixel counts alike."""
     m, t = (np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("margins", "fruit"))
     w = np.concatenate([scene.weights / scene.weights.sum() for scene in scenes])
-    fit = LogisticRegression(C=1e6, max_iter=200).fit(np.clip(m, -12, 12)[:, None], t, sample_weight=w * len(w))
-    slope, middle = float(fit.coef_[0, 0]), float(-fit.intercept_[0] / fit.coef_[0, 0])
-    temperature = max(1.0 / slope, SHARPEST)
-    return Calibration(temperature, middle / temperature, pixels.kind_temperature)
+    temperature, bias = logistic(m, t, w)
+    sharpest = max(temperature, SHARPEST)
+    calibration = Calibration(sharpest, bias * temperature / sharpest, pixels.kind_temperature)
+    return Fit(calibration, float((w * t).sum() / w.sum()))
+
+
+def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
+    """Each scene by the calibration of all others; None with fewer than two."""
+    if len(scenes) < 2:
+        return None
+    errors, overlaps = [], []
+    for place, one in enumerate(scenes):
+        fit = calibrate_lifted([*scenes[:place], *scenes[place + 1 :]], pixels)
+        calibration = fit.calibration
+        guess = 1.0 / (1.0 + np.exp(calibration.bias - one.margins / calibration.temperature))
+        found = judged(guess, one.fruit, fit.prior, one.weights)
+        errors.append(found.calibration_error if found else 0.0)
+        overlaps.append(intersection_over_union([one], calibration))
+    return LiftedMeasures(len(scenes), float(np.mean(errors)), float(np.mean(overlaps)))
 
 
 def intersection_over_union(scenes: Sequence[LiftedScene], calibration: Calibration) -> float:

@@ -9,13 +9,17 @@ from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 from .pictures import NOT_FRUIT
 
+DOUBT = 0.5
+"""How far a pixel known only as no fruit is doubted when the network is sure that it is fruit: boxes miss fruit. 0
+would be cross-entropy, 1 the mean absolute error (the q of Zhang and Sabuncu 2018, "Generalized Cross Entropy")."""
+
 
 def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 1.0) -> Tensor:
     """Cross-entropy of (B, K, H, W) logits against (B, H, W) labels.
 
-    A pixel known only as no fruit asks for the sum of the surroundings' probabilities. Every word counts by the root of
-    its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the rest. A fruit pixel
-    is also asked for its kind alone, with weight `naming`.
+    A pixel known only as no fruit asks for the sum s of the surroundings' probabilities, by (1 − s^q) / q. Every word
+    counts by the root of its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the
+    rest. A fruit pixel is also asked for its kind alone, with weight `naming`.
     """
     log_probability = logits.float().log_softmax(1)
     known = labels < len(CONCEPTS)
@@ -24,7 +28,7 @@ def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, n
     fruit = log_probability[:, : len(FRUITS)]
     kind = fruit.logsumexp(1) - fruit.gather(1, target.clamp_max(len(FRUITS) - 1)[:, None])[:, 0]
     exact = torch.where(target < len(FRUITS), exact + naming * kind, exact)
-    vague = -log_probability[:, len(FRUITS) :].logsumexp(1)
+    vague = -torch.expm1(DOUBT * log_probability[:, len(FRUITS) :].logsumexp(1)) / DOUBT
     loss = torch.where(known, exact, vague)
     bins = torch.where(labels == NOT_FRUIT, len(CONCEPTS), torch.where(known, labels, len(CONCEPTS) + 1))
     counts = torch.bincount(bins.flatten(), minlength=len(CONCEPTS) + 2)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,12 @@ POSITIVE_SHARE = 0.6
 """Central share of a box that is surely fruit, as an ellipse."""
 NEGATIVE_SHARE = 1.1
 """Outside this much of every box a pixel counts as no fruit."""
+UNBOXED = Path(__file__).with_name("unboxed.csv")
+"""Fruit of the validation photos that has no box, checked by eye: set, image, corners in pixels."""
+LEAST_WALK = 24
+"""A scene with so many pictures is a walk: calibrated on, never trained on."""
+SMALL = 14.0
+"""Fruit of at most so many pixels is small."""
 
 Labels = NDArray[np.uint8]
 
@@ -42,13 +50,16 @@ class Box:
 @dataclass(frozen=True, eq=False)
 class Picture:
     """pixels: (H, W, 3) sRGB; labels: (H, W) index into CONCEPTS, NOT_FRUIT or IGNORED; instances: (H, W) fruit ids of
-    a render, 0 none; boxes of a photo; source: the set or the scene it is from.
+    a render, 0 none; boxes of a photo; unboxed: fruit in it that has no box; traits: what makes a render's fruit hard;
+    source: the set or the scene it is from.
     """
 
     pixels: NDArray[np.uint8]
     labels: Labels
     source: str
     boxes: Sequence[Box] = ()
+    unboxed: Sequence[Box] = ()
+    traits: Sequence[str] = ()
     instances: NDArray[np.uint16] | None = None
 
 
@@ -59,6 +70,7 @@ def read_photos(folder: Path, split: str) -> list[Picture]:
         FormatError: there is none, or a row cannot be read.
     """
     pictures = []
+    unboxed = _read_unboxed()
     for table in sorted(folder.glob("*/annotations.csv")):
         boxes: dict[str, list[Box]] = {}
         with table.open(newline="", encoding="utf-8") as file:
@@ -74,10 +86,22 @@ def read_photos(folder: Path, split: str) -> list[Picture]:
                     raise FormatError(f"{table} line {number} cannot be read ({error}); see --help") from error
         for name, mine in sorted(boxes.items()):
             pixels = np.asarray(Image.open(table.parent / name).convert("RGB"))
-            pictures.append(Picture(pixels, box_labels(mine, pixels.shape[:2]), table.parent.name, mine))
+            source = table.parent.name
+            missed = unboxed.get((source, name), [])
+            pictures.append(Picture(pixels, box_labels(mine, pixels.shape[:2]), source, mine, missed))
     if not pictures:
         raise FormatError(f"{folder} has no folder with an annotations.csv of split '{split}'")
     return pictures
+
+
+def _read_unboxed() -> dict[tuple[str, str], list[Box]]:
+    """By set and image."""
+    boxes: dict[tuple[str, str], list[Box]] = {}
+    with UNBOXED.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            corners = (float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax"))
+            boxes.setdefault((row["set"], row["image"]), []).append(Box(row["set"], *corners))
+    return boxes
 
 
 def box_labels(boxes: Sequence[Box], shape: tuple[int, ...]) -> Labels:
@@ -99,7 +123,8 @@ def inside(box: Box, share: float, shape: tuple[int, ...], *, ellipse: bool = Tr
 
 
 def read_renders(folder: Path) -> list[Picture]:
-    """Every finished scene below `folder`: images/, classes/ and instances/ of like names, classes.json (index → word).
+    """Every finished scene below `folder` that is no walk: images/, classes/ and instances/ of like names, classes.json
+    (index → word).
 
     Raises:
         FormatError: a scene lacks a file or names an unknown class.
@@ -107,8 +132,11 @@ def read_renders(folder: Path) -> list[Picture]:
     pictures = []
     for table in sorted(folder.glob("*/classes.json")):
         scene = table.parent
-        lookup = _lookup(table)
-        for image in sorted((scene / "images").glob("*")):
+        images = sorted((scene / "images").glob("*"))
+        if len(images) >= LEAST_WALK:
+            continue
+        lookup, traits = _lookup(table), _traits(scene)
+        for image in images:
             classes = scene / "classes" / f"{image.stem}.png"
             instances = scene / "instances" / f"{image.stem}.png"
             if not (classes.is_file() and instances.is_file()):
@@ -118,6 +146,7 @@ def read_renders(folder: Path) -> list[Picture]:
                     np.asarray(Image.open(image).convert("RGB")),
                     lookup[np.asarray(Image.open(classes))],
                     scene.name,
+                    traits=traits,
                     instances=np.asarray(Image.open(instances)).astype(np.uint16),
                 )
             )
@@ -138,6 +167,29 @@ def _lookup(table: Path) -> Labels:
     return lookup
 
 
+def _traits(scene: Path) -> tuple[str, ...]:
+    """What makes a scene's fruit hard to see or to name."""
+    config = _record(scene)
+    variant, size = str(config.get("variant", "")), float(config.get("fruit_pixels", math.inf))
+    traits = {"green on green": variant == "green", "two colours": "-" in variant, "small": size <= SMALL}
+    return tuple(name for name, so in traits.items() if so)
+
+
+def _record(scene: Path) -> dict[str, Any]:
+    """The settings that made a scene.
+
+    Raises:
+        FormatError: they are not recorded.
+    """
+    path = scene / "orchard.json"
+    try:
+        config: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["config"]
+        config["seed"] = int(config["seed"])
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise FormatError(f"{path} does not tell the scene's seed ({error}); make the scene again") from error
+    return config
+
+
 def training_seeds(scenes: Iterable[Path]) -> list[int]:
     """Seeds of these scene folders, sorted, as their orchard.json records them.
 
@@ -146,11 +198,7 @@ def training_seeds(scenes: Iterable[Path]) -> list[int]:
     """
     seeds = set()
     for scene in scenes:
-        record = scene / "orchard.json"
-        try:
-            seed = int(json.loads(record.read_text(encoding="utf-8"))["config"]["seed"])
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise FormatError(f"{record} does not tell the scene's seed ({error}); make the scene again") from error
+        seed = _record(scene)["seed"]
         if seed < FIRST_TRAINING_SEED:
             raise FormatError(
                 f"{scene} has seed {seed}, and seeds below {FIRST_TRAINING_SEED} are for tests alone; take it out"
@@ -176,6 +224,15 @@ def plain_picture(rng: np.random.Generator, size: int) -> Picture:
     pixels = np.clip((shade + texture)[..., None] * base, 0.0, 1.0)
     labels = np.full((size, size), CONCEPTS.index("background"), np.uint8)
     return Picture((pixels * 255.0).astype(np.uint8), labels, "plain")
+
+
+def plain_pictures() -> list[Picture]:
+    """Some to measure on, each with a thing that is no fruit."""
+    rng = np.random.default_rng(23)
+    pictures = [plain_picture(rng, 256) for _ in range(24)]
+    for picture in pictures:
+        put_thing(picture.pixels, rng)
+    return pictures
 
 
 def put_thing(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:

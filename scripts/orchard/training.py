@@ -7,8 +7,11 @@ import numpy as np
 from .config import FIRST_TRAINING_SEED, FORMS, OrchardConfig
 from .species import SPECIES
 
-WALKS = 0.4
-"""Share of training scenes that are seen as users walk around a tree; the others are close-ups."""
+WALK_EVERY = 15
+"""Every so many scenes, one is a whole walk around a tree, kept to calibrate on what many views of it give."""
+ROUNDS = 0.4
+"""Share of the other scenes that are seen from around the tree; the rest are close-ups."""
+WALK_VIEWS = 36
 SPINDLES = 0.55
 """Share of training scenes with the commonest form; the other forms share the rest."""
 
@@ -23,10 +26,25 @@ def training_config(seed: int) -> OrchardConfig:
     cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
     fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))
     leaves = int(rng.integers(1600, 4200) * cover)
-    close_ups = bool(rng.random() >= WALKS)
+    close_ups = bool(rng.random() >= ROUNDS)
     fruit_pixels = float(np.exp(rng.uniform(*np.log((11.0, 26.0)))))
     form = "spindle" if rng.random() < SPINDLES else str(rng.choice(FORMS[1:]))
-    distractors = bool(rng.random() < 0.3)
+    distractors = bool(rng.random() < 0.5)
+    if number % WALK_EVERY == WALK_EVERY - 1:
+        return OrchardConfig(
+            species=species.name,
+            variant=variant.name,
+            seed=seed,
+            fruits=100,
+            leaves=round(3400 * cover),
+            views=WALK_VIEWS,
+            path="wave",
+            width=300,
+            height=225,
+            fruit_pixels=14.0,
+            samples=8,
+            light_variety=1.0,
+        )
     return OrchardConfig(
         species=species.name,
         variant=variant.name,
@@ -37,7 +55,7 @@ def training_config(seed: int) -> OrchardConfig:
         leaves=leaves,
         tags=int(rng.integers(2, 9)) if distractors else 0,
         flowers=int(rng.integers(4, 25)) if distractors else 0,
-        things=int(rng.integers(1, 5)) if rng.random() < 0.5 else 0,
+        things=int(rng.integers(1, 5)) if rng.random() < 0.7 else 0,
         views=6 if close_ups else 8,
         width=320 if close_ups else 480,
         height=320 if close_ups else 360,

@@ -22,7 +22,7 @@ from orchard.png import read_grey as png_read_grey
 from orchard.png import write_grey
 from orchard.sparse import sample_cloud
 from orchard.species import SPECIES
-from orchard.training import training_config
+from orchard.training import WALK_VIEWS, training_config
 from orchard.tree import grow
 from orchard.truth import Visibility, fruit_record, silhouette_pixels, visibilities
 from orchard.viewpoint import Viewpoint, look_at
@@ -174,6 +174,7 @@ def test_png_of_16_bits_keeps_its_values(tmp_path: Path) -> None:
 def test_training_scenes_take_species_in_turn_and_start_at_their_own_seeds() -> None:
     configs = [training_config(FIRST_TRAINING_SEED + i) for i in range(24)]
     assert {c.species for c in configs} == set(SPECIES)
+    assert [i for i, c in enumerate(configs) if c.views == WALK_VIEWS] == [14]
     assert all(c.seed >= 1000 for c in configs)
     assert {c.close_ups for c in configs} == {True, False}
     assert len({(c.species, c.variant) for c in configs}) > 16

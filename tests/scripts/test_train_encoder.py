@@ -10,16 +10,30 @@ import pytest
 import torch
 import train_encoder
 from encoder.batches import CROP, Material, make_batch
-from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union
+from encoder.confusable import colour_distinctions, distinctions
+from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union, lifted_measures, walks
 from encoder.losses import concept_loss
 from encoder.pasting import cut_fruit, paste
-from encoder.pictures import IGNORED, NOT_FRUIT, Box, box_labels, read_photos, read_renders, training_seeds
+from encoder.photo_scores import photo_scores
+from encoder.pictures import (
+    IGNORED,
+    LEAST_WALK,
+    NOT_FRUIT,
+    Box,
+    box_labels,
+    read_photos,
+    read_renders,
+    training_seeds,
+)
+from encoder.reliability import judged
+from encoder.samples import Sample
 from PIL import Image
 
 from fruitlangs.engine.errors import ConfigError, EncoderError, FormatError
+from fruitlangs.engine.evaluation.calibration import BINS
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
-from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
+from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
 
 APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
 
@@ -101,15 +115,20 @@ def test_the_seeds_of_the_scenes_are_read_and_those_of_tests_refused(renders: Pa
         training_seeds([tmp_path / "none"])
 
 
-def test_a_walk_without_classes_is_no_way_around_the_seeds_of_tests(photos: Path, tmp_path: Path):
-    walk = tmp_path / "walks" / "2"
-    walk.mkdir(parents=True)
-    (walk / "gaussians.ply").write_text("")
+def test_a_walk_is_calibrated_on_and_not_trained_on_and_its_seed_is_checked(photos: Path, tmp_path: Path):
+    walk = tmp_path / "renders" / "2"
+    (walk / "images").mkdir(parents=True)
+    for number in range(LEAST_WALK):
+        (walk / "images" / f"{number:03}.jpg").touch()
+    (walk / "classes.json").write_text("{}")
+    assert walks(walk.parent) == []  # not finished
+    (walk / "truth.json").touch()
+    assert walks(walk.parent) == [walk]
+    with pytest.raises(FormatError, match="has no scene"):
+        read_renders(walk.parent)
     (walk / "orchard.json").write_text(json.dumps({"config": {"seed": 2}}))
-    out = tmp_path / "w.safetensors"
     with pytest.raises(FormatError, match="has seed 2"):
-        train_encoder.main(train_encoder.Options(photos=photos, lifted=walk.parent, out=out, steps=1, batch=1))
-    assert not out.exists()
+        training_seeds(walks(walk.parent))
 
 
 def test_held_out_scenes_are_no_training_scenes(renders: Path):
@@ -156,6 +175,19 @@ def test_no_fruit_is_content_with_any_word_of_the_surroundings():
         assert (float(concept_loss(logits, labels)) < 0.01) == (word not in FRUITS)
 
 
+def test_a_pixel_outside_all_boxes_that_is_surely_fruit_hardly_teaches():
+    labels = torch.full((1, 8, 8), NOT_FRUIT)
+    pulls = []
+    for sure in (4.0, 9.0):
+        logits = torch.zeros(1, len(CONCEPTS), 8, 8)
+        logits[:, APPLE] = sure
+        logits.requires_grad_()
+        concept_loss(logits, labels).backward()
+        assert logits.grad is not None
+        pulls.append(float(logits.grad[:, APPLE].sum()))
+    assert pulls[0] > 5.0 * pulls[1] > 0.0
+
+
 def test_ignored_pixels_teach_nothing():
     labels = torch.full((1, 8, 8), LEAF)
     labels[:, 4:] = IGNORED
@@ -171,11 +203,72 @@ def test_the_calibration_of_lifted_gaussians_finds_the_middle_and_is_never_too_s
     fruit = rng.random(4000) < 0.1
     margins = np.where(fruit, 1.0, -3.0) + rng.normal(0.0, 0.6, 4000)
     scene = LiftedScene(margins, fruit, np.ones(4000))
-    calibration = calibrate_lifted([scene], Calibration(kind_temperature=1.3))
+    calibration = calibrate_lifted([scene], Calibration(kind_temperature=1.3)).calibration
     assert calibration.temperature == SHARPEST
     assert -1.3 < calibration.bias * calibration.temperature < -0.3
     assert calibration.kind_temperature == 1.3
     assert intersection_over_union([scene], calibration) > 0.97
+
+
+def test_walks_are_judged_by_the_calibration_of_the_others():
+    rng = np.random.default_rng(0)
+    fruit = rng.random(4000) < 0.2
+    near = LiftedScene(np.where(fruit, 2.0, -2.0) + rng.normal(0.0, 1.0, 4000), fruit, np.ones(4000))
+    far = LiftedScene(near.margins + 6.0, fruit, np.ones(4000))
+    alike, apart = lifted_measures([near, near], Calibration()), lifted_measures([near, far], Calibration())
+    assert alike is not None
+    assert apart is not None
+    assert alike.calibration_error < 0.05 < 0.3 < apart.calibration_error
+    assert alike.iou > 0.85 > 0.6 > apart.iou
+    assert lifted_measures([near], Calibration()) is None
+
+
+def test_true_probabilities_have_no_calibration_error_and_too_sure_ones_have():
+    rng = np.random.default_rng(1)
+    probability = rng.beta(0.3, 2.0, 60_000)
+    truth = rng.random(60_000) < probability
+    prior = float(truth.mean())
+    honest = judged(probability, truth, prior)
+    sure = judged(probability**3 / (probability**3 + (1 - probability) ** 3), truth, prior)
+    constant = judged(np.full(60_000, prior), truth, prior)
+    assert honest is not None
+    assert sure is not None
+    assert constant is not None
+    assert honest.calibration_error < 0.01 < 0.08 < sure.calibration_error
+    assert constant.calibration_error < 0.02
+    assert honest.brier < 0.2 < constant.brier == pytest.approx(constant.constant_brier)
+    assert len(honest.predicted) == len(honest.observed) == BINS
+    assert judged(probability, np.zeros(60_000, bool), 0.1) is None
+
+
+def test_a_words_worst_rival_is_named_and_words_of_few_pixels_are_left_out():
+    truth = np.array(["leaf"] * 200 + ["grass"] * 200 + ["sky"] * 200 + ["tag"] * 5)
+    leaf = np.concatenate([np.linspace(0.4, 1.0, 200), np.linspace(0.2, 0.8, 200), np.zeros(205)])
+    found = distinctions({"leaf": leaf, "grass": -leaf, "sky": np.zeros(605), "tag": leaf}, truth)
+    assert found["leaf"].against == "grass"
+    assert 0.6 < found["leaf"].auc < 0.9
+    assert "tag" not in found
+
+
+def test_colour_words_agree_with_what_people_call_colours():
+    found = colour_distinctions()
+    assert len(found) >= 9
+    assert min(each.auc for each in found.values()) >= 0.8
+
+
+def test_fruit_without_a_box_counts_against_the_encoder_until_a_person_marks_it(tmp_path: Path):
+    fruit, missed = np.array([True, True, False, False]), np.array([False, False, True, False])
+    concepts = torch.zeros(4, len(CONCEPTS))
+    concepts[:, LEAF] = 0.9
+    concepts[:, APPLE] = torch.tensor([0.5, 0.4, 0.6, 0.1])
+    features = torch.cat([concepts, torch.full((4, 11), 1 / 11)], dim=1).mul(0.5).sqrt()
+    labels = np.where(fruit, APPLE, NOT_FRUIT).astype(np.uint8)
+    pixels = Sample(features, labels, np.random.default_rng(0).random((4, 3)), fruit, missed, "apple")
+    save_weights(
+        tmp_path / "w.safetensors", Network(len(CONCEPTS)), Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[]
+    )
+    score = photo_scores(EmbeddedEncoder.open(tmp_path / "w.safetensors"), [pixels])["apple"]
+    assert score.ellipses.average_precision < 1.0 == score.seen.average_precision
 
 
 def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
@@ -197,7 +290,9 @@ def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
     assert [run["steps"] for run in document["runs"]] == [2]
     assert set(document["measures"]["photos"]) == {"apple", "pear"}
     assert "apple" in (tmp_path / "a" / "MODEL_CARD.md").read_text()
-    assert EmbeddedEncoder.open(tmp_path / "a" / "w.safetensors").dimension == 27
+    assert set(document["measures"]["conditions"]) == {"blurred", "mixed species"}
+    assert set(document["measures"]["reliability"]) == {"photos"}  # one held-out scene cannot be fitted and judged
+    assert EmbeddedEncoder.open(tmp_path / "a" / "w.safetensors").dimension == len(CONCEPTS) + len(COLOURS)
 
 
 def test_a_later_run_keeps_what_the_earlier_one_saw(tmp_path: Path):
@@ -206,6 +301,20 @@ def test_a_later_run_keeps_what_the_earlier_one_saw(tmp_path: Path):
     save_weights(path, network, Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[1000], runs=[{"steps": 3}])
     past = train_encoder.resume(network, path)
     assert (past.runs, past.seeds) == ([{"steps": 3}], [1000])
+
+
+def test_a_new_word_starts_at_random_and_the_known_ones_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "w.safetensors"
+    with monkeypatch.context() as earlier:
+        earlier.setattr("fruitlangs.engine.language.embedded.CONCEPTS", ("leaf", "apple", "moss"))
+        old = Network(3)
+        save_weights(path, old, Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[], runs=[])
+    network = Network(len(CONCEPTS))
+    fresh = network.head.weight[CONCEPTS.index("sky")].clone()
+    train_encoder.resume(network, path)
+    assert torch.allclose(network.head.weight[APPLE], old.head.weight[1], atol=1e-3)
+    assert torch.allclose(network.down[0][0].conv.weight, old.down[0][0].conv.weight, atol=1e-3)
+    assert torch.equal(network.head.weight[CONCEPTS.index("sky")], fresh)
 
 
 def test_weights_that_do_not_record_their_scenes_are_no_start(tmp_path: Path):
