@@ -28,7 +28,7 @@ from encoder.batches import Material, make_batch
 from encoder.calibration import calibrate
 from encoder.card import write_card
 from encoder.lifted import calibrate_lifted, lifted_measures, lifted_scene, walks
-from encoder.losses import concept_loss
+from encoder.losses import concept_loss, overlap_loss
 from encoder.measures import Unseen, halves, measure
 from encoder.pasting import cut_fruit
 from encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
@@ -196,7 +196,8 @@ def train(network: Network, material: Material, options: Options) -> int:
         with autocast:
             logits = network(normalise(images).contiguous(memory_format=torch.channels_last))
         down, right = rng.integers(0, 2, size=2)  # the network answers for 2×2 pixels: ask it about each in turn
-        loss = concept_loss(logits, labels[:, down::2, right::2])
+        shown = labels[:, down::2, right::2]
+        loss = concept_loss(logits, shown) + overlap_loss(logits, shown)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

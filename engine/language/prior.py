@@ -7,33 +7,42 @@ from torch import Tensor
 
 PSEUDO_PIXELS = 300.0
 """Weight, in lifted pixels, of the belief that all kinds are alike; a scene with less fruit than this is left alone."""
+ASKED, ANY = 0.2, 0.05
+"""Weight, as shares of the scene's fruit, of the beliefs that people ask for what is there and that any kind may be:
+what an encoder thinks of one fruit of a tree it thinks of the others, so their number proves less than it seems to."""
 ROUNDS = 50
 
 
-def kind_shares(vectors: Tensor, weights: Tensor, kinds: Tensor) -> Tensor:
+def kind_shares(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> Tensor:
     """(K,) how much of the scene's fruit is of each kind, by expectation maximisation.
 
     vectors: (N, D) unit features; weights: (N,) pixels each Gaussian drew; kinds: (K, D) orthonormal text vectors of
     words that exclude each other, whose squared cosines are proportional to probabilities (Saerens, Latinne and
-    Decaestecker 2002, "Adjusting the outputs of a classifier to new a priori probabilities").
+    Decaestecker 2002, "Adjusting the outputs of a classifier to new a priori probabilities"); asked: (K,) bool, which
+    of them the prompt names.
     """
     likelihood = (vectors @ kinds.T).square().double()
     mass = (weights.double()[:, None] * likelihood).sum(1) * 2.0  # a block of unit length holds half of the square
     likelihood = likelihood / likelihood.sum(1, keepdim=True).clamp_min(1e-12)
     shares = torch.full((len(kinds),), 1.0 / len(kinds), dtype=torch.float64)
+    belief = (PSEUDO_PIXELS + ANY * mass.sum()) * shares
+    belief = belief + ASKED * mass.sum() * asked / asked.sum().clamp_min(1)
     for _ in range(ROUNDS):
         belonging = likelihood * shares
         belonging = belonging / belonging.sum(1, keepdim=True).clamp_min(1e-12)
-        shares = (mass[:, None] * belonging).sum(0) + PSEUDO_PIXELS / len(kinds)
+        shares = (mass[:, None] * belonging).sum(0) + belief
         shares = shares / shares.sum()
     return shares.float()
 
 
-def in_scene(vectors: Tensor, weights: Tensor, kinds: Tensor) -> Tensor:
-    """(N, D) unit features whose kinds are weighed by their shares of the scene; how much is fruit stays as it was."""
+def in_scene(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> Tensor:
+    """(N, D) unit features whose kinds are weighed by their shares of the scene; how much is fruit stays as it was.
+
+    See `kind_shares`.
+    """
     if not len(kinds):
         return vectors
     cosines = vectors @ kinds.T
-    weighed = cosines * kind_shares(vectors, weights, kinds).sqrt()
+    weighed = cosines * kind_shares(vectors, weights, kinds, asked).sqrt()
     length = cosines.norm(dim=1, keepdim=True) / weighed.norm(dim=1, keepdim=True).clamp_min(1e-12)
     return vectors + (weighed * length - cosines) @ kinds

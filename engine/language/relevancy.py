@@ -30,8 +30,8 @@ def relevancy(
     Each prompt is answered by the encoder's questions (see `Question`), which put it against every other word that
     makes sense for it; so `negatives` are needed only for what the vocabulary does not already set against the prompt,
     for example "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)), where kinds of fruit
-    have been weighed by how much of the scene's fruit they are (see `prior`). Each word is answered at the level of
-    masks where it is surest (see `best_level`).
+    have been weighed by how much of the scene's fruit they are, given that people ask for what is there (see `prior`).
+    Each word is answered at the level of masks where it is surest (see `best_level`).
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -39,7 +39,7 @@ def relevancy(
     """
     check_encoder(features, encoder)
     check_prompts(encoder, prompts, negatives)
-    answers = answers_by_level(features, encoder, [*prompts, *negatives])
+    answers = answers_by_level(features, encoder, prompts, negatives)
     answers = answers * (features.weights.T >= MIN_WEIGHT)[:, None]
     missed = torch.ones(len(features))
     for place in range(len(prompts)):
@@ -50,17 +50,29 @@ def relevancy(
     return found
 
 
-def answers_by_level(features: Features, encoder: Encoder, words: Sequence[str]) -> Tensor:
-    """(L, P, N) float32 probability of each word alone, at each level of masks."""
-    questions, kinds = [encoder.questions(word) for word in words], encoder.kinds()
-    answers = torch.empty(features.levels, len(words), len(features))
+def answers_by_level(
+    features: Features, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
+) -> Tensor:
+    """(L, P, N) float32 probability of each word alone, prompts first, at each level of masks."""
+    kinds = encoder.kinds()
+    answers = torch.empty(features.levels, len(prompts) + len(negatives), len(features))
     for level in range(features.levels):
         # What kinds the scene bears is asked of all Gaussians together.
         for rows in blocks(len(features), len(features) if len(kinds) else ROWS):
-            vectors = in_scene(features.unit(level, rows), features.weights[rows, level], kinds)
-            for place, asked in enumerate(questions):
-                answers[level, place, rows] = answer(vectors, asked)
+            vectors, weights = features.unit(level, rows), features.weights[rows, level]
+            for place, word in enumerate([*prompts, *negatives]):
+                answers[level, place, rows] = scene_answer(vectors, weights, encoder, word, asked=place < len(prompts))
     return answers
+
+
+def scene_answer(vectors: Tensor, weights: Tensor, encoder: Encoder, word: str, *, asked: bool = True) -> Tensor:
+    """(N,) probability of a word for all unit features (N, D) of a scene, which drew (N,) pixels.
+
+    asked: whether the word is what is looked for, rather than what is looked away from.
+    """
+    kinds = encoder.kinds()
+    named = (kinds @ encoder.encode_text([word])[0] > 0.0) & asked
+    return answer(in_scene(vectors, weights, kinds, named), encoder.questions(word))
 
 
 def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:

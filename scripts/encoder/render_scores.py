@@ -13,7 +13,7 @@ from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 from .pasting import Cutout, cut_fruit, paste
 from .pictures import Picture
-from .samples import Sample, answers, by_scene, sample
+from .samples import Sample, answers_in_scene, by_scene, sample
 
 BLUR = 1.5
 """Standard deviation in pixels of the blur that the condition "blurred" adds."""
@@ -46,7 +46,7 @@ class _Tally:
         self.both = self.asked = self.there = 0
 
     def add(self, encoder: EmbeddedEncoder, scene: Sample, word: str) -> None:
-        chosen = answers(encoder, scene, word) >= 0.5
+        chosen = answers_in_scene(encoder, scene, word) >= 0.5
         true = scene.fruit if word == "fruit" else scene.labels == CONCEPTS.index(word)
         self.both += int((chosen & true).sum())
         self.asked += int(chosen.sum())
@@ -63,7 +63,7 @@ class _Tally:
 
 def render_scores(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[str, RenderScore]:
     """Each word is asked of every scene, also of those with another fruit, given the scene's shares of kinds."""
-    scenes = by_scene(encoder, renders)
+    scenes = by_scene(renders)
     scores = {}
     for word in ("fruit", *FRUITS):
         tally = _Tally()
@@ -94,7 +94,7 @@ def conditions(
 
 def _condition(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> Condition:
     fruit, kinds = _Tally(), _Tally()
-    for scene in by_scene(encoder, samples):
+    for scene in by_scene(samples):
         fruit.add(encoder, scene, "fruit")
         for concept in np.unique(scene.labels[scene.fruit]):
             kinds.add(encoder, scene, FRUITS[concept])

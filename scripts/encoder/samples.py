@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fruitlangs.engine.language.embedded import EmbeddedEncoder
-from fruitlangs.engine.language.prior import in_scene
-from fruitlangs.engine.language.relevancy import answer
+from fruitlangs.engine.language.relevancy import answer, scene_answer
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 from .pictures import NOT_FRUIT, Labels, Picture, inside
@@ -82,20 +81,24 @@ def _sampled(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
 
 
 def answers(encoder: EmbeddedEncoder, pixels: Sample, word: str) -> FloatArray:
-    """(M,) the probability of a word."""
+    """(M,) the probability of a word, whatever the rest of the scene is."""
     return answer(pixels.features.float(), encoder.questions(word)).double().numpy()
 
 
-def by_scene(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> list[Sample]:
-    """All pixels of each scene as one, their kinds of fruit weighed by their shares of it as in use."""
+def answers_in_scene(encoder: EmbeddedEncoder, scene: Sample, word: str) -> FloatArray:
+    """(M,) the probability of a word, kinds of fruit weighed by their shares of the scene as in use."""
+    weights = torch.full((len(scene.features),), float(STEP * STEP))
+    return scene_answer(scene.features.float(), weights, encoder, word).double().numpy()
+
+
+def by_scene(samples: Sequence[Sample]) -> list[Sample]:
+    """All pixels of each scene as one."""
     scenes = []
     for source in sorted({each.source for each in samples}):
         mine = [each for each in samples if each.source == source]
-        features = torch.cat([each.features for each in mine]).float()
-        weights = torch.full((len(features),), float(STEP * STEP))
         scenes.append(
             Sample(
-                in_scene(features, weights, encoder.kinds()).half(),
+                torch.cat([each.features for each in mine]),
                 np.concatenate([each.labels for each in mine]),
                 np.concatenate([each.colours for each in mine]),
                 np.concatenate([each.boxed for each in mine]),

@@ -11,8 +11,8 @@ from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.features import Features
 from fruitlangs.engine.language.network import Network
 from fruitlangs.engine.language.prior import in_scene, kind_shares
-from fruitlangs.engine.language.relevancy import MIN_WEIGHT, answer, relevancy
-from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS
+from fruitlangs.engine.language.relevancy import MIN_WEIGHT, answer, answers_by_level, relevancy
+from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_a_sure_fruit_of_another_kind_stays_itself(encoder: EmbeddedEncoder):
 
 def test_the_scene_does_not_change_how_much_a_gaussian_is_fruit(encoder: EmbeddedEncoder):
     vectors = torch.stack([_feature("red", apple=0.5, leaf=0.2), _feature("green", leaf=0.8, pear=0.1)])
-    weighed = in_scene(vectors, torch.full((2,), 1e5), encoder.kinds())
+    weighed = in_scene(vectors, torch.full((2,), 1e5), encoder.kinds(), torch.tensor([True] + [False] * 7))
     assert torch.allclose(weighed.norm(dim=1), torch.ones(2), atol=1e-5)
     before, after = (answer(each, encoder.questions("fruit")) for each in (vectors, weighed))
     assert torch.allclose(before, after, atol=1e-5)
@@ -132,6 +132,26 @@ def test_the_scene_does_not_change_how_much_a_gaussian_is_fruit(encoder: Embedde
 
 def test_the_shares_of_kinds_are_those_of_the_fruit(encoder: EmbeddedEncoder):
     vectors = torch.stack([_feature("red", apple=0.9)] * 3 + [_feature("green", pear=0.9)])
-    shares = kind_shares(vectors, torch.full((4,), 1e6), encoder.kinds())
-    assert float(shares[CONCEPTS.index("apple")]) == pytest.approx(0.75, abs=0.02)
-    assert float(shares[CONCEPTS.index("pear")]) == pytest.approx(0.25, abs=0.02)
+    shares = kind_shares(vectors, torch.full((4,), 1e6), encoder.kinds(), torch.zeros(len(FRUITS), dtype=torch.bool))
+    assert float(shares[CONCEPTS.index("apple")]) == pytest.approx(0.75, abs=0.03)
+    assert float(shares[CONCEPTS.index("pear")]) == pytest.approx(0.25, abs=0.03)
+
+
+def test_many_doubtful_fruit_do_not_rule_out_the_kind_that_is_asked_for(encoder: EmbeddedEncoder):
+    doubtful = [_feature("red", peach=0.4, pear=0.45)] * 500
+    features = _features(*doubtful, weight=1e4)
+    assert float(relevancy(features, encoder, ["peach"]).min()) > 0.25  # nearly 0 if 500 alike were 500 proofs
+    assert float(relevancy(features, encoder, ["lemon"]).max()) < 0.05
+
+
+def test_the_kind_that_is_asked_for_must_be_seen(encoder: EmbeddedEncoder):
+    features = _features(*[_feature("orange", orange=0.85, lemon=0.05)] * 50, weight=1e4)
+    assert float(relevancy(features, encoder, ["lemon"]).max()) < 0.1
+    assert float(relevancy(features, encoder, ["orange"]).min()) > 0.8
+
+
+def test_what_is_looked_away_from_is_not_believed_to_be_there(encoder: EmbeddedEncoder):
+    features = _features(*[_feature("red", apple=0.5, peach=0.3)] * 50, weight=1e4)
+    asked = answers_by_level(features, encoder, ["peach"])[0, 0, 0]
+    avoided = answers_by_level(features, encoder, [], ["peach"])[0, 0, 0]
+    assert float(avoided) < 0.5 * float(asked)

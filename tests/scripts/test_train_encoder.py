@@ -12,7 +12,7 @@ import train_encoder
 from encoder.batches import CROP, Material, make_batch
 from encoder.confusable import colour_distinctions, distinctions
 from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union, lifted_measures, walks
-from encoder.losses import concept_loss
+from encoder.losses import concept_loss, overlap_loss
 from encoder.pasting import cut_fruit, paste
 from encoder.photo_scores import photo_scores
 from encoder.pictures import (
@@ -186,6 +186,20 @@ def test_a_pixel_outside_all_boxes_that_is_surely_fruit_hardly_teaches():
         assert logits.grad is not None
         pulls.append(float(logits.grad[:, APPLE].sum()))
     assert pulls[0] > 5.0 * pulls[1] > 0.0
+
+
+def test_the_loss_of_overlap_is_the_share_of_the_union_that_is_missed():
+    labels = torch.full((2, 8, 8), LEAF)
+    labels[0, :4] = APPLE  # the second picture shows no fruit and has no say
+    logits = torch.zeros(2, len(CONCEPTS), 8, 8)
+    logits[:, LEAF] = 40.0
+    logits[0, APPLE, :2] = 80.0
+    assert float(overlap_loss(logits, labels)) == pytest.approx(0.5, abs=1e-4)
+    logits[0, APPLE, :4] = 80.0
+    assert float(overlap_loss(logits, labels)) == pytest.approx(0.0, abs=1e-4)
+    labels[0, 4:] = IGNORED
+    logits[0, APPLE] = 80.0
+    assert float(overlap_loss(logits, labels)) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_ignored_pixels_teach_nothing():
