@@ -40,8 +40,6 @@ def in_scene(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> 
 
     See `kind_shares`.
     """
-    if not len(kinds):
-        return vectors
     cosines = vectors @ kinds.T
     weighed = cosines * kind_shares(vectors, weights, kinds, asked).sqrt()
     length = cosines.norm(dim=1, keepdim=True) / weighed.norm(dim=1, keepdim=True).clamp_min(1e-12)

@@ -54,25 +54,37 @@ def answers_by_level(
     features: Features, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
 ) -> Tensor:
     """(L, P, N) float32 probability of each word alone, prompts first, at each level of masks."""
-    kinds = encoder.kinds()
     answers = torch.empty(features.levels, len(prompts) + len(negatives), len(features))
     for level in range(features.levels):
         # What kinds the scene bears is asked of all Gaussians together.
-        for rows in blocks(len(features), len(features) if len(kinds) else ROWS):
+        for rows in blocks(len(features), len(features) if len(encoder.kinds()) else ROWS):
             vectors, weights = features.unit(level, rows), features.weights[rows, level]
-            for place, word in enumerate([*prompts, *negatives]):
-                answers[level, place, rows] = scene_answer(vectors, weights, encoder, word, asked=place < len(prompts))
+            answers[level, :, rows] = scene_answers(vectors, weights, encoder, prompts, negatives)
     return answers
 
 
-def scene_answer(vectors: Tensor, weights: Tensor, encoder: Encoder, word: str, *, asked: bool = True) -> Tensor:
-    """(N,) probability of a word for all unit features (N, D) of a scene, which drew (N,) pixels.
+def scene_answers(
+    vectors: Tensor, weights: Tensor, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
+) -> Tensor:
+    """(P, N) probability of each word, prompts first, for all unit features (N, D) of a scene, which drew (N,) pixels.
 
-    asked: whether the word is what is looked for, rather than what is looked away from.
+    Prompts are what is looked for, so they are believed to be there; negatives are not. Words for no kind of fruit, or
+    for all of them, ask nothing of the balance of kinds.
     """
-    kinds = encoder.kinds()
-    named = (kinds @ encoder.encode_text([word])[0] > 0.0) & asked
-    return answer(in_scene(vectors, weights, kinds, named), encoder.questions(word))
+    kinds, words = encoder.kinds(), [*prompts, *negatives]
+    named = encoder.encode_text(words) @ kinds.T > 0.0
+    answers = torch.empty(len(words), len(vectors))
+    alike: dict[tuple[bool, ...], list[int]] = {}
+    for place, mine in enumerate(named):
+        if not mine.any() or mine.all():
+            answers[place] = answer(vectors, encoder.questions(words[place]))
+        else:
+            alike.setdefault(tuple((mine & (place < len(prompts))).tolist()), []).append(place)
+    for asked, places in alike.items():
+        weighed = in_scene(vectors, weights, kinds, torch.tensor(asked))
+        for place in places:
+            answers[place] = answer(weighed, encoder.questions(words[place]))
+    return answers
 
 
 def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:

@@ -21,9 +21,7 @@ LEAST = 100
 """A word with fewer measured pixels than this is not judged, and no other is judged by it."""
 LEAST_COLOURS = 10
 """The same, of named colours."""
-_HALF_MEANT = re.compile(
-    r"ish$|^(redd|orang|yellow|green|blue|purpl|pink|brown|grey|violet|teal|turquoise|tan|gold)\w*y?$"
-)
+_HALF_MEANT = re.compile(r"ish$|^(redd|orang|yellow|green|blue|purpl|pink|brown|grey|violet|teal|turquoise|tan|gold)")
 """Parts of a colour's name that pull it to another word."""
 
 

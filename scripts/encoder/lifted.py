@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 
 from fruitlangs.engine.config import PRESETS, SceneConfig
+from fruitlangs.engine.evaluation.renders import read_instances
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.lift import encode_photos, lift_features
 from fruitlangs.engine.language.relevancy import MIN_WEIGHT, margin
@@ -81,8 +81,8 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
 
 
 def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
-    for photo in scene.images:
-        mask = torch.from_numpy(np.array(Image.open(folder / "instances" / f"{Path(photo.name).stem}.png")) > 0).float()
+    for instances in read_instances(folder, scene):
+        mask = torch.from_numpy(instances > 0).float()
         yield torch.stack([mask, 1.0 - mask], dim=-1)
 
 
@@ -97,7 +97,7 @@ def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
 
 
 def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
-    """Each scene by the calibration of all others; None with fewer than two."""
+    """Each scene by the calibration of all others; None with fewer than two, or where none shows fruit and others."""
     if len(scenes) < 2:
         return None
     errors, overlaps = [], []
@@ -105,10 +105,10 @@ def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> Lifte
         fit = calibrate_lifted([*scenes[:place], *scenes[place + 1 :]], pixels)
         calibration = fit.calibration
         guess = 1.0 / (1.0 + np.exp(calibration.bias - one.margins / calibration.temperature))
-        found = judged(guess, one.fruit, fit.prior, one.weights)
-        errors.append(found.calibration_error if found else 0.0)
-        overlaps.append(intersection_over_union([one], calibration))
-    return LiftedMeasures(len(scenes), float(np.mean(errors)), float(np.mean(overlaps)))
+        if found := judged(guess, one.fruit, fit.prior, one.weights):
+            errors.append(found.calibration_error)
+            overlaps.append(intersection_over_union([one], calibration))
+    return LiftedMeasures(len(errors), float(np.mean(errors)), float(np.mean(overlaps))) if errors else None
 
 
 def intersection_over_union(scenes: Sequence[LiftedScene], calibration: Calibration) -> float:

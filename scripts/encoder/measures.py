@@ -49,23 +49,25 @@ class Unseen:
     plain_samples: Sequence[Sample]
 
 
-def halves(unseen: Unseen) -> tuple[Unseen, Unseen]:
+@dataclass(frozen=True, eq=False)
+class Half:
+    """The measured pixels of some photos and of some scenes' renders."""
+
+    photo_samples: Sequence[Sample]
+    render_samples: Sequence[Sample]
+
+
+def halves(unseen: Unseen) -> tuple[Half, Half]:
     """What to calibrate on and what to judge the calibration on: every other photo, every other scene."""
     scenes = sorted({each.source for each in unseen.renders})
     return _half(unseen, set(scenes[::2]), 0), _half(unseen, set(scenes[1::2]), 1)
 
 
-def _half(unseen: Unseen, scenes: set[str], first: int) -> Unseen:
-    return Unseen(
-        unseen.photos[first::2],
-        [each for each in unseen.renders if each.source in scenes],
-        unseen.photo_samples[first::2],
-        [each for each in unseen.render_samples if each.source in scenes],
-        unseen.plain_samples[first::2],
-    )
+def _half(unseen: Unseen, scenes: set[str], first: int) -> Half:
+    return Half(unseen.photo_samples[first::2], [each for each in unseen.render_samples if each.source in scenes])
 
 
-def measure(encoder: EmbeddedEncoder, unseen: Unseen, tested: Unseen, fit: Fit) -> Measures:
+def measure(encoder: EmbeddedEncoder, unseen: Unseen, tested: Half, fit: Fit) -> Measures:
     """fit: the calibration of single pixels, which `encoder` carries; tested: what its reliability is measured on."""
     reliable = {
         "renders": _reliability(encoder, tested.render_samples, fit),

@@ -9,9 +9,10 @@ from .species import SPECIES
 
 WALK_EVERY = 15
 """Every so many scenes, one is a whole walk around a tree, kept to calibrate on what many views of it give."""
-ROUNDS = 0.4
+AROUND = 0.4
 """Share of the other scenes that are seen from around the tree; the rest are close-ups."""
 WALK_VIEWS = 36
+"""Pictures of such a walk."""
 SPINDLES = 0.55
 """Share of training scenes with the commonest form; the other forms share the rest."""
 
@@ -26,7 +27,7 @@ def training_config(seed: int) -> OrchardConfig:
     cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
     fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))
     leaves = int(rng.integers(1600, 4200) * cover)
-    close_ups = bool(rng.random() >= ROUNDS)
+    close_ups = bool(rng.random() >= AROUND)
     fruit_pixels = float(np.exp(rng.uniform(*np.log((11.0, 26.0)))))
     form = "spindle" if rng.random() < SPINDLES else str(rng.choice(FORMS[1:]))
     distractors = bool(rng.random() < 0.5)

@@ -16,7 +16,7 @@ from fruitlangs.engine.errors import EncoderError, VocabularyError
 from fruitlangs.engine.language.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.encoders import open_encoder
 from fruitlangs.engine.language.network import Network, normalise
-from fruitlangs.engine.language.relevancy import answer, scene_answer
+from fruitlangs.engine.language.relevancy import answer, scene_answers
 from fruitlangs.engine.language.vocabulary import CONCEPTS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
@@ -154,6 +154,6 @@ def test_the_shipped_weights_find_the_apples_of_the_sample():
     encoder = open_encoder(EmbedConfig())
     features = encoder.encode_dense(image).flatten(0, 1)
     weights = torch.full((len(features),), 10.0)
-    found = scene_answer(features, weights, encoder, "apple").numpy().reshape(truth.shape) >= 0.5
+    found = scene_answers(features, weights, encoder, ["apple"])[0].numpy().reshape(truth.shape) >= 0.5
     assert (found & truth).sum() / (found | truth).sum() > 0.5
-    assert (scene_answer(features, weights, encoder, "lemon").numpy() >= 0.5).mean() < 0.005
+    assert (scene_answers(features, weights, encoder, ["lemon"])[0].numpy() >= 0.5).mean() < 0.005
