@@ -1,4 +1,4 @@
-"""Measure the trainer: seconds by stage beside a rasteriser in plain PyTorch, curves, memory, what each part gains.
+"""Measure the trainer and the language: seconds by stage, memory, curves, what each part gains.
 
     python scripts/benchmark.py --quick
     python scripts/benchmark.py --out results/benchmark --json results/benchmark/stages.json
@@ -6,6 +6,7 @@
     python scripts/benchmark.py --ablation examples/orchard_tree --steps 750
     python scripts/benchmark.py --memory 200000 100 800 600
     python scripts/benchmark.py --published examples/orchard_tree
+    python scripts/benchmark.py --language examples/orchard_tree results/tree/gaussians.ply --clip CHECKPOINT
 
 Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
 vary between runs, so compare within one.
@@ -23,18 +24,20 @@ import _checkout  # noqa: F401  puts the checkout on the path
 from _terminal import run, terminal_progress
 from fruitlangs.benchmarks.ablation import ablate
 from fruitlangs.benchmarks.curve import training_curve
+from fruitlangs.benchmarks.language import measure_language
 from fruitlangs.benchmarks.memory import training_peak
 from fruitlangs.benchmarks.pages import (
     ablation_table,
     curve_table,
     draw_curves,
     draw_stages,
+    language_table,
     published_table,
     stage_table,
 )
 from fruitlangs.benchmarks.published import beside_published
 from fruitlangs.benchmarks.stages import MOST_THREADS, Setting, measure
-from fruitlangs.engine.config import TrainConfig
+from fruitlangs.engine.config import EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 
 SIZES = ((400, 300), (800, 600), (1500, 1000))
@@ -67,6 +70,12 @@ def main() -> None:
     parser.add_argument(
         "--published", type=Path, metavar="SCENE", help="train it tiny with 3DGS's settings and peer, and with ours"
     )
+    parser.add_argument(
+        "--language", type=Path, nargs=2, metavar=("SCENE", "PLY"), help="features for its Gaussians, and prompts"
+    )
+    parser.add_argument("--clip", metavar="CHECKPOINT", help="also by masks and this CLIP or SigLIP checkpoint")
+    parser.add_argument("--sam", metavar="CHECKPOINT", help="with --clip: also by the masks of this SAM checkpoint")
+    parser.add_argument("--views", type=int, default=0, help="photos that --language uses (default: all)")
     options = parser.parse_args()
     if min([*options.threads, *options.gaussians, options.repeats, *(options.memory or [])]) < 1:
         raise ConfigError("--threads, --gaussians, --repeats and --memory must be at least 1")
@@ -77,7 +86,9 @@ def main() -> None:
         peak, estimate = training_peak(*options.memory)
         pages.append(f"Peak memory {peak / 2**20:.0f} MB, estimated {estimate / 2**20:.0f} MB.")
     rows = []
-    if options.quick or not (options.curve or options.ablation or options.memory or options.published):
+    if options.quick or not (
+        options.curve or options.ablation or options.memory or options.published or options.language
+    ):
         rows = measure(QUICK if options.quick else grid(options), repeats=options.repeats, progress=progress)
         pages.append(stage_table(rows))
     curves = [training_curve(scene, config, progress=progress) for scene in options.curve]
@@ -87,6 +98,10 @@ def main() -> None:
         pages.append(ablation_table(ablate(options.ablation, config, progress=progress)))
     if options.published is not None:
         pages.append(published_table(beside_published(options.published, steps=options.steps, progress=progress)))
+    if options.language is not None:
+        scene, ply = options.language
+        language = measure_language(scene, ply, roads(options), views=options.views, progress=progress)
+        pages.append(language_table(language))
     progress(1.0, "done")
     print("\n\n".join(pages))
     if options.json is not None:
@@ -99,6 +114,18 @@ def main() -> None:
             draw_stages(rows, options.out / "stages.png")
         if curves:
             draw_curves(curves, options.out / "curves.png")
+
+
+def roads(options: argparse.Namespace) -> list[EmbedConfig]:
+    """The embedded encoder; with --clip also its checkpoint on classical masks, and on those of --sam."""
+    if options.sam and not options.clip:
+        raise ConfigError("--sam finds masks for --clip; name a CLIP checkpoint too")
+    configs = [EmbedConfig()]
+    if options.clip:
+        configs.append(EmbedConfig(encoder="clip", clip=options.clip))
+    if options.sam:
+        configs.append(EmbedConfig(encoder="clip", clip=options.clip, masks="sam", sam=options.sam))
+    return configs
 
 
 def grid(options: argparse.Namespace) -> list[Setting]:

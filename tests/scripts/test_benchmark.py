@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,24 +15,33 @@ import torch
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
+sys.path.insert(0, str(ROOT / "tests" / "engine"))
 import _checkout  # noqa: F401
+
+from checkpoints import write_clip
 
 from fruitlangs.benchmarks import peer_torch
 from fruitlangs.benchmarks.ablation import VARIANTS, ablate
 from fruitlangs.benchmarks.curve import training_curve
+from fruitlangs.benchmarks.language import Stopwatch, measure_language
 from fruitlangs.benchmarks.pages import (
     ablation_table,
     curve_table,
     draw_curves,
     draw_stages,
+    language_table,
     published_table,
     stage_table,
 )
 from fruitlangs.benchmarks.published import DENSIFY_EVERY, DENSIFY_FROM, beside_published
 from fruitlangs.benchmarks.stages import FORWARD_AND_BACKWARD, STAGES, STEP, Setting, ahead, measure, orchard_like
-from fruitlangs.engine.config import SceneConfig, TrainConfig
+from fruitlangs.engine.config import EmbedConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS
+from fruitlangs.engine.splatting.initialise import first_gaussians
 from fruitlangs.engine.splatting.losses import PhotometricLoss
+from fruitlangs.engine.splatting.photos import PhotoShelf
+from fruitlangs.engine.splatting.ply import write_ply
 from fruitlangs.engine.splatting.rasterize import render
 from fruitlangs.engine.splatting.workspace import Workspace
 
@@ -118,6 +128,38 @@ def test_3dgs_as_published_learns_a_tiny_scene_and_ours_takes_as_many_gaussians(
     assert max(standard.gaussians, ours.gaussians) <= theirs.gaussians
     assert (theirs.steps, standard.steps, ours.steps) == (steps, TrainConfig().steps, steps)
     assert published_table([theirs, standard, ours]).count("| ours |") == 2
+
+
+def test_both_roads_of_the_language_are_timed_stage_by_stage(tmp_path: Path) -> None:
+    shelf = PhotoShelf(read_scene(SAMPLE, SMALL))
+    write_ply(tmp_path / "gaussians.ply", first_gaussians(shelf, range(4), 0, 1000, 0))
+    shelf.close()
+    clip = write_clip(tmp_path / "clip")
+    configs = [EmbedConfig(), EmbedConfig(encoder="clip", clip=str(clip), code_epochs=1)]
+    rows = measure_language(SAMPLE, tmp_path / "gaussians.ply", configs, views=2)
+    assert {row.road for row in rows} == {"embedded", "clip, classical masks"}
+    by_name = {(row.road, row.name): row for row in rows}
+    assert by_name["embedded", "encode a photo"].times == 2
+    assert by_name["clip, classical masks", "find a photo's masks"].times == 2
+    assert all(row.seconds >= 0.0 < row.peak for row in rows)
+    assert language_table(rows).count("| ask a word |") == 2
+
+
+def test_a_stage_inside_another_stops_its_clock() -> None:
+    watch = Stopwatch()
+    with watch.stage("outer"):
+        for _ in watch.each("inner", (time.sleep(0.05) for _ in range(2))):
+            time.sleep(0.02)
+    assert watch.seconds["inner"] == pytest.approx(0.1, abs=0.03)
+    assert watch.seconds["outer"] == pytest.approx(0.04, abs=0.03)
+    assert watch.times == {"outer": 1, "inner": 2}
+
+
+def test_sam_without_clip_is_one_line() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "benchmark.py"), "--language", "a", "b", "--sam", "c"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("error: --sam")
 
 
 def test_the_script_writes_rows_as_json(tmp_path: Path) -> None:

@@ -1,0 +1,189 @@
+"""Seconds and memory of every stage from photos to probabilities, by the embedded encoder and by masks with CLIP."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import psutil
+
+from ..engine.config import EmbedConfig, SceneConfig
+from ..engine.language.autoencoder import train_autoencoders
+from ..engine.language.cells import cell_weights
+from ..engine.language.embedder import Embedder
+from ..engine.language.encoders import sees_crops, sees_whole
+from ..engine.language.features import Features
+from ..engine.language.lift import encode_photos, lift_features
+from ..engine.language.lift_segments import mix_features
+from ..engine.language.photo_segments import segmented_views
+from ..engine.language.relevancy import relevancy
+from ..engine.progress import Progress, part, silent
+from ..engine.scene.camera import Scene
+from ..engine.scene.read import read_scene
+from ..engine.splatting.gaussians import Gaussians
+from ..engine.splatting.ply import read_ply
+
+T = TypeVar("T")
+PROMPT, NEGATIVES = "apple", ("leaf", "green pear", "branch")
+SAMPLING = 0.02
+"""Seconds between two looks at the memory."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """seconds in all; peak: the most memory, bytes, that the process held meanwhile; times: how often it ran."""
+
+    road: str
+    name: str
+    seconds: float
+    peak: int
+    times: int
+
+
+@dataclass
+class Stopwatch:
+    """Seconds and peak memory by stage; a stage inside another one stops the outer one's clock."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    peaks: dict[str, int] = field(default_factory=dict)
+    times: dict[str, int] = field(default_factory=dict)
+    _open: list[str] = field(default_factory=list)
+    _since: float = 0.0
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Look at the memory meanwhile."""
+        process, done = psutil.Process(), threading.Event()
+
+        def look() -> None:
+            while not done.wait(SAMPLING):
+                if stages := self._open[-1:]:
+                    self.peaks[stages[0]] = max(self.peaks.get(stages[0], 0), process.memory_info().rss)
+
+        thread = threading.Thread(target=look)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time what is done meanwhile."""
+        self._tick()
+        self._open.append(name)
+        self.times[name] = self.times.get(name, 0) + 1
+        self.peaks[name] = max(self.peaks.get(name, 0), psutil.Process().memory_info().rss)
+        try:
+            yield
+        finally:
+            self._tick()
+            self._open.pop()
+
+    def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
+        """Time how long each of them takes to come."""
+        iterator = iter(items)
+        while True:
+            with self.stage(name):
+                try:
+                    item = next(iterator)
+                except StopIteration:
+                    self.times[name] -= 1
+                    return
+            yield item
+
+    def rows(self, road: str) -> list[Stage]:
+        return [Stage(road, name, self.seconds[name], self.peaks[name], self.times[name]) for name in self.times]
+
+    def _tick(self) -> None:
+        now = time.perf_counter()
+        if self._open:
+            self.seconds[self._open[-1]] = self.seconds.get(self._open[-1], 0.0) + now - self._since
+        self._since = now
+
+
+def measure_language(
+    source: Path, ply: Path, configs: Sequence[EmbedConfig], *, views: int = 0, progress: Progress = silent
+) -> list[Stage]:
+    """Give the Gaussians of a .ply features from the photos of their scene, by each of the settings, and ask.
+
+    views: how many photos are used; 0: all.
+
+    Raises:
+        FruitLangsError: the scene, the Gaussians or a checkpoint cannot be read.
+    """
+    scene = _some(read_scene(source, SceneConfig()), views)
+    gaussians = read_ply(ply)
+    return [
+        row
+        for place, config in enumerate(configs)
+        for row in _road(scene, gaussians, config, part(progress, place / len(configs), (place + 1) / len(configs)))
+    ]
+
+
+def _road(scene: Scene, gaussians: Gaussians, config: EmbedConfig, progress: Progress) -> list[Stage]:
+    watch = Stopwatch()
+    with watch.running():
+        with watch.stage("open"):
+            embedder = Embedder.open(config)
+        features = (_lifted if embedder.segmenter is None else _mixed)(watch, scene, gaussians, embedder, progress)
+        for name, negatives in (("ask a word", ()), ("ask with three negatives", NEGATIVES)):
+            with watch.stage(name):
+                relevancy(features, embedder.encoder, [PROMPT], negatives)
+    return watch.rows(config.encoder if embedder.segmenter is None else f"{config.encoder}, {config.masks} masks")
+
+
+def _lifted(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
+    assert sees_whole(embedder.encoder)
+    photos = watch.each("encode a photo", encode_photos(scene, embedder.encoder))
+    with watch.stage("lift"):
+        return lift_features(gaussians, scene.cameras, photos, encoder_id=embedder.encoder.identity, progress=progress)
+
+
+def _mixed(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
+    assert embedder.segmenter is not None
+    assert sees_crops(embedder.encoder)
+    segmenter: Any = _Timed(embedder.segmenter, watch, {"segment": "find a photo's masks"})
+    encoder: Any = _Timed(embedder.encoder, watch, {"encode_crops": "look at a batch of masks"})
+    with tempfile.TemporaryDirectory() as cache:
+        views = segmented_views(scene, segmenter, encoder, Path(cache), part(progress, 0.0, 0.8))
+        with watch.stage("sum weights"):
+            table = cell_weights(gaussians, scene.cameras, watch.each("crop and keep a photo's masks", views))
+    with watch.stage("multiply by the masks' features"):
+        features = mix_features(table, len(gaussians), encoder_id=embedder.encoder.identity)
+    with watch.stage("learn codes (joint training only)"):
+        train_autoencoders([table.vectors], embedder.config, progress=part(progress, 0.8, 1.0))
+    return features
+
+
+class _Timed:
+    """An object some of whose methods are stages."""
+
+    def __init__(self, inner: object, watch: Stopwatch, stages: dict[str, str]) -> None:
+        self._inner, self._watch, self._stages = inner, watch, stages
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._inner, name)
+        if name not in self._stages:
+            return found
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            with self._watch.stage(self._stages[name]):
+                return found(*arguments, **named)
+
+        return timed
+
+
+def _some(scene: Scene, views: int) -> Scene:
+    """The scene with so many of its photos, spread over all; 0: all."""
+    if not 0 < views < len(scene.images):
+        return scene
+    chosen = [round(place * (len(scene.images) - 1) / max(views - 1, 1)) for place in range(views)]
+    return replace(scene, cameras=[scene.cameras[i] for i in chosen], images=[scene.images[i] for i in chosen])
