@@ -31,7 +31,7 @@ from .network import Network, logits_at
 from .vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
-FORMAT = "fruitlangs-embedded-1"
+FORMAT = "fruitlangs-embedded-2"
 SEEN_SIDE = 960
 """Longest side of a photo as the network sees it, pixels; small photos are enlarged, at most twice."""
 MAX_SIDE = 1600

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-WIDTHS = (24, 48, 96, 128)
+WIDTHS = (32, 64, 128, 160)
 """Channels at strides 2, 4, 8 and 16."""
 DEPTHS = (1, 2, 3, 3)
 """3×3 convolutions at each stride, after the one that reaches it."""
@@ -55,6 +55,7 @@ class Network(nn.Module):
         pairs = list(zip(widths[:0:-1], widths[-2::-1], strict=True))
         self.lateral = nn.ModuleList(nn.Conv2d(deep, shallow, 1) for deep, shallow in pairs)
         self.up = nn.ModuleList(Unit(shallow, shallow) for _, shallow in pairs)
+        self.refine = Unit(widths[0], widths[0])
         self.head = nn.Conv2d(widths[0], concepts, 1)
 
     def forward(self, image: Tensor) -> Tensor:
@@ -66,7 +67,7 @@ class Network(nn.Module):
         for lateral, up, level in zip(self.lateral, self.up, levels[-2::-1], strict=True):
             coarse = functional.interpolate(lateral(image), scale_factor=2.0, mode="bilinear", align_corners=False)
             image = up(coarse + level)
-        return self.head(image)
+        return self.head(self.refine(image))
 
     def fuse(self) -> Network:
         """Ready for inference: normalisation folded into the convolutions."""

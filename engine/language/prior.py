@@ -7,7 +7,7 @@ from torch import Tensor
 
 PSEUDO_PIXELS = 300.0
 """Weight, in lifted pixels, of the belief that all kinds are alike; a scene with less fruit than this is left alone."""
-ASKED, ANY = 0.2, 0.05
+ASKED, ANY = 0.5, 0.05
 """Weight, as shares of the scene's fruit, of the beliefs that people ask for what is there and that any kind may be:
 what an encoder thinks of one fruit of a tree it thinks of the others, so their number proves less than it seems to."""
 ROUNDS = 50

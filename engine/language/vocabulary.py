@@ -18,7 +18,10 @@ from . import words
 from .words import by_name, fold
 
 FRUITS = ("apple", "pear", "cherry", "plum", "lemon", "orange", "peach", "mango")
-SURROUNDINGS = ("leaf", "branch", "trunk", "soil", "grass", "sky", "post", "background")
+SURROUNDINGS = (
+    *("leaf", "branch", "trunk", "flower", "hedge", "soil", "grass", "sky"),
+    *("post", "tag", "bucket", "crate", "ladder", "stone", "wall", "background"),
+)
 CONCEPTS = FRUITS + SURROUNDINGS
 """What a pixel can be; exactly one of them."""
 COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "white", "grey", "black")
@@ -26,12 +29,14 @@ COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown"
 FRUIT_COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink")
 """What is said of fruit: one in shade is brown or black to look at, and red to speak of."""
 
-_GENERAL = {
+GENERAL = {
     "fruit": FRUITS,
     "citrus": ("lemon", "orange"),
-    "plant": ("leaf", "branch", "trunk", "grass"),
+    "plant": ("leaf", "branch", "trunk", "flower", "hedge", "grass"),
     "ground": ("soil", "grass"),
+    "tool": ("bucket", "crate", "ladder"),
 }
+"""Words that stand for several concepts."""
 _RIPE = {"unripe": ("green",), "ripe": tuple(colour for colour in FRUIT_COLOURS if colour != "green")}
 _THINGS, _COLOUR_NAMES, _RIPENESS = by_name(words.THINGS), by_name(words.COLOURS), by_name(words.RIPENESS)
 
@@ -71,7 +76,7 @@ def parse(prompt: str) -> Phrase:
         (ripeness if word in _RIPENESS else named).append(_RIPENESS.get(word) or _colour(word))
     adjectives = dict.fromkeys(named or ripeness[-1:])
     colours = dict.fromkeys(colour for word in adjectives for colour in _RIPE.get(word, (word,)))
-    concepts = _GENERAL.get(noun, (noun,)) if noun else ()
+    concepts = GENERAL.get(noun, (noun,)) if noun else ()
     return Phrase(" ".join([*adjectives, *([noun] if noun else [])]), tuple(colours), concepts)
 
 
@@ -93,7 +98,7 @@ def _noun(read: Sequence[str], prompt: str) -> int | None:
 
     def meaning(i: int) -> frozenset[str]:
         noun = _thing(read[i])
-        return frozenset(_GENERAL.get(noun, (noun,)))
+        return frozenset(GENERAL.get(noun, (noun,)))
 
     narrowest = min(things, key=lambda i: len(meaning(i)))
     if not all(meaning(narrowest) <= meaning(i) for i in things):
@@ -118,7 +123,7 @@ def _narrows(mine: tuple[str, ...], theirs: tuple[str, ...]) -> bool:
 def _complaint(word: str, prompt: str) -> str:
     nearest = difflib.get_close_matches(word, known_words(), n=3, cutoff=0.6)
     hint = f"nearest known: {', '.join(nearest)}; " if nearest else ""
-    things = ", ".join([*CONCEPTS, *_GENERAL])
+    things = ", ".join([*CONCEPTS, *GENERAL])
     return (
         f"the encoder does not know the word '{word}' in the prompt '{prompt}'; {hint}it knows {things}, "
         f"their names in German, French and Spanish, and the colours {', '.join(COLOURS)}"

@@ -34,11 +34,23 @@ THINGS: Mapping[str, str] = {
     "grass": "grasses lawn meadow turf weed gras graser wiese wiesen rasen herbe herbes gazon hierba pasto cesped",
     "sky": "skies cloud himmel wolke wolken ciel nuage nuages cielo nube nubes",
     "post": "pole stake pfosten pfahl pfahle stange stangen poteau poteaux piquet piquets poste estaca estacas",
-    "background": "backdrop wall floor table cloth hintergrund fond fondo",
+    "hedge": (
+        "hedgerow shrub bush hecke hecken strauch straucher straeucher haie haies buisson buissons seto setos arbusto "
+        "arbustos"
+    ),
+    "flower": "blossom bloom blute bluten bluete blueten blume blumen fleur fleurs flor flores",
+    "tag": "label etikett etiketten schild schilder etiquette etiquettes etiqueta etiquetas",
+    "bucket": "pail eimer seau seaux cubo cubos balde baldes",
+    "crate": "box boxes bin kiste kisten caisse caisses cageot cageots caja cajas cajon cajones",
+    "ladder": "stepladder leiter leitern echelle echelles escalera escaleras",
+    "stone": "rock boulder stein steine pierre pierres rocher rochers piedra piedras roca rocas",
+    "wall": "mauer mauern wand wande waende muret murets muraille murailles muro muros pared paredes",
+    "background": "backdrop floor table cloth hintergrund fond fondo",
     "fruit": "fruitlet frucht fruchte fruechte obst fruta frutas fruto frutos",
     "citrus": "citruses zitrusfrucht zitrusfruchte agrume agrumes citrico citricos",
     "plant": "vegetation pflanze pflanzen plante plantes planta plantas",
     "ground": "boden sol suelo",
+    "tool": "equipment werkzeug werkzeuge gerat gerate geraet geraete outil outils herramienta herramientas",
 }
 """Other names by thing; a thing is its own name too."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,16 +34,25 @@ class Distinction:
 
 
 def distinctions(
-    answers: Mapping[str, FloatArray], truth: NDArray[np.str_], *, least: int = LEAST
+    answers: Mapping[str, FloatArray],
+    truth: NDArray[np.str_],
+    *,
+    general: Mapping[str, Sequence[str]] | None = None,
+    least: int = LEAST,
 ) -> dict[str, Distinction]:
-    """Each word's worst rival. answers: by word (M,) how much each pixel is it; truth: (M,) what each pixel is."""
-    words = [word for word in answers if (truth == word).sum() >= least]
+    """Each word's worst rival. answers: by word (M,) how much each pixel is it; truth: (M,) what each pixel is.
+
+    general: the words that a general one stands for; none of them is its rival, and it is nobody's.
+    """
+    general = general or {}
+    rivals = [word for word in answers if (truth == word).sum() >= least]
     found = {}
-    for word in words:
-        mine = answers[word][truth == word]
-        rivals = [Distinction(_auc(mine, answers[word][truth == rival]), rival) for rival in words if rival != word]
-        if rivals:
-            found[word] = min(rivals, key=lambda each: each.auc)
+    for word, mine in answers.items():
+        own = general.get(word, (word,))
+        meant, others = np.isin(truth, own), [rival for rival in rivals if rival not in own]
+        if others and meant.sum() >= least:
+            against = (Distinction(_auc(mine[meant], mine[truth == rival]), rival) for rival in others)
+            found[word] = min(against, key=lambda each: each.auc)
     return found
 
 

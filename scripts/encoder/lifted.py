@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fruitlangs.engine.config import PRESETS, SceneConfig
+from fruitlangs.engine.evaluation.calibration import balanced_weights
 from fruitlangs.engine.evaluation.renders import read_instances
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.lift import encode_photos, lift_features
@@ -30,6 +31,10 @@ FloatArray = NDArray[np.float64]
 
 SHARPEST = 0.4
 """Lowest temperature: rendered scenes are easier than real ones, and must not make the encoder too sure of itself."""
+
+FRUIT_SHARE = 0.15
+"""Share of fruit, by drawn pixels, that lifted features are calibrated for: of those tried it counted best on rendered
+walks and on the sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +92,17 @@ def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
 
 
 def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
-    """Temperature and bias of "fruit" for lifted features; each scene and, in it, each drawn pixel counts alike."""
+    """Temperature and bias of "fruit" for lifted features; each scene counts alike, and in it FRUIT_SHARE is fruit.
+
+    Of what views draw a fiftieth may be fruit, and at that share a half hidden fruit is hardly ever likelier than not:
+    counting would miss it. At equal shares leaves become fruit.
+    """
     m, t = (np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("margins", "fruit"))
-    w = np.concatenate([scene.weights / scene.weights.sum() for scene in scenes])
+    shares = np.where(t, FRUIT_SHARE, 1.0 - FRUIT_SHARE)
+    w = shares * np.concatenate([balanced_weights(scene.fruit, scene.weights) for scene in scenes])
     temperature, bias = logistic(m, t, w)
     sharpest = max(temperature, SHARPEST)
-    calibration = Calibration(sharpest, bias * temperature / sharpest, pixels.kind_temperature)
-    return Fit(calibration, float((w * t).sum() / w.sum()))
+    return Fit(Calibration(sharpest, bias * temperature / sharpest, pixels.kind_temperature), FRUIT_SHARE)
 
 
 def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:

@@ -1,4 +1,7 @@
-"""The training loss: fruit and surroundings count alike, however few pixels are fruit."""
+"""The training loss: fruit and surroundings count alike, however few pixels are fruit.
+
+Both parts take the logarithms of the concepts' probabilities, (B, K, H, W), and what is shown, (B, H, W).
+"""
 
 from __future__ import annotations
 
@@ -14,21 +17,20 @@ DOUBT = 0.5
 would be cross-entropy, 1 the mean absolute error (the q of Zhang and Sabuncu 2018, "Generalized Cross Entropy")."""
 
 
-def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 1.0) -> Tensor:
-    """Cross-entropy of (B, K, H, W) logits against (B, H, W) labels.
+def concept_loss(log_probability: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 1.0) -> Tensor:
+    """Cross-entropy.
 
     A pixel known only as no fruit asks for the sum s of the surroundings' probabilities, by (1 − s^q) / q. Every word
     counts by the root of its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the
     rest. A fruit pixel is also asked for its kind alone, with weight `naming`.
     """
-    log_probability = logits.float().log_softmax(1)
     known = labels < len(CONCEPTS)
     target = torch.where(known, labels, 0)
     exact = -log_probability.gather(1, target[:, None])[:, 0]
-    fruit = log_probability[:, : len(FRUITS)]
+    fruit, others = log_probability.split([len(FRUITS), len(CONCEPTS) - len(FRUITS)], dim=1)
     kind = fruit.logsumexp(1) - fruit.gather(1, target.clamp_max(len(FRUITS) - 1)[:, None])[:, 0]
     exact = torch.where(target < len(FRUITS), exact + naming * kind, exact)
-    vague = -torch.expm1(DOUBT * log_probability[:, len(FRUITS) :].logsumexp(1)) / DOUBT
+    vague = -torch.expm1(DOUBT * others.logsumexp(1)) / DOUBT
     loss = torch.where(known, exact, vague)
     bins = torch.where(labels == NOT_FRUIT, len(CONCEPTS), torch.where(known, labels, len(CONCEPTS) + 1))
     counts = torch.bincount(bins.flatten(), minlength=len(CONCEPTS) + 2)
@@ -40,14 +42,14 @@ def concept_loss(logits: Tensor, labels: Tensor, *, fruit_share: float = 0.45, n
     return (loss * weights[bins]).sum()
 
 
-def overlap_loss(logits: Tensor, labels: Tensor) -> Tensor:
-    """One less the soft intersection over union of "fruit", mean over the pictures of (B, K, H, W) that show fruit.
+def overlap_loss(log_probability: Tensor, labels: Tensor) -> Tensor:
+    """One less the soft intersection over union of "fruit", mean over the pictures that show fruit.
 
     Cross-entropy counts a pixel by its word; this counts it by what it costs the outlines, and makes them sharper.
     """
     known = (labels < len(CONCEPTS)) | (labels == NOT_FRUIT)
     fruit = (labels < len(FRUITS)).float()
-    probability = logits.float().softmax(1)[:, : len(FRUITS)].sum(1) * known
+    probability = log_probability[:, : len(FRUITS)].exp().sum(1) * known
     both = (probability * fruit).sum((1, 2))
     either = probability.sum((1, 2)) + fruit.sum((1, 2)) - both
     shows = fruit.sum((1, 2)) > 0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fruitlangs.engine.language.embedded import EmbeddedEncoder
-from fruitlangs.engine.language.vocabulary import CONCEPTS
+from fruitlangs.engine.language.vocabulary import CONCEPTS, GENERAL
 
 from .calibration import Fit
 from .confusable import Distinction, colour_distinctions, distinctions
@@ -95,6 +95,5 @@ def _reliability(encoder: EmbeddedEncoder, samples: Sequence[Sample], fit: Fit) 
 def _words(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> dict[str, Distinction]:
     known = [each.among(each.labels < len(CONCEPTS)) for each in samples]
     truth: NDArray[np.str_] = np.array(CONCEPTS)[np.concatenate([each.labels for each in known])]
-    return distinctions(
-        {word: np.concatenate([answers(encoder, each, word) for each in known]) for word in CONCEPTS}, truth
-    )
+    asked = {word: np.concatenate([answers(encoder, each, word) for each in known]) for word in (*CONCEPTS, *GENERAL)}
+    return distinctions(asked, truth, general=GENERAL)

@@ -18,7 +18,7 @@ from .pictures import NOT_FRUIT, Labels, Picture, inside
 
 FloatArray = NDArray[np.float64]
 
-STEP = 5
+STEP = 4
 """Every so many pixels, across and down, one is measured."""
 
 

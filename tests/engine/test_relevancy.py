@@ -82,7 +82,8 @@ def test_an_unseen_gaussian_with_a_zero_feature_has_probability_zero(encoder: Em
 
 
 def test_the_length_of_a_block_does_not_matter(encoder: EmbeddedEncoder):
-    mixed = torch.nn.functional.normalize(_feature("red", apple=0.8) * torch.tensor([0.4] * 16 + [1.0] * 11), dim=0)
+    blocks = torch.tensor([0.4] * len(CONCEPTS) + [1.0] * len(COLOURS))
+    mixed = torch.nn.functional.normalize(_feature("red", apple=0.8) * blocks, dim=0)
     expected = relevancy(_features(_feature("red", apple=0.8)), encoder, ["red apple"])
     assert torch.allclose(relevancy(_features(mixed), encoder, ["red apple"]), expected, atol=2e-3)
 

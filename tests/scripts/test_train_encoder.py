@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 import train_encoder
-from encoder.batches import CROP, Material, make_batch
+from encoder.batches import CROP, Material, _crop, make_batch
 from encoder.confusable import colour_distinctions, distinctions
+from encoder.learning import Course, learn
 from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union, lifted_measures, walks
 from encoder.losses import concept_loss, overlap_loss
 from encoder.pasting import cut_fruit, paste
@@ -20,6 +22,7 @@ from encoder.pictures import (
     LEAST_WALK,
     NOT_FRUIT,
     Box,
+    Picture,
     box_labels,
     read_photos,
     read_renders,
@@ -31,7 +34,7 @@ from PIL import Image
 
 from fruitlangs.engine.errors import ConfigError, EncoderError, FormatError
 from fruitlangs.engine.evaluation.calibration import BINS
-from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, save_weights
+from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
 
@@ -164,7 +167,9 @@ def test_few_fruit_pixels_weigh_as_much_as_many():
     right[:, LEAF] = 6.0
     few, many = torch.full((1, 32, 32), LEAF), torch.full((1, 32, 32), LEAF)
     few[:, :2, :2], many[:, :16] = APPLE, APPLE
-    assert float(concept_loss(right, few)) == pytest.approx(float(concept_loss(right, many)), rel=1e-3)
+    assert float(concept_loss(right.log_softmax(1), few)) == pytest.approx(
+        float(concept_loss(right.log_softmax(1), many)), rel=1e-3
+    )
 
 
 def test_no_fruit_is_content_with_any_word_of_the_surroundings():
@@ -172,7 +177,7 @@ def test_no_fruit_is_content_with_any_word_of_the_surroundings():
     for word in CONCEPTS:
         logits = torch.zeros(1, len(CONCEPTS), 8, 8)
         logits[:, CONCEPTS.index(word)] = 20.0
-        assert (float(concept_loss(logits, labels)) < 0.01) == (word not in FRUITS)
+        assert (float(concept_loss(logits.log_softmax(1), labels)) < 0.01) == (word not in FRUITS)
 
 
 def test_a_pixel_outside_all_boxes_that_is_surely_fruit_hardly_teaches():
@@ -182,7 +187,7 @@ def test_a_pixel_outside_all_boxes_that_is_surely_fruit_hardly_teaches():
         logits = torch.zeros(1, len(CONCEPTS), 8, 8)
         logits[:, APPLE] = sure
         logits.requires_grad_()
-        concept_loss(logits, labels).backward()
+        concept_loss(logits.log_softmax(1), labels).backward()
         assert logits.grad is not None
         pulls.append(float(logits.grad[:, APPLE].sum()))
     assert pulls[0] > 5.0 * pulls[1] > 0.0
@@ -194,19 +199,19 @@ def test_the_loss_of_overlap_is_the_share_of_the_union_that_is_missed():
     logits = torch.zeros(2, len(CONCEPTS), 8, 8)
     logits[:, LEAF] = 40.0
     logits[0, APPLE, :2] = 80.0
-    assert float(overlap_loss(logits, labels)) == pytest.approx(0.5, abs=1e-4)
+    assert float(overlap_loss(logits.log_softmax(1), labels)) == pytest.approx(0.5, abs=1e-4)
     logits[0, APPLE, :4] = 80.0
-    assert float(overlap_loss(logits, labels)) == pytest.approx(0.0, abs=1e-4)
+    assert float(overlap_loss(logits.log_softmax(1), labels)) == pytest.approx(0.0, abs=1e-4)
     labels[0, 4:] = IGNORED
     logits[0, APPLE] = 80.0
-    assert float(overlap_loss(logits, labels)) == pytest.approx(0.0, abs=1e-4)
+    assert float(overlap_loss(logits.log_softmax(1), labels)) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_ignored_pixels_teach_nothing():
     labels = torch.full((1, 8, 8), LEAF)
     labels[:, 4:] = IGNORED
     logits = torch.zeros(1, len(CONCEPTS), 8, 8, requires_grad=True)
-    concept_loss(logits, labels).backward()
+    concept_loss(logits.log_softmax(1), labels).backward()
     assert logits.grad is not None
     assert logits.grad[:, :, :4].any()
     assert not logits.grad[:, :, 4:].any()
@@ -264,6 +269,13 @@ def test_a_words_worst_rival_is_named_and_words_of_few_pixels_are_left_out():
     assert "tag" not in found
 
 
+def test_a_general_word_has_no_rival_among_what_it_stands_for():
+    truth = np.array(["leaf"] * 200 + ["grass"] * 200 + ["sky"] * 200)
+    plant = np.concatenate([np.linspace(0.4, 1.0, 400), np.linspace(0.2, 0.8, 200)])
+    found = distinctions({"grass": plant, "sky": -plant, "plant": plant}, truth, general={"plant": ("leaf", "grass")})
+    assert found["plant"].against == found["grass"].against == "sky"
+
+
 def test_colour_words_agree_with_what_people_call_colours():
     found = colour_distinctions()
     assert len(found) >= 9
@@ -290,14 +302,12 @@ def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
 ):
     monkeypatch.setattr(train_encoder, "WIDTHS", (4, 4, 4, 4))
     monkeypatch.setattr(train_encoder, "DEPTHS", (0, 0, 0, 0))
-    threads = torch.get_num_threads()
     for name in ("a", "b"):
         train_encoder.main(
             train_encoder.Options(
-                renders=renders, photos=photos, out=tmp_path / name / "w.safetensors", steps=2, batch=2, threads=1
+                renders=renders, photos=photos, out=tmp_path / name / "w.safetensors", steps=2, batch=2, processes=1
             )
         )
-    torch.set_num_threads(threads)
     assert (tmp_path / "a" / "w.safetensors").read_bytes() == (tmp_path / "b" / "w.safetensors").read_bytes()
     document = json.loads((tmp_path / "a" / "w.json").read_text())
     assert document["seeds"] == list(range(1000, 1008))
@@ -307,6 +317,53 @@ def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
     assert set(document["measures"]["conditions"]) == {"blurred", "mixed species"}
     assert set(document["measures"]["reliability"]) == {"photos"}  # one held-out scene cannot be fitted and judged
     assert EmbeddedEncoder.open(tmp_path / "a" / "w.safetensors").dimension == len(CONCEPTS) + len(COLOURS)
+
+
+def _some_course(**changes: Any) -> Course:
+    return Course(**{"steps": 3, "batch": 2, "seed": 5, "bf16": False, **changes})
+
+
+def test_processes_that_share_gradients_learn_the_same_weights_each_time(photos: Path):
+    pictures = read_photos(photos, "train")
+    material = Material(pictures, [], cut_fruit(pictures))
+    states = []
+    for processes in (2, 2, 1):
+        torch.manual_seed(0)
+        network = Network(len(CONCEPTS), widths=(4, 4, 4, 4), depths=(0, 0, 0, 0))
+        assert learn(network, material, _some_course(processes=processes)) == 3
+        states.append(torch.cat([tensor.flatten().double() for tensor in network.state_dict().values()]))
+    assert torch.equal(states[0], states[1])
+    assert not torch.equal(states[0], states[2])  # the second process's crops were learnt from too
+
+
+def test_a_run_by_the_clock_ends_in_all_processes(photos: Path):
+    pictures = read_photos(photos, "train")
+    network = Network(len(CONCEPTS), widths=(4, 4, 4, 4), depths=(0, 0, 0, 0))
+    assert learn(network, Material(pictures, [], cut_fruit(pictures)), _some_course(minutes=0.03, processes=2)) >= 1
+
+
+def test_a_larger_network_starts_with_the_answers_of_the_smaller_one(tmp_path: Path):
+    torch.manual_seed(3)
+    small = Network(len(CONCEPTS), widths=(4, 6, 8, 8), depths=(1, 1, 0, 1))
+    path = tmp_path / "w.safetensors"
+    save_weights(path, small, Calibration(), widths=(4, 6, 8, 8), depths=(1, 1, 0, 1), seeds=[], runs=[])
+    large = Network(len(CONCEPTS), widths=(6, 6, 12, 16), depths=(2, 1, 1, 1))
+    train_encoder.resume(large, path)
+    image = torch.randn(1, 3, 48, 64)
+    with torch.inference_mode():
+        assert torch.allclose(large.eval()(image), read_weights(path).network().eval()(image), atol=1e-5)
+    assert large.down[1][0].conv.weight[:, 4:].any() or large.down[0][0].conv.weight[4:].any()  # new ones are free
+    with pytest.raises(EncoderError, match="larger network"):
+        train_encoder.resume(Network(len(CONCEPTS), widths=(4, 4, 4, 4), depths=(0, 0, 0, 0)), path)
+
+
+def test_half_of_the_crops_show_a_word_drawn_alike_however_few_its_pixels():
+    labels = np.full((600, 600), LEAF, np.uint8)
+    labels[300:306, 300:306] = CONCEPTS.index("tag")
+    picture = Picture(np.zeros((600, 600, 3), np.uint8), labels, "scene")
+    rng = np.random.default_rng(0)
+    share = np.mean([(_crop(picture, rng, (1.9, 2.1), focus=0.5).labels != LEAF).any() for _ in range(200)])
+    assert 0.22 < share < 0.45  # a quarter by focus, some by chance
 
 
 def test_a_later_run_keeps_what_the_earlier_one_saw(tmp_path: Path):
