@@ -215,6 +215,5 @@ def _tally(result: Result, truth: Truth | None) -> Tally:
     found = result.fruit_count
     if truth is None:
         return Tally(counted=found.count)
-    centers = np.array([fruit.center for fruit in found.fruits]).reshape(-1, 3)
-    metrics = count_metrics(centers, np.array([fruit.diameter for fruit in found.fruits]), truth)
+    metrics = count_metrics(found.centers, found.diameters, truth)
     return Tally(counted=found.count, true=metrics.visible, f1=metrics.f1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +12,16 @@ from sklearn.cluster import DBSCAN, KMeans
 
 from ..engine.config import CountConfig
 from ..engine.counting.cluster import NEIGHBORS, OVERLAP, vote
-from ..engine.counting.count import LARGEST_SCALE, SIZING_POINTS, count_fruit
+from ..engine.counting.count import LARGEST_SCALE, count_fruit, fruit_size
 from ..engine.counting.sample import SurfacePoints, sample_skin
-from ..engine.counting.size import estimate_diameter
 from ..engine.counting.sphere import REACH, fit_spheres, neighborhoods
 from ..engine.counting.visibility import Visibility, see
 from .simulated import Simulation
 
 FloatArray = NDArray[np.float64]
+Found = tuple[FloatArray, FloatArray]
+"""Centres (F, 3) and diameters (F,)."""
+NONE: Found = (np.zeros((0, 3)), np.zeros(0))
 
 LINK, LEAST = 0.15, 8
 """DBSCAN's ε, in diameters, and min_samples."""
@@ -28,22 +31,58 @@ WEAKEST = 0.15
 """A sphere with less than this share of the best sphere's points is dropped."""
 
 
-def ours(simulation: Simulation) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What every method starts from. points: of the skin of all that is taken for fruit; diameter: the fruit's, None
+    where nothing looks round; visibility: how the cameras see the simulation's Gaussians.
+    """
+
+    points: SurfacePoints
+    diameter: float | None
+    visibility: Visibility
+
+
+def surface_of(simulation: Simulation) -> Surface:
+    """The points and the size that the product's default starts from, by its own functions."""
+    gaussians, config = simulation.gaussians, CountConfig()
+    chances = simulation.probability.double().numpy()
+    visibility = see(gaussians, simulation.cameras)
+    seen = np.flatnonzero((chances >= config.threshold) & (visibility.weights > 0))
+    size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
+    points = sample_skin(
+        gaussians,
+        chances,
+        visibility,
+        seen if size else seen[:0],
+        budget=config.sample_budget,
+        seed=config.seed,
+        largest=LARGEST_SCALE * size[0] if size else 1.0,
+    )
+    return Surface(points, size[0] if size else None, visibility)
+
+
+def ours(simulation: Simulation, surface: Surface) -> Found:
     """Centres (F, 3) and diameters (F,) by the product's default."""
     counted = count_fruit(
-        simulation.gaussians, simulation.probability, simulation.cameras, CountConfig(), label="fruit"
+        simulation.gaussians,
+        simulation.probability,
+        simulation.cameras,
+        CountConfig(),
+        label="fruit",
+        visibility=surface.visibility,
     )
-    centers = np.array([fruit.center for fruit in counted.fruits]).reshape(-1, 3)
-    return centers, np.array([fruit.diameter for fruit in counted.fruits])
+    return counted.centers, counted.diameters
 
 
-def by_mass(simulation: Simulation) -> tuple[FloatArray, FloatArray]:
+def by_mass(simulation: Simulation, surface: Surface) -> Found:
     """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
-    points, diameter = _surface(simulation)
+    points, diameter = surface.points, surface.diameter
+    if diameter is None:
+        return NONE
     cluster = DBSCAN(eps=LINK * diameter, min_samples=LEAST).fit_predict(points.positions)
     sizes = np.bincount(cluster[cluster >= 0])
     if len(sizes) == 0:
-        return np.zeros((0, 3)), np.zeros(0)
+        return NONE
     # Half of the points lie in clusters of at least this size: floaters are many clusters of few points.
     rising = np.sort(sizes)
     usual = float(rising[np.searchsorted(np.cumsum(rising), 0.5 * rising.sum())])
@@ -56,9 +95,11 @@ def by_mass(simulation: Simulation) -> tuple[FloatArray, FloatArray]:
     return found, np.full(len(found), diameter)
 
 
-def by_votes(simulation: Simulation) -> tuple[FloatArray, FloatArray]:
+def by_votes(simulation: Simulation, surface: Surface) -> Found:
     """Votes for centres along the normals, sphere fits, non-maximum suppression; nothing is rejected for its form."""
-    points, diameter = _surface(simulation)
+    points, diameter = surface.points, surface.diameter
+    if diameter is None:
+        return NONE
     tree, radius = cKDTree(points.positions), diameter / 2.0
     starts = vote(points, radius)
     near = neighborhoods(tree, starts, np.full(len(starts), REACH * radius), NEIGHBORS)
@@ -73,25 +114,9 @@ def by_votes(simulation: Simulation) -> tuple[FloatArray, FloatArray]:
     return spheres.centers[chosen], 2.0 * spheres.radii[chosen]
 
 
-METHODS: Mapping[str, Callable[[Simulation], tuple[FloatArray, FloatArray]]] = {
+METHODS: Mapping[str, Callable[[Simulation, Surface], Found]] = {
     "DBSCAN + mass ratio": by_mass,
     "plain centre voting": by_votes,
     "ours": ours,
 }
 """By name."""
-
-
-def _surface(simulation: Simulation) -> tuple[SurfacePoints, float]:
-    """What ours starts from: points of the skin of all that is taken for fruit, and the fruit's diameter."""
-    gaussians, config = simulation.gaussians, CountConfig()
-    chances = simulation.probability.double().numpy()
-    visibility: Visibility = see(gaussians, simulation.cameras)
-    seen = np.flatnonzero((chances >= config.threshold) & (visibility.weights > 0))
-    typical = float(np.median(gaussians.scales.double().numpy()[seen].max(axis=1)))
-
-    def skin(budget: int, largest: float) -> SurfacePoints:
-        return sample_skin(gaussians, chances, visibility, seen, budget=budget, seed=config.seed, largest=largest)
-
-    estimate = estimate_diameter(skin(SIZING_POINTS, 8.0 * typical), typical, seed=config.seed)
-    assert estimate is not None
-    return skin(config.sample_budget, LARGEST_SCALE * estimate.diameter), estimate.diameter

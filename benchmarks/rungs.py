@@ -256,8 +256,8 @@ def write_transforms(path: Path, scene: Scene, poses: Mapping[str, FloatArray]) 
 
 def _counted(found: FruitCount, views: int) -> Counted:
     return Counted(
-        centers=np.array([fruit.center for fruit in found.fruits]).reshape(-1, 3),
-        diameters=np.array([fruit.diameter for fruit in found.fruits], dtype=np.float64),
+        centers=found.centers,
+        diameters=found.diameters,
         probabilities=np.array([fruit.probability for fruit in found.fruits], dtype=np.float64),
         interval=found.interval,
         views=views,

@@ -14,7 +14,7 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import import_tyro, run, terminal_progress
-from fruitlangs.benchmarks.rivals import METHODS
+from fruitlangs.benchmarks.rivals import METHODS, surface_of
 from fruitlangs.benchmarks.simulated import SETTINGS, simulate
 from fruitlangs.benchmarks.simulated_page import Trial, counting_table
 from fruitlangs.engine.errors import ConfigError
@@ -48,8 +48,9 @@ def main(options: Options) -> None:
     for place, (name, seed) in enumerate((n, options.first + s) for n in chosen for s in range(options.seeds)):
         progress(place / (len(chosen) * options.seeds), f"{name}, seed {seed}")
         simulation = simulate(SETTINGS[name], seed)
+        surface = surface_of(simulation)
         for method, count in METHODS.items():
-            trials.append(Trial(name, seed, method, count_metrics(*count(simulation), simulation.truth).f1))
+            trials.append(Trial(name, seed, method, count_metrics(*count(simulation, surface), simulation.truth).f1))
     progress(1.0, "done")
     page = counting_table(trials)
     print(page)

@@ -19,13 +19,12 @@ import _checkout  # noqa: F401
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple a step's cost on a busy machine
 
-import numpy as np
 import torch
 from encoder.batches import Material
 from encoder.calibration import calibrate
 from encoder.card import write_card
-from encoder.learning import Course, learn
-from encoder.lifted import calibrate_lifted, lifted_measures, lifted_scene, walks
+from encoder.learning import Course, check_course, learn
+from encoder.lifted import FRUIT_SHARE, calibrate_lifted, lifted_measures, lifted_scene, walks
 from encoder.measures import Unseen, halves, measure
 from encoder.pasting import cut_fruit
 from encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
@@ -36,12 +35,10 @@ from _terminal import import_tyro, run
 from fruitlangs.engine.errors import ConfigError, EncoderError
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
-from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
+from fruitlangs.engine.language.vocabulary import CONCEPTS
+from orchard.training import is_held_out
 
 tyro = import_tyro()
-
-HELD_OUT_EVERY = 8
-"""Every n-th render scene is kept out of training, to calibrate and to measure on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +58,7 @@ class Options(Course):
 
 @dataclass(frozen=True)
 class Past:
-    """What made weights: the runs, one after the other, and the seeds of all scenes they saw."""
+    """What made weights: the runs, one after the other, and the seeds of all scenes they learnt from."""
 
     runs: list[dict[str, Any]]
     seeds: list[int]
@@ -79,13 +76,15 @@ class Pictures:
 
 
 def main(options: Options) -> None:
-    if options.start is None and options.minutes is None and options.steps <= 0:
+    check_course(options)
+    if options.start is None and not options.learns:
         raise ConfigError("--steps 0 only calibrates earlier weights: name them by --start, or give steps to train")
     torch.manual_seed(options.seed)
     pictures = read_pictures(options)
     network = Network(len(CONCEPTS), widths=WIDTHS, depths=DEPTHS)
     past = resume(network, options.start) if options.start else Past([], [])
-    steps = learn(network, pictures.material, options) if options.steps or options.minutes else 0
+    check_unseen(pictures.held_out, past)
+    steps = learn(network, pictures.material, options)
     judge(network, pictures, made_by(past, pictures, options, steps), options.out)
 
 
@@ -93,9 +92,9 @@ def read_pictures(options: Options) -> Pictures:
     """Read the photos and the renders, and cut the fruit out of those that are trained on."""
     photos, renders = read_photos(options.photos, "train"), read_renders(options.renders) if options.renders else []
     lifted = walks(options.renders) if options.renders else []
-    rendered = [options.renders / name for name in {p.source for p in renders}] if options.renders else []
-    seeds = training_seeds([*rendered, *lifted])
     learnt, held_out = split_scenes(renders)
+    rendered = [options.renders / name for name in {p.source for p in learnt}] if options.renders else []
+    seeds = training_seeds([*rendered, *lifted])
     material = Material(photos, learnt, cut_fruit([*photos, *learnt]))
     print(f"{len(photos)} photos, {len(learnt)} renders to train on, {len(held_out)} held out", flush=True)
     print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
@@ -137,7 +136,7 @@ def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
     fitted, judged = halves(unseen)
     pixels = calibrate(encoder, fitted.photo_samples, fitted.render_samples)
     measures = measure(opened(pixels.calibration), unseen, judged, pixels)
-    scenes = [lifted_scene(encoder, walk) for walk in pictures.walks]
+    scenes = [scene for walk in pictures.walks if (scene := lifted_scene(encoder, walk)).tells]
     calibration = calibrate_lifted(scenes, pixels.calibration).calibration if scenes else pixels.calibration
     overlap = lifted_measures(scenes, pixels.calibration)
     opened(calibration)
@@ -147,7 +146,7 @@ def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
         "held_out_renders": len(pictures.held_out),
         "calibration": asdict(calibration),
         "pixel_calibration": asdict(pixels.calibration),
-        "lifted": asdict(overlap) if overlap else None,
+        "lifted": {**asdict(overlap), "fruit_share": FRUIT_SHARE} if overlap else None,
         "measures": measures.document(),
     }
     out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -173,17 +172,26 @@ def resume(network: Network, start: Path) -> Past:
         ) from error
 
 
-def split_scenes(pictures: list[Picture]) -> tuple[list[Picture], list[Picture]]:
-    """Training pictures and held-out pictures; every HELD_OUT_EVERY-th scene of each fruit is held out."""
-    by_fruit: dict[int, list[str]] = {}
+def split_scenes(pictures: Sequence[Picture]) -> tuple[list[Picture], list[Picture]]:
+    """Pictures to learn from, and those of the scenes whose seeds hold them out (see `orchard.training`)."""
+    sides: tuple[list[Picture], list[Picture]] = ([], [])
     for picture in pictures:
-        fruit = picture.labels[picture.labels < len(FRUITS)]
-        kind = int(np.bincount(fruit).argmax()) if fruit.size else -1
-        scenes = by_fruit.setdefault(kind, [])
-        if not any(picture.source in names for names in by_fruit.values()):
-            scenes.append(picture.source)
-    held = {name for scenes in by_fruit.values() for name in scenes[2::HELD_OUT_EVERY]}
-    return [p for p in pictures if p.source not in held], [p for p in pictures if p.source in held]
+        sides[picture.seed is not None and is_held_out(picture.seed)].append(picture)
+    return sides
+
+
+def check_unseen(held_out: Sequence[Picture], past: Past) -> None:
+    """Refuse to measure on what earlier runs learnt from: that would flatter.
+
+    Raises:
+        ConfigError: naming the scenes.
+    """
+    seen = sorted({picture.seed for picture in held_out if picture.seed in past.seeds})
+    if seen:
+        raise ConfigError(
+            f"earlier runs of the weights in --start learnt from seed {', '.join(map(str, seen))}, which are to be "
+            "measured on; take these scenes out of the folder of --renders"
+        )
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ def count_fruit(
     seen = selected[visibility.weights[selected] > 0]
     if len(seen) == 0:
         return _none(highest, f"no view sees any of the {len(selected)} Gaussians of {label}")
-    sized = _size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
+    sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
     if sized is None:
         return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
     diameter, spread = sized
@@ -122,15 +122,18 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
     return chances
 
 
-def _size(
+def fruit_size(
     gaussians: Gaussians,
     chances: FloatArray,
     visibility: Visibility,
     seen: IntArray,
     config: CountConfig,
-    progress: Progress,
+    progress: Progress = silent,
 ) -> tuple[float, float] | None:
-    """Mean fruit diameter in scene units and the spread of its logarithm; None when nothing looks round."""
+    """Mean fruit diameter in scene units and the spread of its logarithm; None when nothing looks round.
+
+    chances: (N,) probability of each Gaussian; seen: those that may be fruit and that a view sees.
+    """
     if config.diameter is not None:
         return config.diameter, DEFAULT_SPREAD
     widths = gaussians.scales.detach().double().cpu().numpy()[seen].max(axis=1)

@@ -70,3 +70,13 @@ class FruitCount:
     @property
     def count(self) -> int:
         return len(self.fruits)
+
+    @property
+    def centers(self) -> NDArray[np.float64]:
+        """(F, 3) the fruit's centres, in the scene's frame."""
+        return np.array([fruit.center for fruit in self.fruits], dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def diameters(self) -> NDArray[np.float64]:
+        """(F,) the fruit's diameters, scene units."""
+        return np.array([fruit.diameter for fruit in self.fruits], dtype=np.float64)

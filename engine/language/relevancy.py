@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -54,36 +55,56 @@ def answers_by_level(
     features: Features, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
 ) -> Tensor:
     """(L, P, N) float32 probability of each word alone, prompts first, at each level of masks."""
-    answers = torch.empty(features.levels, len(prompts) + len(negatives), len(features))
+    words = understood(encoder, prompts, negatives)
+    answers = torch.empty(features.levels, len(words.questions), len(features))
     for level in range(features.levels):
         # What kinds the scene bears is asked of all Gaussians together.
-        for rows in blocks(len(features), len(features) if len(encoder.kinds()) else ROWS):
-            vectors, weights = features.unit(level, rows), features.weights[rows, level]
-            answers[level, :, rows] = scene_answers(vectors, weights, encoder, prompts, negatives)
+        for rows in blocks(len(features), len(features) if len(words.kinds) else ROWS):
+            answers[level, :, rows] = scene_answers(features.unit(level, rows), features.weights[rows, level], words)
     return answers
 
 
-def scene_answers(
-    vectors: Tensor, weights: Tensor, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
-) -> Tensor:
-    """(P, N) probability of each word, prompts first, for all unit features (N, D) of a scene, which drew (N,) pixels.
+@dataclass(frozen=True, eq=False)
+class Words:
+    """What an encoder makes of P words. questions: each word's; kinds: the encoder's kinds of fruit, (K, D); named:
+    (P, K) which kinds each word names; sought: (P,) whether it is looked for, and not avoided.
+    """
 
-    Prompts are what is looked for, so they are believed to be there; negatives are not. Words for no kind of fruit, or
-    for all of them, ask nothing of the balance of kinds.
+    questions: Sequence[Sequence[Question]]
+    kinds: Tensor
+    named: Tensor
+    sought: Sequence[bool]
+
+
+def understood(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> Words:
+    """The words as `encoder` takes them, prompts first: asked of it once, however many Gaussians they are asked of.
+
+    Raises:
+        VocabularyError: an unknown word.
     """
     kinds, words = encoder.kinds(), [*prompts, *negatives]
     named = encoder.encode_text(words) @ kinds.T > 0.0
-    answers = torch.empty(len(words), len(vectors))
+    sought = [place < len(prompts) for place in range(len(words))]
+    return Words([encoder.questions(word) for word in words], kinds, named, sought)
+
+
+def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
+    """(P, N) probability of each word for all unit features (N, D) of a scene, which drew (N,) pixels.
+
+    Words that are looked for are believed to be there. Words for no kind of fruit, or for all of them, ask nothing of
+    the balance of kinds.
+    """
+    answers = torch.empty(len(words.questions), len(vectors))
     alike: dict[tuple[bool, ...], list[int]] = {}
-    for place, mine in enumerate(named):
+    for place, (mine, sought) in enumerate(zip(words.named, words.sought, strict=True)):
         if not mine.any() or mine.all():
-            answers[place] = answer(vectors, encoder.questions(words[place]))
+            answers[place] = answer(vectors, words.questions[place])
         else:
-            alike.setdefault(tuple((mine & (place < len(prompts))).tolist()), []).append(place)
-    for asked, places in alike.items():
-        weighed = in_scene(vectors, weights, kinds, torch.tensor(asked))
+            alike.setdefault(tuple((mine & sought).tolist()), []).append(place)
+    for believed, places in alike.items():
+        weighed = in_scene(vectors, weights, words.kinds, torch.tensor(believed))
         for place in places:
-            answers[place] = answer(weighed, encoder.questions(words[place]))
+            answers[place] = answer(weighed, words.questions[place])
     return answers
 
 

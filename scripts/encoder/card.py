@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from fruitlangs.engine.evaluation.calibration import BINS
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS, GENERAL
 
-from .lifted import FRUIT_SHARE
 from .render_scores import GUESTS
 
 _PICTURE = "reliability.png"
@@ -64,7 +63,8 @@ Temperature {pixel_temperature:.3f}, bias {pixel_bias:.3f}; temperature of the k
 ## Training
 
 Trained in {number} (a later run goes on from the weights of the earlier one, and is repeatable only from
-those); {held_out} renders of the last one's scenes were held out from it.
+those); {held_out} renders were held out from the last one, of scenes whose seeds are kept for it
+(one round through the species of every eleven), so more renders never bring one of them into training.
 
 {runs}
 
@@ -182,7 +182,7 @@ def _lifted(document: Mapping[str, Any]) -> str:
         return "The weights carry this calibration of pixels; none was made on lifted Gaussians.\n"
     return (
         "The weights carry another calibration, made where it is used: on Gaussians of rendered walks, into which the\n"
-        f"features of many views were lifted, for a share of fruit of {FRUIT_SHARE}: temperature "
+        f"features of many views were lifted, for a share of fruit of {measured['fruit_share']}: temperature "
         f"{calibration['temperature']:.3f}, bias {calibration['bias']:.3f}.\nEach of {measured['walks']} walks "
         f"was judged by the calibration of the others: calibration error {measured['calibration_error']:.3f}; the\n"
         f"Gaussians with P(fruit) ≥ 0.5 and the true ones overlap by IoU {measured['iou']:.3f}.\n"

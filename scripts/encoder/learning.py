@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, distributed
 
+from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.language.network import Network, normalise
 
 from .batches import Material, make_batch
@@ -28,7 +29,7 @@ MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(1 << 33), "MALL
 REPORT_EVERY = 100
 RISE = 0.03
 """Share of the training in which the learning rate rises; then it falls by a cosine."""
-MEMORY_STEPS = 500
+AVERAGED_STEPS = 500
 """Weights that are written are the mean of about so many last steps."""
 
 
@@ -51,9 +52,20 @@ class Course:
     seed: int = 0
     """Seed of the weights and of every crop."""
 
+    @property
+    def learns(self) -> bool:
+        return self.minutes is not None or self.steps > 0
+
 
 def learn(network: Network, material: Material, course: Course) -> int:
-    """AdamW with a one-cycle learning rate; leaves the averaged weights in `network`. Returns the steps taken."""
+    """AdamW with a one-cycle learning rate; leaves the averaged weights in `network`. Returns the steps taken.
+
+    Raises:
+        ConfigError: a number of the course is not one that anything can be learnt with.
+    """
+    check_course(course)
+    if not course.learns:
+        return 0
     network.share_memory()
     taken = torch.zeros(1, dtype=torch.int64).share_memory_()
     if course.processes == 1:
@@ -65,6 +77,22 @@ def learn(network: Network, material: Material, course: Course) -> int:
             torch.multiprocessing.spawn(_join, (network, material, course, taken, meeting), nprocs=course.processes)
     network.eval()
     return int(taken)
+
+
+def check_course(course: Course) -> None:
+    """Refuse a course that would take no step, or never end.
+
+    Raises:
+        ConfigError: naming the setting and what it can be.
+    """
+    least = {"steps": 0, "batch": 1, "processes": 1}
+    for name, value in least.items():
+        if getattr(course, name) < value:
+            raise ConfigError(f"--{name} {getattr(course, name)}: give at least {value}")
+    if course.minutes is not None and not course.minutes > 0:
+        raise ConfigError(f"--minutes {course.minutes:g}: give more than 0, or --steps")
+    if not course.rate > 0:
+        raise ConfigError(f"--rate {course.rate:g}: give more than 0")
 
 
 def _join(rank: int, network: Network, material: Material, course: Course, taken: Tensor, meeting: str) -> None:
@@ -141,7 +169,7 @@ def _ahead(material: Material, batch: int, rng: np.random.Generator) -> Iterator
 
 
 def _moving_average(average: Tensor, current: Tensor, count: Tensor | int) -> Tensor:
-    """Exponential, over about MEMORY_STEPS steps, over fewer at the start."""
+    """Exponential, over about AVERAGED_STEPS steps, over fewer at the start."""
     if not current.is_floating_point():
         return current
-    return current + (average - current) * min(1.0 - 1.0 / MEMORY_STEPS, (1 + int(count)) / (10 + int(count)))
+    return current + (average - current) * min(1.0 - 1.0 / AVERAGED_STEPS, (1 + int(count)) / (10 + int(count)))

@@ -45,6 +45,11 @@ class LiftedScene:
     fruit: NDArray[np.bool_]
     weights: FloatArray
 
+    @property
+    def tells(self) -> bool:
+        """Whether it shows fruit and other things: without both there is nothing to calibrate or to judge."""
+        return bool(self.fruit.any() and not self.fruit.all())
+
 
 @dataclass(frozen=True)
 class LiftedMeasures:
@@ -94,6 +99,8 @@ def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
 def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
     """Temperature and bias of "fruit" for lifted features; each scene counts alike, and in it FRUIT_SHARE is fruit.
 
+    All scenes tell (see `LiftedScene`).
+
     Of what views draw a fiftieth may be fruit, and at that share a half hidden fruit is hardly ever likelier than not:
     counting would miss it. At equal shares leaves become fruit.
     """
@@ -106,7 +113,7 @@ def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
 
 
 def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
-    """Each scene by the calibration of all others; None with fewer than two, or where none shows fruit and others."""
+    """Each scene by the calibration of all others; None with fewer than two. All scenes tell (see `LiftedScene`)."""
     if len(scenes) < 2:
         return None
     errors, overlaps = [], []
@@ -114,10 +121,11 @@ def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> Lifte
         fit = calibrate_lifted([*scenes[:place], *scenes[place + 1 :]], pixels)
         calibration = fit.calibration
         guess = 1.0 / (1.0 + np.exp(calibration.bias - one.margins / calibration.temperature))
-        if found := judged(guess, one.fruit, fit.prior, one.weights):
-            errors.append(found.calibration_error)
-            overlaps.append(intersection_over_union([one], calibration))
-    return LiftedMeasures(len(errors), float(np.mean(errors)), float(np.mean(overlaps))) if errors else None
+        found = judged(guess, one.fruit, fit.prior, one.weights)
+        assert found is not None  # it tells
+        errors.append(found.calibration_error)
+        overlaps.append(intersection_over_union([one], calibration))
+    return LiftedMeasures(len(errors), float(np.mean(errors)), float(np.mean(overlaps)))
 
 
 def intersection_over_union(scenes: Sequence[LiftedScene], calibration: Calibration) -> float:

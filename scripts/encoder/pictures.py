@@ -51,7 +51,7 @@ class Box:
 class Picture:
     """pixels: (H, W, 3) sRGB; labels: (H, W) index into CONCEPTS, NOT_FRUIT or IGNORED; instances: (H, W) fruit ids of
     a render, 0 none; boxes of a photo; unboxed: fruit in it that has no box; traits: what makes a render's fruit hard;
-    source: the set or the scene it is from.
+    source: the set or the scene it is from; seed: of a render's scene.
     """
 
     pixels: NDArray[np.uint8]
@@ -61,6 +61,7 @@ class Picture:
     unboxed: Sequence[Box] = ()
     traits: Sequence[str] = ()
     instances: NDArray[np.uint16] | None = None
+    seed: int | None = None
 
 
 def read_photos(folder: Path, split: str) -> list[Picture]:
@@ -135,7 +136,7 @@ def read_renders(folder: Path) -> list[Picture]:
         images = sorted((scene / "images").glob("*"))
         if len(images) >= LEAST_WALK:
             continue
-        lookup, traits = _lookup(table), _traits(scene)
+        lookup, record = _lookup(table), _record(scene)
         for image in images:
             classes = scene / "classes" / f"{image.stem}.png"
             instances = scene / "instances" / f"{image.stem}.png"
@@ -146,8 +147,9 @@ def read_renders(folder: Path) -> list[Picture]:
                     np.asarray(Image.open(image).convert("RGB")),
                     lookup[np.asarray(Image.open(classes))],
                     scene.name,
-                    traits=traits,
+                    traits=_traits(record),
                     instances=np.asarray(Image.open(instances)).astype(np.uint16),
+                    seed=record["seed"],
                 )
             )
     if not pictures:
@@ -167,9 +169,8 @@ def _lookup(table: Path) -> Labels:
     return lookup
 
 
-def _traits(scene: Path) -> tuple[str, ...]:
+def _traits(config: dict[str, Any]) -> tuple[str, ...]:
     """What makes a scene's fruit hard to see or to name."""
-    config = _record(scene)
     variant, size = str(config.get("variant", "")), float(config.get("fruit_pixels", math.inf))
     traits = {"green on green": variant == "green", "two colours": "-" in variant, "small": size <= SMALL}
     return tuple(name for name, so in traits.items() if so)

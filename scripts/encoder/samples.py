@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fruitlangs.engine.language.embedded import EmbeddedEncoder
-from fruitlangs.engine.language.relevancy import answer, scene_answers
+from fruitlangs.engine.language.relevancy import answer, scene_answers, understood
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 from .pictures import NOT_FRUIT, Labels, Picture, inside
@@ -88,7 +88,7 @@ def answers(encoder: EmbeddedEncoder, pixels: Sample, word: str) -> FloatArray:
 def answers_in_scene(encoder: EmbeddedEncoder, scene: Sample, word: str) -> FloatArray:
     """(M,) the probability of a word, kinds of fruit weighed by their shares of the scene as in use."""
     weights = torch.full((len(scene.features),), float(STEP * STEP))
-    return scene_answers(scene.features.float(), weights, encoder, [word])[0].double().numpy()
+    return scene_answers(scene.features.float(), weights, understood(encoder, [word]))[0].double().numpy()
 
 
 def by_scene(samples: Sequence[Sample]) -> list[Sample]:

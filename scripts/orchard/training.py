@@ -15,6 +15,14 @@ WALK_VIEWS = 36
 """Pictures of such a walk."""
 SPINDLES = 0.55
 """Share of training scenes with the commonest form; the other forms share the rest."""
+ROUNDS, HELD_OUT_ROUND = 11, 9
+"""Of so many rounds through all species, this one is held out (the first round is 0). No variety misses its turn: no
+species has eleven."""
+
+
+def is_held_out(seed: int) -> bool:
+    """Whether this seed's scene is to measure on, and never to learn from, in whatever set of scenes it lies."""
+    return (seed - FIRST_TRAINING_SEED) // len(SPECIES) % ROUNDS == HELD_OUT_ROUND
 
 
 def training_config(seed: int) -> OrchardConfig:

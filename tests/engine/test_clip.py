@@ -16,6 +16,7 @@ from checkpoints import DIMENSION, write_clip, write_siglip
 from fruitlangs.engine.config import EmbedConfig
 from fruitlangs.engine.errors import VocabularyError
 from fruitlangs.engine.language import clip as clip_module
+from fruitlangs.engine.language import relevancy as relevancy_module
 from fruitlangs.engine.language.clip import ClipEncoder
 from fruitlangs.engine.language.encoders import open_encoder
 from fruitlangs.engine.language.features import Features
@@ -113,3 +114,18 @@ def test_the_settings_open_it(tmp_path):
     opened = open_encoder(EmbedConfig(encoder="clip", clip=str(folder)))
     assert isinstance(opened, ClipEncoder)
     assert opened.dimension == DIMENSION
+
+
+def test_words_are_read_once_however_many_gaussians_they_are_asked_of(encoder, monkeypatch):
+    def texts_read(count: int) -> int:
+        read: list[object] = []
+        whole = ClipEncoder.encode_text
+        vectors = torch.nn.functional.normalize(torch.ones(count, 2, encoder.dimension), dim=-1)
+        features = Features(vectors, torch.ones(count, 2), torch.ones(count, 2), encoder.identity)
+        with monkeypatch.context() as patched:
+            patched.setattr(relevancy_module, "ROWS", 4)
+            patched.setattr(ClipEncoder, "encode_text", lambda self, words: read.append(words) or whole(self, words))
+            relevancy(features, encoder, ["apple"])
+        return len(read)
+
+    assert texts_read(12) == texts_read(1)

@@ -16,7 +16,7 @@ from fruitlangs.engine.errors import EncoderError, VocabularyError
 from fruitlangs.engine.language.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.encoders import open_encoder
 from fruitlangs.engine.language.network import Network, normalise
-from fruitlangs.engine.language.relevancy import answer, scene_answers
+from fruitlangs.engine.language.relevancy import answer, scene_answers, understood
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
@@ -155,7 +155,7 @@ def test_the_shipped_weights_find_the_fruit_of_the_sample_and_call_it_apple_befo
     features = encoder.encode_dense(image).flatten(0, 1)
     weights = torch.full((len(features),), 10.0)
     words = ["fruit", *FRUITS]
-    found = scene_answers(features, weights, encoder, words).numpy().reshape(-1, *truth.shape) >= 0.5
+    found = scene_answers(features, weights, understood(encoder, words)).numpy().reshape(-1, *truth.shape) >= 0.5
     assert (found[0] & truth).sum() / (found[0] | truth).sum() > 0.6
     named = {word: int((each & truth).sum()) for word, each in zip(words[1:], found[1:], strict=True)}
     assert max(named, key=lambda word: named[word]) == "apple"

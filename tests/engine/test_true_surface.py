@@ -51,8 +51,8 @@ def test_their_thin_axis_is_the_normal(surface: TrueSurface) -> None:
 def test_counting_on_true_surfaces_finds_every_fruit(surface: TrueSurface, folder: Path) -> None:
     probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
     found = count_fruit(surface.gaussians, probability, read_scene(folder).cameras, CountConfig(), label="apple")
-    centers = np.array([fruit.center for fruit in found.fruits])
-    diameters = np.array([fruit.diameter for fruit in found.fruits])
+    centers = found.centers
+    diameters = found.diameters
     metrics = count_metrics(centers, diameters, read_truth(folder / "truth.json"))
     assert (metrics.f1, metrics.predicted) == (1.0, 5)
     assert metrics.diameter_error < 0.1

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 import _checkout  # noqa: F401
 
-from fruitlangs.benchmarks.rivals import METHODS
+from fruitlangs.benchmarks.rivals import METHODS, surface_of
 from fruitlangs.benchmarks.simulated import SETTINGS, Setting, Simulation, simulate
 from fruitlangs.benchmarks.simulated_page import Trial, counting_table
 from fruitlangs.engine.evaluation.metrics import count_metrics
@@ -63,7 +63,7 @@ def test_drift_doubles_surfaces():
 
 
 def test_clusters_count_fruit_that_hang_apart(crown: Simulation):
-    assert count_metrics(*METHODS["DBSCAN + mass ratio"](crown), crown.truth).f1 > 0.85
+    assert count_metrics(*METHODS["DBSCAN + mass ratio"](crown, surface_of(crown)), crown.truth).f1 > 0.85
 
 
 def test_the_settings_are_those_of_the_first_experiment():

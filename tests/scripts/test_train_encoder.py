@@ -37,6 +37,8 @@ from fruitlangs.engine.evaluation.calibration import BINS
 from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
 from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
+from orchard.config import FIRST_TRAINING_SEED
+from orchard.training import is_held_out, training_config
 
 APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
 
@@ -59,11 +61,11 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def renders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight scenes of one 64×64 picture: an apple of 24 px on leaves."""
+    """Eight scenes of one 64×64 picture, an apple of 24 px on leaves; the last one's seed is held out."""
     root = tmp_path_factory.mktemp("renders")
     y, x = np.mgrid[:64, :64]
     apple = (x - 30) ** 2 + (y - 30) ** 2 < 12**2
-    for seed in range(1000, 1008):
+    for seed in range(1065, 1073):
         scene = root / f"scene_{seed}"
         for folder in ("images", "classes", "instances"):
             (scene / folder).mkdir(parents=True)
@@ -110,7 +112,7 @@ def test_masks_of_renders_become_words(renders: Path):
 
 
 def test_the_seeds_of_the_scenes_are_read_and_those_of_tests_refused(renders: Path, tmp_path: Path):
-    assert training_seeds(renders.iterdir()) == list(range(1000, 1008))
+    assert training_seeds(renders.iterdir()) == list(range(1065, 1073))
     (tmp_path / "orchard.json").write_text(json.dumps({"config": {"seed": 2}}))
     with pytest.raises(FormatError, match="has seed 2, and seeds below 1000 are for tests alone"):
         training_seeds([tmp_path])
@@ -136,9 +138,23 @@ def test_a_walk_is_calibrated_on_and_not_trained_on_and_its_seed_is_checked(phot
 
 def test_held_out_scenes_are_no_training_scenes(renders: Path):
     train, held_out = train_encoder.split_scenes(read_renders(renders))
-    assert held_out
-    assert not {picture.source for picture in train} & {picture.source for picture in held_out}
-    assert len(train) + len(held_out) == 8
+    assert [picture.seed for picture in held_out] == [1072]
+    assert [picture.seed for picture in train] == list(range(1065, 1072))
+
+
+def test_a_scene_is_held_out_whatever_other_scenes_lie_beside_it():
+    seeds = range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + 1000)
+    held_out = [training_config(seed) for seed in seeds if is_held_out(seed)]
+    assert len(held_out) == len(seeds) // 11 // 8 * 8
+    every = {(each.species, each.variant) for each in map(training_config, seeds)}
+    assert {(each.species, each.variant) for each in held_out} == every
+
+
+def test_scenes_that_earlier_runs_learnt_from_are_not_measured_on(renders: Path):
+    _, held_out = train_encoder.split_scenes(read_renders(renders))
+    train_encoder.check_unseen(held_out, train_encoder.Past([], [1071, 1073]))
+    with pytest.raises(ConfigError, match=r"learnt from seed 1072.*take these scenes out"):
+        train_encoder.check_unseen(held_out, train_encoder.Past([], [1072]))
 
 
 def test_pasted_fruit_brings_its_label(renders: Path):
@@ -310,7 +326,7 @@ def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
         )
     assert (tmp_path / "a" / "w.safetensors").read_bytes() == (tmp_path / "b" / "w.safetensors").read_bytes()
     document = json.loads((tmp_path / "a" / "w.json").read_text())
-    assert document["seeds"] == list(range(1000, 1008))
+    assert document["seeds"] == list(range(1065, 1072))
     assert [run["steps"] for run in document["runs"]] == [2]
     assert set(document["measures"]["photos"]) == {"apple", "pear"}
     assert "apple" in (tmp_path / "a" / "MODEL_CARD.md").read_text()
@@ -397,8 +413,17 @@ def test_weights_that_do_not_record_their_scenes_are_no_start(tmp_path: Path):
 
 
 def test_random_weights_are_never_written(photos: Path, tmp_path: Path):
-    with pytest.raises(ConfigError, match="name them by --start"):
-        train_encoder.main(train_encoder.Options(photos=photos, out=tmp_path / "w.safetensors", steps=0))
+    for nothing, message in (
+        ({"steps": 0}, "name them by --start"),
+        ({"steps": -1}, "--steps -1: give at least 0"),
+        ({"minutes": 0.0}, "--minutes 0: give more than 0"),
+        ({"minutes": float("nan")}, "--minutes nan: give more than 0"),
+        ({"processes": 0}, "--processes 0: give at least 1"),
+        ({"batch": 0}, "--batch 0: give at least 1"),
+        ({"rate": 0.0}, "--rate 0: give more than 0"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            train_encoder.main(train_encoder.Options(photos=photos, out=tmp_path / "w.safetensors", **nothing))
     assert not any(tmp_path.iterdir())
 
 
