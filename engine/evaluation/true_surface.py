@@ -29,6 +29,9 @@ SET_BACK = 0.5
 """How far below the surface the Gaussians lie, in cells: what is drawn of them is about a pixel wider than they are."""
 OPACITY = 0.99
 
+OPPOSED = 1e-3
+"""A cell whose mean normal is shorter than this was seen from both sides alike."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
@@ -135,7 +138,9 @@ def _merged(seen: _Seen, groups: NDArray[np.int64], width: float) -> TrueSurface
         return np.stack([np.bincount(groups, values[:, k]) / counts for k in range(3)], axis=1)
 
     normals = mean(seen.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    one_side = seen.normals[np.unique(groups, return_index=True)[1]]  # of a leaf as thin as a cell, seen from both
+    normals = np.where(lengths > OPPOSED, normals / np.maximum(lengths, OPPOSED), one_side)
     n = len(counts)
     scales = np.tile([WIDTH * width, WIDTH * width, THICKNESS * width], (n, 1))
     fruit = np.zeros(n, np.int64)

@@ -17,6 +17,7 @@ from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.renders import check_instances, read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import TrueSurface, true_surface
 from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.scene.read import read_scene
 
 
@@ -89,3 +90,19 @@ def test_a_mask_that_cannot_be_used_is_named(spoil, said, tmp_path: Path) -> Non
     with pytest.raises(FormatError, match=said) as caught:
         read_instances(folder, read_scene(folder))
     assert "001.png" in str(caught.value)
+
+
+def test_a_leaf_as_thin_as_paper_that_is_seen_from_both_sides_is_flat_along_itself() -> None:
+    K = np.array([[8.0, 0.0, 4.0], [0.0, 8.0, 4.0], [0.0, 0.0, 1.0]])
+    front, back = np.eye(4), np.diag([-1.0, 1.0, -1.0, 1.0])
+    front[2, 3] = back[2, 3] = 2.0
+    scene = Scene(
+        cameras=[Camera(K, pose, 8, 8) for pose in (front, back)],
+        images=[ArrayPhoto(name, np.full((8, 8, 3), 100, np.uint8)) for name in ("front.png", "back.png")],
+        points=np.zeros((1, 3)),
+        colors=np.zeros((1, 3), np.uint8),
+        up=np.array([0.0, -1.0, 0.0]),
+    )
+    leaf = true_surface(scene, [np.full((8, 8), 2.0, np.float32)] * 2, [np.zeros((8, 8), np.uint16)] * 2)
+    assert len(leaf.gaussians) == 64
+    assert torch.allclose(leaf.gaussians.rotations[:, 2, 2].abs(), torch.ones(64), atol=1e-3)
