@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ class ClipEncoder:
 
     checkpoint: Checkpoint
     dimension: int
+    _read: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
     @classmethod
     def open(cls, name: str, *, allow_download: bool = False) -> ClipEncoder:
@@ -82,9 +83,16 @@ class ClipEncoder:
                 raise VocabularyError(
                     f"the prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}; say it shorter"
                 )
-        # SigLIP learnt from texts of full length; to CLIP what follows a text's end makes no difference.
-        tokens = words(sentences, padding="max_length", max_length=limit, return_tensors="pt")
-        return _unit(model.get_text_features(tokens["input_ids"].to(model.device)))
+        for sentence in sentences:
+            if sentence not in self._read:  # alone, so that a word's bits do not hang on those asked beside it
+                # SigLIP learnt from texts of full length; to CLIP what follows a text's end makes no difference.
+                tokens = words([sentence], padding="max_length", max_length=limit, return_tensors="pt")
+                self._read[sentence] = _unit(model.get_text_features(tokens["input_ids"].to(model.device)))[0]
+        return (
+            torch.stack([self._read[sentence] for sentence in sentences])
+            if sentences
+            else torch.zeros(0, self.dimension)
+        )
 
     @torch.inference_mode()
     def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:

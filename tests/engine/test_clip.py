@@ -129,3 +129,13 @@ def test_words_are_read_once_however_many_gaussians_they_are_asked_of(encoder, m
         return len(read)
 
     assert texts_read(12) == texts_read(1)
+
+
+def test_a_word_is_read_once_and_alike_beside_other_words(encoder, monkeypatch):
+    model, read = encoder.checkpoint.model, []
+    whole = model.get_text_features
+    monkeypatch.setattr(model, "get_text_features", lambda tokens: read.append(tokens) or whole(tokens))
+    alone = encoder.encode_text(["quince"])
+    assert len(read) == 1
+    assert torch.equal(encoder.encode_text(["medlar", "quince"])[1], alone[0])
+    assert len(read) == 2
