@@ -13,6 +13,7 @@ from ..engine.evaluation.metrics import CountMetrics
 from ..engine.evaluation.summary import summarise
 from ..engine.files import replacing, write_text
 from .ladder import RungRow
+from .markdown import markdown
 from .rungs import COUNTING_ONLY, END_TO_END, RUNGS, TRUE_MASKS, TRUE_POSES
 
 COLUMNS = (
@@ -192,13 +193,6 @@ def table_parts(rows: Sequence[RungRow]) -> list[str]:
     if by_visibility:
         parts += ["Recall by visible fraction, all scenes together:", markdown(by_visibility)]
     return parts
-
-
-def markdown(lines: Sequence[Sequence[str]]) -> str:
-    """A table, its first line the head; the first column is words, the others are numbers."""
-    head, *body = lines
-    rule = ["---"] + ["---:"] * (len(head) - 1)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *body))
 
 
 def _metrics(rows: Sequence[RungRow], rung: str) -> list[CountMetrics]:

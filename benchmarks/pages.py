@@ -9,6 +9,7 @@ from pathlib import Path
 from .ablation import Ablation
 from .curve import Curve
 from .language import Stage
+from .markdown import markdown
 from .published import Trained
 from .stages import FORWARD_AND_BACKWARD, STAGES, STEP, Row
 
@@ -81,9 +82,8 @@ def language_table(rows: Sequence[Stage]) -> str:
 
 
 def _table(title: str, head: Sequence[str], lines: Sequence[Sequence[str]], *, named: bool = True) -> str:
-    """Markdown: a sentence and a table of numbers. named: the first column is words."""
-    rule = ["---" if named else "---:"] + ["---:"] * (len(head) - 1)
-    return f"{title}\n\n" + "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *lines))
+    """Markdown: a sentence and a table."""
+    return f"{title}\n\n{markdown([head, *lines], named=named)}"
 
 
 def _milliseconds(seconds: float | None) -> str:

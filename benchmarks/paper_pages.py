@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .ladder_pages import markdown
+from .markdown import markdown
 from .paper_figures import ABLATIONS, COUNTERS, METHODS, PRINTED
 from .paper_tables import VARIANTS, SceneTables, Tally
 

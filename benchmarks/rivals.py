@@ -33,13 +33,12 @@ WEAKEST = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What every method starts from. points: of the skin of all that is taken for fruit; diameter: the fruit's, None
-    where nothing looks round; visibility: how the cameras see the simulation's Gaussians.
+    """What every method starts from: how the cameras see the Gaussians, and of the skin of all that is taken for fruit
+    points and the diameter, None where nothing looks round.
     """
 
-    points: SurfacePoints
-    diameter: float | None
     visibility: Visibility
+    sample: tuple[SurfacePoints, float] | None
 
 
 def surface_of(simulation: Simulation) -> Surface:
@@ -49,16 +48,13 @@ def surface_of(simulation: Simulation) -> Surface:
     visibility = see(gaussians, simulation.cameras)
     seen = np.flatnonzero((chances >= config.threshold) & (visibility.weights > 0))
     size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
+    if size is None:
+        return Surface(visibility, None)
+    largest = LARGEST_SCALE * size[0]
     points = sample_skin(
-        gaussians,
-        chances,
-        visibility,
-        seen if size else seen[:0],
-        budget=config.sample_budget,
-        seed=config.seed,
-        largest=LARGEST_SCALE * size[0] if size else 1.0,
+        gaussians, chances, visibility, seen, budget=config.sample_budget, seed=config.seed, largest=largest
     )
-    return Surface(points, size[0] if size else None, visibility)
+    return Surface(visibility, (points, size[0]))
 
 
 def ours(simulation: Simulation, surface: Surface) -> Found:
@@ -76,9 +72,9 @@ def ours(simulation: Simulation, surface: Surface) -> Found:
 
 def by_mass(simulation: Simulation, surface: Surface) -> Found:
     """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
-    points, diameter = surface.points, surface.diameter
-    if diameter is None:
+    if surface.sample is None:
         return NONE
+    points, diameter = surface.sample
     cluster = DBSCAN(eps=LINK * diameter, min_samples=LEAST).fit_predict(points.positions)
     sizes = np.bincount(cluster[cluster >= 0])
     if len(sizes) == 0:
@@ -97,9 +93,9 @@ def by_mass(simulation: Simulation, surface: Surface) -> Found:
 
 def by_votes(simulation: Simulation, surface: Surface) -> Found:
     """Votes for centres along the normals, sphere fits, non-maximum suppression; nothing is rejected for its form."""
-    points, diameter = surface.points, surface.diameter
-    if diameter is None:
+    if surface.sample is None:
         return NONE
+    points, diameter = surface.sample
     tree, radius = cKDTree(points.positions), diameter / 2.0
     starts = vote(points, radius)
     near = neighborhoods(tree, starts, np.full(len(starts), REACH * radius), NEIGHBORS)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ..engine.compiled import njit
 from ..engine.evaluation.true_surface import true_surface
 from ..engine.evaluation.truth import Truth
-from ..engine.scene.camera import ArrayPhoto, Camera, Scene
+from ..engine.scene.camera import ArrayPhoto, Camera, Scene, looking
 from ..engine.splatting.gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -190,13 +190,7 @@ def _cameras(setting: Setting) -> list[Camera]:
         turn = np.radians(setting.arc) * (view + 0.5) / setting.views
         height = DISTANCE * 0.35 * np.sin(2.0 * np.pi * 3.0 * view / setting.views)
         center = np.array([DISTANCE * np.cos(turn), DISTANCE * np.sin(turn), height])
-        forward = -center / np.linalg.norm(center)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        pose[:3, 3] = -pose[:3, :3] @ center
-        cameras.append(Camera(K, pose, WIDTH, HEIGHT))
+        cameras.append(Camera(K, looking(center, -center, np.array([0.0, 0.0, 1.0])), WIDTH, HEIGHT))
     return cameras
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .markdown import markdown
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -23,9 +25,9 @@ def counting_table(trials: Sequence[Trial]) -> str:
     settings, methods = (list(dict.fromkeys(getattr(t, name) for t in trials)) for name in ("setting", "method"))
     by_crown = {(t.setting, t.seed, t.method): t.f1 for t in trials}
     crowns = list(dict.fromkeys((t.setting, t.seed) for t in trials))
-    lines = [["method", *settings, "best in"], ["---", *["---:"] * (len(settings) + 1)]]
+    lines = [["method", *settings, "best in"]]
     for method in methods:
         means = [np.mean([by_crown[s, seed, method] for s, seed in crowns if s == setting]) for setting in settings]
         best = sum(by_crown[*crown, method] >= max(by_crown[*crown, other] for other in methods) for crown in crowns)
         lines.append([method, *(f"{mean:.3f}" for mean in means), f"{best} of {len(crowns)}"])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown(lines)

@@ -26,7 +26,8 @@ import numpy as np
 
 from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
 from fruitlangs.benchmarks.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder_pages import markdown, rung_rows, write_pages
+from fruitlangs.benchmarks.ladder_pages import rung_rows, write_pages
+from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.benchmarks.results import publish
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig

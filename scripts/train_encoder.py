@@ -58,7 +58,8 @@ class Options(Course):
 
 @dataclass(frozen=True)
 class Past:
-    """What made weights: the runs, one after the other, and the seeds of all scenes they learnt from."""
+    """What made weights: the runs, one after the other, and the seeds of all scenes they learnt from or were calibrated
+    on."""
 
     runs: list[dict[str, Any]]
     seeds: list[int]
@@ -146,7 +147,7 @@ def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
         "held_out_renders": len(pictures.held_out),
         "calibration": asdict(calibration),
         "pixel_calibration": asdict(pixels.calibration),
-        "lifted": {**asdict(overlap), "fruit_share": FRUIT_SHARE} if overlap else None,
+        "lifted": {"walks": len(scenes), "fruit_share": FRUIT_SHARE, **(asdict(overlap) if overlap else {})},
         "measures": measures.document(),
     }
     out.with_suffix(".json").write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")

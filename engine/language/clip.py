@@ -76,23 +76,21 @@ class ClipEncoder:
         """
         model, words = self.checkpoint.model, self.checkpoint.words
         limit = model.config.text_config.max_position_embeddings
-        sentences = [_sentence(prompt) for prompt in prompts]
-        for prompt, sentence in zip(prompts, sentences, strict=True):
-            length = len(words(sentence)["input_ids"])
-            if length > limit:
-                raise VocabularyError(
-                    f"the prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}; say it shorter"
-                )
-        for sentence in sentences:
+        vectors = [torch.zeros(0, self.dimension)]
+        for prompt in prompts:
+            sentence = _sentence(prompt)
             if sentence not in self._read:  # alone, so that a word's bits do not hang on those asked beside it
+                length = len(words(sentence)["input_ids"])
+                if length > limit:
+                    raise VocabularyError(
+                        f"the prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}; "
+                        "say it shorter"
+                    )
                 # SigLIP learnt from texts of full length; to CLIP what follows a text's end makes no difference.
                 tokens = words([sentence], padding="max_length", max_length=limit, return_tensors="pt")
-                self._read[sentence] = _unit(model.get_text_features(tokens["input_ids"].to(model.device)))[0]
-        return (
-            torch.stack([self._read[sentence] for sentence in sentences])
-            if sentences
-            else torch.zeros(0, self.dimension)
-        )
+                self._read[sentence] = _unit(model.get_text_features(tokens["input_ids"].to(model.device)))
+            vectors.append(self._read[sentence])
+        return torch.cat(vectors[1:] if len(prompts) else vectors)
 
     @torch.inference_mode()
     def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:

@@ -61,6 +61,17 @@ class Camera:
         return (rays * depths[..., None]) @ self.world_to_camera[:3, :3] + self.center
 
 
+def looking(place: FloatArray, along: FloatArray, up: FloatArray) -> FloatArray:
+    """(4, 4) world_to_camera of a level camera at `place` (3,) that looks along (3,), of any length; up (3,)."""
+    forward = along / np.linalg.norm(along)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ place
+    return pose
+
+
 class Photo(Protocol):
     """A photo that loads when asked, already undistorted and at its camera's size."""
 

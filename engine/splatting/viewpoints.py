@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.camera import Camera
+from ..scene.camera import Camera, looking
 from .gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -75,14 +75,6 @@ def cameras_around(subject: Subject, up: FloatArray) -> list[Camera]:
         rise = math.radians(ELEVATIONS[index % len(ELEVATIONS)])
         turn = 2.0 * math.pi * index / VIEWS
         away = math.cos(rise) * (math.cos(turn) * side + math.sin(turn) * ahead) + math.sin(rise) * up
-        cameras.append(_looking(subject.center + distance * away, -away, up, K))
+        pose = looking(subject.center + distance * away, -away, up)
+        cameras.append(Camera(K=K, world_to_camera=pose, width=WIDTH, height=HEIGHT))
     return cameras
-
-
-def _looking(place: FloatArray, forward: FloatArray, up: FloatArray, K: FloatArray) -> Camera:
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ place
-    return Camera(K=K, world_to_camera=pose, width=WIDTH, height=HEIGHT)

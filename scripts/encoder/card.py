@@ -177,15 +177,20 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _lifted(document: Mapping[str, Any]) -> str:
-    measured, calibration = document["lifted"], document["calibration"]
-    if measured is None:
+    lifted, calibration = document["lifted"], document["calibration"]
+    if lifted["walks"] == 0:
         return "The weights carry this calibration of pixels; none was made on lifted Gaussians.\n"
-    return (
+    made = (
         "The weights carry another calibration, made where it is used: on Gaussians of rendered walks, into which the\n"
-        f"features of many views were lifted, for a share of fruit of {measured['fruit_share']}: temperature "
-        f"{calibration['temperature']:.3f}, bias {calibration['bias']:.3f}.\nEach of {measured['walks']} walks "
-        f"was judged by the calibration of the others: calibration error {measured['calibration_error']:.3f}; the\n"
-        f"Gaussians with P(fruit) ≥ 0.5 and the true ones overlap by IoU {measured['iou']:.3f}.\n"
+        f"features of many views were lifted, for a share of fruit of {lifted['fruit_share']}: temperature "
+        f"{calibration['temperature']:.3f}, bias {calibration['bias']:.3f}.\n"
+    )
+    if lifted["walks"] == 1:
+        return made + "It was made on one walk, so there was no other to judge it by.\n"
+    return made + (
+        f"Each of {lifted['walks']} walks "
+        f"was judged by the calibration of the others: calibration error {lifted['calibration_error']:.3f}; the\n"
+        f"Gaussians with P(fruit) ≥ 0.5 and the true ones overlap by IoU {lifted['iou']:.3f}.\n"
     )
 
 

@@ -128,7 +128,7 @@ def read_renders(folder: Path) -> list[Picture]:
     (index → word).
 
     Raises:
-        FormatError: a scene lacks a file or names an unknown class.
+        FormatError: a scene lacks a file, names an unknown class, or is kept for tests.
     """
     pictures = []
     for table in sorted(folder.glob("*/classes.json")):
@@ -180,7 +180,7 @@ def _record(scene: Path) -> dict[str, Any]:
     """The settings that made a scene.
 
     Raises:
-        FormatError: they are not recorded.
+        FormatError: they are not recorded, or the scene is kept for tests.
     """
     path = scene / "orchard.json"
     try:
@@ -188,6 +188,10 @@ def _record(scene: Path) -> dict[str, Any]:
         config["seed"] = int(config["seed"])
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise FormatError(f"{path} does not tell the scene's seed ({error}); make the scene again") from error
+    if config["seed"] < FIRST_TRAINING_SEED:
+        raise FormatError(
+            f"{scene} has seed {config['seed']}, and seeds below {FIRST_TRAINING_SEED} are for tests alone; take it out"
+        )
     return config
 
 
@@ -197,15 +201,7 @@ def training_seeds(scenes: Iterable[Path]) -> list[int]:
     Raises:
         FormatError: a scene's seed is not recorded, or is kept for tests.
     """
-    seeds = set()
-    for scene in scenes:
-        seed = _record(scene)["seed"]
-        if seed < FIRST_TRAINING_SEED:
-            raise FormatError(
-                f"{scene} has seed {seed}, and seeds below {FIRST_TRAINING_SEED} are for tests alone; take it out"
-            )
-        seeds.add(seed)
-    return sorted(seeds)
+    return sorted({_record(scene)["seed"] for scene in scenes})
 
 
 def plain_picture(rng: np.random.Generator, size: int) -> Picture:

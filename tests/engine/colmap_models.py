@@ -8,6 +8,8 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
+from fruitlangs.engine.scene.camera import looking
+
 
 def ring_of_poses(count: int, *, radius: float = 3.0, height: float = 0.5) -> list[np.ndarray]:
     """World-to-camera matrices (4, 4) of level cameras around the z axis (up), all looking at the origin."""
@@ -15,13 +17,7 @@ def ring_of_poses(count: int, *, radius: float = 3.0, height: float = 0.5) -> li
     for index in range(count):
         angle = 2.0 * np.pi * index / count
         center = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
-        forward = -center / np.linalg.norm(center)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        pose[:3, 3] = -pose[:3, :3] @ center
-        poses.append(pose)
+        poses.append(looking(center, -center, np.array([0.0, 0.0, 1.0])))
     return poses
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fruitlangs.engine.counting.visibility import Visibility
 from fruitlangs.engine.evaluation.truth import Truth
-from fruitlangs.engine.scene.camera import Camera
+from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -120,14 +120,8 @@ def quats_along_z(axes: FloatArray) -> FloatArray:
 
 def look_at(eye: FloatArray, target: FloatArray, width: int = 360, height: int = 270, focal: float = 300.0) -> Camera:
     """A camera at `eye` looking at `target`, z up."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return Camera(K, pose, width, height)
+    return Camera(K, looking(eye, target - eye, np.array([0.0, 0.0, 1.0])), width, height)
 
 
 def _ring(views: int, distance: float) -> list[Camera]:

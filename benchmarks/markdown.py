@@ -1,0 +1,12 @@
+"""Tables in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def markdown(lines: Sequence[Sequence[str]], *, named: bool = True) -> str:
+    """A table of numbers, its first line the head. named: the first column is words."""
+    head, *body = lines
+    rule = ["---" if named else "---:"] + ["---:"] * (len(head) - 1)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *body))
