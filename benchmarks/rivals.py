@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from sklearn.cluster import DBSCAN, KMeans
 
 from ..engine.config import CountConfig
-from ..engine.counting.cluster import NEIGHBORS, OVERLAP, vote
-from ..engine.counting.count import LARGEST_SCALE, count_fruit, fruit_size
+from ..engine.counting.candidates import OVERLAP, FruitSize, Skin, vote
+from ..engine.counting.count import LARGEST_SCALE, count_fruit, fruit_size, select_gaussians
 from ..engine.counting.sample import SurfacePoints, sample_skin
-from ..engine.counting.sphere import REACH, fit_spheres, neighborhoods
+from ..engine.counting.sphere import REACH, fit_spheres
 from ..engine.counting.visibility import Visibility, see
+from ..engine.scene.camera import Camera
+from ..engine.splatting.gaussians import Gaussians
 from .simulated import Simulation
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +29,8 @@ LINK, LEAST = 0.15, 8
 """DBSCAN's ε, in diameters, and min_samples."""
 LEAST_MASS = 0.15
 """A cluster with less than this share of a fruit's points is dropped."""
+PRIOR_SD = 0.2
+"""Deviation of log diameter between fruit in plain voting."""
 WEAKEST = 0.15
 """A sphere with less than this share of the best sphere's points is dropped."""
 
@@ -34,27 +38,27 @@ WEAKEST = 0.15
 @dataclass(frozen=True, eq=False)
 class Surface:
     """What every method starts from: how the cameras see the Gaussians, and of the skin of all that is taken for fruit
-    points and the diameter, None where nothing looks round.
+    points and the size, None where nothing looks round.
     """
 
     visibility: Visibility
-    sample: tuple[SurfacePoints, float] | None
+    sample: tuple[SurfacePoints, FruitSize] | None
 
 
-def surface_of(simulation: Simulation) -> Surface:
-    """The points and the size that the product's default starts from, by its own functions."""
-    gaussians, config = simulation.gaussians, CountConfig()
-    chances = simulation.probability.double().numpy()
-    visibility = see(gaussians, simulation.cameras)
-    seen = np.flatnonzero((chances >= config.threshold) & (visibility.weights > 0))
+def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequence[Camera]) -> Surface:
+    """The points and the size that the product's default starts from, by its own functions; probability: (N,)."""
+    chances, config = probability.double().numpy(), CountConfig()
+    visibility = see(gaussians, cameras)
+    selected = select_gaussians(gaussians, chances, config)
+    seen = selected[visibility.weights[selected] > 0]
     size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
     if size is None:
         return Surface(visibility, None)
-    largest = LARGEST_SCALE * size[0]
+    largest = LARGEST_SCALE * size.diameter
     points = sample_skin(
         gaussians, chances, visibility, seen, budget=config.sample_budget, seed=config.seed, largest=largest
     )
-    return Surface(visibility, (points, size[0]))
+    return Surface(visibility, (points, size))
 
 
 def ours(simulation: Simulation, surface: Surface) -> Found:
@@ -74,7 +78,7 @@ def by_mass(simulation: Simulation, surface: Surface) -> Found:
     """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
     if surface.sample is None:
         return NONE
-    points, diameter = surface.sample
+    points, diameter = surface.sample[0], surface.sample[1].diameter
     cluster = DBSCAN(eps=LINK * diameter, min_samples=LEAST).fit_predict(points.positions)
     sizes = np.bincount(cluster[cluster >= 0])
     if len(sizes) == 0:
@@ -95,11 +99,11 @@ def by_votes(simulation: Simulation, surface: Surface) -> Found:
     """Votes for centres along the normals, sphere fits, non-maximum suppression; nothing is rejected for its form."""
     if surface.sample is None:
         return NONE
-    points, diameter = surface.sample
-    tree, radius = cKDTree(points.positions), diameter / 2.0
-    starts = vote(points, radius)
-    near = neighborhoods(tree, starts, np.full(len(starts), REACH * radius), NEIGHBORS)
-    spheres = fit_spheres(points, near, starts, np.full(len(starts), radius), prior_sd=0.2)
+    points, size = surface.sample
+    radius, skin = size.diameter / 2.0, Skin.of(points, size.diameter)
+    starts = vote(skin, radius)
+    reaches, radii = np.full(len(starts), REACH * radius), np.full(len(starts), radius)
+    spheres = fit_spheres(skin.cells, skin.normals, starts, reaches, radii, prior=radius, prior_sd=PRIOR_SD)
     chosen: list[int] = []
     for index in np.argsort(-spheres.support, kind="stable"):
         if spheres.support[index] < WEAKEST * spheres.support.max():

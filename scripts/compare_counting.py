@@ -48,7 +48,7 @@ def main(options: Options) -> None:
     for place, (name, seed) in enumerate((n, options.first + s) for n in chosen for s in range(options.seeds)):
         progress(place / (len(chosen) * options.seeds), f"{name}, seed {seed}")
         simulation = simulate(SETTINGS[name], seed)
-        surface = surface_of(simulation)
+        surface = surface_of(simulation.gaussians, simulation.probability, simulation.cameras)
         for method, count in METHODS.items():
             trials.append(Trial(name, seed, method, count_metrics(*count(simulation, surface), simulation.truth).f1))
     progress(1.0, "done")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .claims import members
 from .cluster import Clusters
 from .fruit import AuditEntry
 
@@ -30,7 +31,8 @@ def account_for(clusters: Clusters, order: IntArray) -> Account:
     """Number the spheres 1… in `order` (F,) and say of every cluster why it was kept, split or dropped."""
     numbers = np.empty(len(order), np.int64)
     numbers[order] = np.arange(1, len(order) + 1)
-    homes = np.array([_home(clusters, sphere) for sphere in range(len(order))], np.int64)
+    own = members(clusters.owners, len(order))
+    homes = np.array([np.bincount(clusters.components[each]).argmax() for each in own], np.int64)
     sizes = np.bincount(clusters.components)
     entries = [
         _entry(clusters, int(component), int(sizes[component]), homes, numbers)
@@ -49,14 +51,9 @@ def account_for(clusters: Clusters, order: IntArray) -> Account:
     return Account(entries, numbers, shared)
 
 
-def _home(clusters: Clusters, sphere: int) -> int:
-    """The cluster that holds most of a sphere's points."""
-    return int(np.bincount(clusters.components[clusters.owners == sphere]).argmax())
-
-
 def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbers: IntArray) -> AuditEntry:
     inside = clusters.components == component
-    x, y, z = clusters.positions[inside].mean(axis=0).tolist()
+    x, y, z = clusters.points.positions[inside].mean(axis=0).tolist()
     center = (x, y, z)
     spheres = np.flatnonzero(homes == component)
     ids = tuple(sorted(int(number) for number in numbers[spheres]))

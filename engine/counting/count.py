@@ -14,6 +14,7 @@ from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from .account import Account, account_for
+from .candidates import FruitSize
 from .cluster import Clusters, find_fruit
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
 from .sample import SurfacePoints, sample_skin, sample_volume
@@ -33,6 +34,8 @@ LARGEST_SCALE = 0.5
 """Largest standard deviation, in mean fruit diameters, of a Gaussian that may give points."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
+FIRST_SPREADS = (0.15, 0.35)
+"""Least and largest deviation of log diameter that is looked for first."""
 SMALL = 0.6
 """A fruit below this many mean diameters is of kind "small"."""
 
@@ -60,9 +63,7 @@ def count_fruit(
     """
     chances = _checked(gaussians, probability, cameras)
     highest = float(chances.max())
-    opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
-    least = config.threshold * (1.0 if config.method == "template" else FAINT)
-    selected = np.flatnonzero((chances >= least) & opaque)
+    selected = select_gaussians(gaussians, chances, config)
     if highest < config.threshold or len(selected) == 0:
         return _none(highest, f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     progress(0.0, "seeing the Gaussians from each view")
@@ -74,7 +75,6 @@ def count_fruit(
     sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
     if sized is None:
         return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
-    diameter, spread = sized
     sample = sample_volume if config.method == "template" else sample_skin
     points = sample(
         gaussians,
@@ -83,21 +83,21 @@ def count_fruit(
         seen,
         budget=config.sample_budget,
         seed=config.seed,
-        largest=LARGEST_SCALE * diameter,
+        largest=LARGEST_SCALE * sized.diameter,
     )
     if len(points) == 0:
         return _none(
-            highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {diameter:.3g}"
+            highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}"
         )
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
-    clusters = _find(points, diameter, spread, pictures, config, part(progress, 0.7, 1.0))
+    clusters = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     order = _top_to_bottom(clusters.spheres.centers, cameras)
     account = account_for(clusters, order)
     spheres = clusters.spheres.select(order)
     if config.diameter is None:
         spheres = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
     fractions = look_at(pictures, spheres.centers, spheres.radii).visible_fractions
-    return _finish(gaussians, chances, seen, points, clusters, spheres, order, account, fractions, label, highest)
+    return _finish(gaussians, chances, seen, clusters, spheres, order, account, fractions, label, highest)
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
@@ -122,6 +122,13 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
     return chances
 
 
+def select_gaussians(gaussians: Gaussians, chances: FloatArray, config: CountConfig) -> IntArray:
+    """Which Gaussians may give surface points: opaque, and with a probability (N,) that is high enough."""
+    opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
+    least = config.threshold * (1.0 if config.method == "template" else FAINT)
+    return np.flatnonzero((chances >= least) & opaque)
+
+
 def fruit_size(
     gaussians: Gaussians,
     chances: FloatArray,
@@ -129,13 +136,13 @@ def fruit_size(
     seen: IntArray,
     config: CountConfig,
     progress: Progress = silent,
-) -> tuple[float, float] | None:
-    """Mean fruit diameter in scene units and the spread of its logarithm; None when nothing looks round.
+) -> FruitSize | None:
+    """The size of the fruit, given or estimated; None when nothing looks round.
 
     chances: (N,) probability of each Gaussian; seen: those that may be fruit and that a view sees.
     """
     if config.diameter is not None:
-        return config.diameter, DEFAULT_SPREAD
+        return FruitSize(config.diameter, DEFAULT_SPREAD)
     widths = gaussians.scales.detach().double().cpu().numpy()[seen].max(axis=1)
     typical = float(np.median(widths))
     points = sample_skin(
@@ -148,20 +155,22 @@ def fruit_size(
         largest=8.0 * typical,
     )
     estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
-    return None if estimate is None or estimate.evidence < LEAST_EVIDENCE else (estimate.diameter, estimate.spread)
+    if estimate is None or estimate.evidence < LEAST_EVIDENCE:
+        return None
+    return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
 
 
 def _find(
     points: SurfacePoints,
-    diameter: float,
-    spread: float,
+    size: FruitSize,
     pictures: Sequence[Picture],
     config: CountConfig,
     progress: Progress,
 ) -> Clusters:
     if config.method == "template":
-        return split_by_template(points, diameter, seed=config.seed, progress=progress)
-    return find_fruit(points, diameter, spread, pictures, config.threshold, progress=progress)
+        return split_by_template(points, size.diameter, seed=config.seed, progress=progress)
+    given = config.diameter is not None
+    return find_fruit(points, size, pictures, config.threshold, given=given, progress=progress)
 
 
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
@@ -174,7 +183,6 @@ def _finish(
     gaussians: Gaussians,
     chances: FloatArray,
     seen: IntArray,
-    points: SurfacePoints,
     clusters: Clusters,
     spheres: Spheres,
     order: IntArray,
@@ -205,13 +213,13 @@ def _finish(
                 members=seen[owners == index],
             )
         )
-    colors = gaussians.base_colors.detach().double().cpu().numpy()[points.gaussians]
+    colors = gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
     return FruitCount(
         fruits=fruits,
         audit=account.entries,
         max_probability=highest,
         mean_diameter=mean,
-        points=points.positions,
+        points=clusters.points.positions,
         point_colors=np.round(255.0 * colors).astype(np.uint8),
         point_fruit_ids=numbers[clusters.owners],
     )

@@ -93,12 +93,13 @@ def sample_skin(
 
     Trained Gaussians lie below the surface they draw and the big ones fill it, so points spread through their volume
     make fruit look a fifth too small. These points lie on the ellipsoids of SKIN standard deviations, on the side that
-    the seeing cameras face and outside the other Gaussians, N_i ∝ the pixels Gaussian i drew; the normal is the
-    ellipsoid's. Gaussians wider than `largest` give none.
+    the seeing cameras face and outside the other Gaussians; the normal is the ellipsoid's. N_i ∝ the pixels that
+    Gaussian i draws in a view that sees it: fruit that few views see have as many points as the others. Gaussians wider
+    than `largest` give none.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
-    drawn = chosen.weights * (chosen.opacities >= LEAST_OPACITY)
-    owner = np.repeat(np.arange(len(chosen)), share_out(drawn, SPARE * budget))
+    pixels = chosen.weights / np.maximum(visibility.views[chosen.index], 1) * (chosen.opacities >= LEAST_OPACITY)
+    owner = np.repeat(np.arange(len(chosen)), share_out(pixels, SPARE * budget))
     own = np.random.default_rng(seed).standard_normal((len(owner), 3))
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     axes, scales = chosen.axes[owner], chosen.scales[owner]

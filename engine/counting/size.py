@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
+from .cells import Cells
 from .sample import SurfacePoints
-from .sphere import REACH, fit_spheres, neighborhoods
+from .sphere import REACH, fit_spheres
 
 FloatArray = NDArray[np.float64]
 
@@ -23,6 +23,9 @@ LEAST_PEAK = 0.5
 evidence, and enough in itself: the outline of a whole crown is round as well."""
 LEAST_EVIDENCE = 0.3
 """Below this summed weight a seed of the sphere fits behind a diameter, the selection is sheets and scatter."""
+LEAST_AGREEMENT, AGREEMENT_RISE = 0.4, 0.3
+"""Mean cosine between normals and a sphere's own from which it votes, and by how much more it does so fully: a crown is
+round as well, but its fruit face all sides."""
 LEAST_THINNESS = 0.12
 """Flat neighbourhoods reproduce any radius; thinner ones than this (in radii) do not vote."""
 
@@ -52,19 +55,27 @@ def estimate_diameter(
     largest = 0.5 * float(np.linalg.norm(points.positions.max(axis=0) - points.positions.min(axis=0)))
     grid = smallest * GRID_STEP ** np.arange(max(1, int(np.log(max(largest / smallest, 1.0)) / np.log(GRID_STEP)) + 1))
     logs, weights = [], []
-    whole = cKDTree(points.positions)
     for step, radius in enumerate(grid[:40]):
         progress(step / min(len(grid), 40), f"trying fruit of radius {radius:.3g}")
         starts = points.positions[seeds] - radius * points.normals[seeds]
-        crowd = whole.query_ball_point(starts[:40], REACH * radius, return_length=True).mean()
-        kept = np.sort(order[: int(np.ceil(len(points) * min(1.0, 3.0 * NEIGHBORS / max(crowd, 1.0))))])
-        thinned = points.select(kept)
-        near = neighborhoods(cKDTree(thinned.positions), starts, np.full(len(seeds), REACH * radius), NEIGHBORS)
-        spheres = fit_spheres(thinned, near, starts, np.full(len(seeds), radius), prior_sd=0.6, rounds=8)
+        cells = Cells.of(points.positions, radius)
+        reaches, radii = np.full(len(seeds), REACH * radius), np.full(len(seeds), radius)
+        spheres = fit_spheres(
+            cells,
+            points.normals[cells.index],
+            starts,
+            reaches,
+            radii,
+            prior=radius,
+            prior_sd=0.6,
+            rounds=8,
+            limit=NEIGHBORS,
+        )
         kept_radius = (spheres.radii > 0.6 * radius) & (spheres.radii < 1.6 * radius) & (spheres.support >= 8)
         round_enough = kept_radius & (spheres.thinness > LEAST_THINNESS)
         logs.append(np.log(spheres.radii))
-        weights.append(np.where(round_enough, spheres.coverage * spheres.shell**2, 0.0))
+        faced = np.clip((spheres.agreement - LEAST_AGREEMENT) / AGREEMENT_RISE, 0.0, 1.0)
+        weights.append(np.where(round_enough, spheres.coverage * spheres.shell**2 * faced, 0.0))
     return _mode(np.concatenate(logs), np.concatenate(weights), len(seeds))
 
 

@@ -13,9 +13,10 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from sklearn.cluster import DBSCAN, KMeans
 
 from ..progress import Progress, silent
-from .cluster import NEIGHBORS, Clusters
+from .cells import Cells
+from .cluster import Clusters
 from .sample import SurfacePoints
-from .sphere import REACH, Spheres, evidence, neighborhoods, unit_directions
+from .sphere import unit_directions, weighed
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,12 +57,12 @@ def split_by_template(points: SurfacePoints, diameter: float, *, seed: int, prog
     components[components < 0] = count
     places = np.array(centers).reshape(-1, 3)
     radii = np.full(len(places), diameter / 2.0)
-    near = neighborhoods(tree, places, REACH * radii, NEIGHBORS)
-    spheres = evidence(points, near, places, radii, 0.1 * radii) if len(places) else Spheres.empty()
+    cells = Cells.of(points.positions, diameter)
+    spheres = weighed(cells, points.normals[cells.index], places, radii, 0.1 * radii)
     owned = np.bincount(owners[owners >= 0], minlength=len(places))
     summed = np.bincount(owners[owners >= 0], points.probabilities[owners >= 0], minlength=len(places))
     likely = summed / np.maximum(owned, 1)
-    return Clusters(points.positions, spheres, owners, components, likely, refusals)
+    return Clusters(points, spheres, owners, components, likely, refusals)
 
 
 def hull_volume(positions: FloatArray) -> float:

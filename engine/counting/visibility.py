@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -14,9 +14,12 @@ from ..progress import Progress, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from ..splatting.rasterize import accumulate, render
+from .look_kernels import look
 
 FloatArray = NDArray[np.float64]
 
+NOTHING = 1e30
+"""Depth where nothing opaque is."""
 SEEN_WEIGHT = 0.3
 """Summed blending weight in pixels from which a view counts as seeing a Gaussian."""
 MOST_PIXELS = 40_000_000
@@ -29,7 +32,6 @@ TOLERANCE = 0.5
 """Radii in front of a sphere's surface from which something is an occluder."""
 STOP = 0.3
 """A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
-BATCH = 512
 RINGS = np.linspace(0.4, 1.8, 29)
 """Radii, in those of a sphere, of the rings on which its outline is sought."""
 EDGE_VIEWS = 20
@@ -41,8 +43,8 @@ EDGE_LIMITS = (0.8, 1.35)
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A view drawn from the Gaussians. depth: (H, W) scene units, inf where nothing opaque is; fruit: (H, W) blended
-    probability Σ α T p."""
+    """A view drawn from the Gaussians. depth: (H, W) scene units, NOTHING where nothing opaque is; fruit: (H, W)
+    blended probability Σ α T p."""
 
     camera: Camera
     depth: NDArray[np.float32]
@@ -78,6 +80,10 @@ class Looks:
     probabilities: FloatArray
     spots: FloatArray
 
+    def select(self, index: NDArray) -> Looks:
+        """The looks at the spheres at `index`."""
+        return Looks(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
 
 def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
     """Sum every view's blending weights α·T into the Gaussians that drew its pixels."""
@@ -107,46 +113,26 @@ def draw(
         with torch.no_grad():
             drawn = render(gaussians, camera, features=chances, sh_degree=0)
         assert drawn.features is not None
-        depth = torch.where(drawn.alpha > 0.5, drawn.depth, torch.inf).float().cpu().numpy()
+        depth = torch.where(drawn.alpha > 0.5, drawn.depth, NOTHING).float().cpu().numpy()
         pictures.append(Picture(camera, depth, drawn.features[:, :, 0].float().cpu().numpy()))
     return pictures
 
 
 def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> Looks:
     """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
-    parts = [
-        _look_at_some(pictures, centers[start : start + BATCH], radii[start : start + BATCH])
-        for start in range(0, max(len(centers), 1), BATCH)
-    ]
-    return Looks(*(np.concatenate([getattr(part, name) for part in parts]) for name in Looks.__dataclass_fields__))
-
-
-def _look_at_some(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> Looks:
-    best = np.full(len(centers), np.nan)
-    stopped, free, chance = np.zeros(len(centers)), np.zeros(len(centers)), np.zeros(len(centers))
-    across, down = _disc(SPOTS)
-    inner = across**2 + down**2 < RIM**2
-    chord = np.sqrt(1.0 - across**2 - down**2)
+    disc = np.stack(_disc(SPOTS), axis=1)
+    centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
+    best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 3))
     for picture in pictures:
         camera = picture.camera
-        x, y, z = (centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
-        ahead = z > 2.0 * radii
-        z = np.where(ahead, z, 1.0)
-        columns = np.floor(camera.K[0, 0] * (x[:, None] + radii[:, None] * across) / z[:, None] + camera.K[0, 2])
-        rows = np.floor(camera.K[1, 1] * (y[:, None] + radii[:, None] * down) / z[:, None] + camera.K[1, 2])
-        inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height) & ahead[:, None]
-        where = (np.where(inside, rows, 0).astype(int), np.where(inside, columns, 0).astype(int))
-        behind_center = (picture.depth[where] - z[:, None]) / radii[:, None]
-        open_ = inside & (behind_center > -chord - TOLERANCE)
-        share = np.where(inside.mean(axis=1) >= 0.5, open_.mean(axis=1), np.nan)
-        best = np.fmax(best, share)
-        shows = open_ & inner & (behind_center < STOP * chord)
-        stopped += shows.sum(axis=1)
-        free += (open_ & inner).sum(axis=1)
-        chance += (picture.fruit[where] * shows).sum(axis=1)
+        look(
+            picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
+            RIM, TOLERANCE, STOP, best, sums,
+        )  # fmt: skip
+    stopped, free, chance = sums.T
     unknown = free == 0
     return Looks(
-        visible_fractions=best,
+        visible_fractions=np.where(best < 0.0, np.nan, best),
         solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
         probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
         spots=stopped,

@@ -79,15 +79,21 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     """One of the `walks`, seen by the encoder."""
     scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
-    truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
+    fruit = true_fruit(folder, scene, gaussians)
     weights = features.weights[:, 0]
     seen = weights >= MIN_WEIGHT
     (question,) = encoder.questions("fruit")
     return LiftedScene(
         margin(features.unit(0)[seen], question).double().numpy(),
-        (truth[:, 0] > truth[:, 1])[seen].numpy(),
+        (fruit > 0.5)[seen].numpy(),
         weights[seen].double().numpy(),
     )
+
+
+def true_fruit(folder: Path, scene: Scene, gaussians: Gaussians) -> Tensor:
+    """(N,) share of the pixels that each Gaussian of a walk draws that are fruit by the true masks."""
+    truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
+    return truth[:, 0] / truth.sum(dim=1).clamp_min(1e-9)
 
 
 def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:

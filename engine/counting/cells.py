@@ -1,0 +1,100 @@
+"""Points sorted into cubic cells, in which neighbours are found in about the time that it takes to read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import kernel, njit, prange
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Table = tuple[FloatArray, IntArray, FloatArray, float, IntArray]
+"""What kernels look neighbours up in: positions, keys, corner, size and shape of `Cells`."""
+
+MOST_CELLS = 1 << 20
+"""Cells along one axis; points that lie farther out share the outermost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """P points in the order of their cells.
+
+    positions: (P, 3) in that order; index: (P,) the number that each had before; keys: (P,) of its cell, rising;
+    corner: (3,) where the cells begin; size: their side, scene units; shape: (3,) cells along each axis.
+    """
+
+    positions: FloatArray
+    index: IntArray
+    keys: IntArray
+    corner: FloatArray
+    size: float
+    shape: IntArray
+
+    @classmethod
+    def of(cls, positions: FloatArray, size: float) -> Cells:
+        """Sort positions (P, 3) into cells of side `size`; points of one cell keep their order."""
+        corner = positions.min(axis=0) if len(positions) else np.zeros(3)
+        places = np.minimum((positions - corner) / size, MOST_CELLS - 1.0).astype(np.int64)
+        shape = places.max(axis=0, initial=0) + 1
+        keys = (places[:, 0] * shape[1] + places[:, 1]) * shape[2] + places[:, 2]
+        index = np.argsort(keys, kind="stable")
+        return cls(np.ascontiguousarray(positions[index]), index, keys[index], corner, size, shape)
+
+    @property
+    def table(self) -> Table:
+        return self.positions, self.keys, self.corner, self.size, self.shape
+
+    def numbers(self, centers: FloatArray, reach: float) -> IntArray:
+        """(C,) how many points lie within `reach` of each of the centers (C, 3)."""
+        found = np.empty(len(centers), np.int64)
+        _numbers(self.table, np.ascontiguousarray(centers), reach, found)
+        return found
+
+
+@njit
+def place(table: Table, along: float, axis: int) -> int:
+    """The cell along an axis that holds a coordinate; the outermost for what lies outside."""
+    _, _, corner, size, shape = table
+    return int(min(max(np.floor((along - corner[axis]) / size), 0.0), shape[axis] - 1.0))
+
+
+@njit
+def gather(table: Table, center: FloatArray, reach: float, near: IntArray) -> int:
+    """Write which points lie within `reach` of a center (3,) into `near` (K,), evenly thinned to K; returns how many
+    were written. The points are numbered in the order of the cells."""
+    total = walk(table, center, reach, near, 0)
+    return walk(table, center, reach, near, total)
+
+
+@njit
+def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: int) -> int:
+    """Without a `total`, count the points; with it, write them as `gather` does."""
+    positions, keys, _, _, shape = table
+    limit, seen, written = len(near), 0, 0
+    z0, z1 = place(table, center[2] - reach, 2), place(table, center[2] + reach, 2)
+    for x in range(place(table, center[0] - reach, 0), place(table, center[0] + reach, 0) + 1):
+        for y in range(place(table, center[1] - reach, 1), place(table, center[1] + reach, 1) + 1):
+            row = (x * shape[1] + y) * shape[2]
+            for p in range(np.searchsorted(keys, row + z0), np.searchsorted(keys, row + z1 + 1)):
+                dx, dy, dz = (
+                    positions[p, 0] - center[0],
+                    positions[p, 1] - center[1],
+                    positions[p, 2] - center[2],
+                )
+                if dx * dx + dy * dy + dz * dz > reach * reach:
+                    continue
+                seen += 1
+                if total > 0 and (total <= limit or seen * limit // total > (seen - 1) * limit // total):
+                    near[written] = p
+                    written += 1
+    return written if total > 0 else seen
+
+
+@kernel
+def _numbers(table: Table, centers: FloatArray, reach: float, found: IntArray) -> None:
+    nothing = np.empty(0, np.int64)
+    for c in prange(len(centers)):
+        found[c] = walk(table, centers[c], reach, nothing, 0)

@@ -1,0 +1,93 @@
+"""The loops behind normals and votes for centres, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import kernel, njit, prange
+from .cells import Table, gather, place
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LEAST_FLAT = 8
+"""Neighbours from which a scatter tells a normal."""
+FLAT = 0.5
+"""A scatter is flat where its least variance is below this share of the next one."""
+
+
+@kernel
+def turn_normals(
+    table: Table, normals: FloatArray, directions: FloatArray, reach: float, limit: int, turned: FloatArray
+) -> None:
+    """See `cluster.local_normals`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
+    positions = table[0]
+    for p in prange(len(positions)):
+        near = np.empty(limit, np.int64)
+        found = gather(table, positions[p], reach, near)
+        turned[p] = normals[p]
+        if found < LEAST_FLAT:
+            continue
+        mean, scatter = np.zeros(3), np.zeros((3, 3))
+        for k in range(found):
+            for i in range(3):
+                mean[i] += positions[near[k], i] / found
+        for k in range(found):
+            for i in range(3):
+                for j in range(i + 1):
+                    scatter[i, j] += (positions[near[k], i] - mean[i]) * (positions[near[k], j] - mean[j])
+        values, axes = np.linalg.eigh(scatter)
+        if values[0] >= FLAT * values[1]:
+            continue
+        to_camera, with_own = 0.0, 0.0
+        for i in range(3):
+            to_camera += axes[i, 0] * directions[p, i]
+            with_own += axes[i, 0] * normals[p, i]
+        if to_camera < 0.0:
+            with_own = -with_own
+        if with_own <= 0.0:  # the scatter says that the Gaussian's own axis points into the fruit
+            turned[p] = 0.0
+        for i in range(3):
+            turned[p, i] += axes[i, 0] if to_camera >= 0.0 else -axes[i, 0]
+        turned[p] /= max(np.sqrt((turned[p] ** 2).sum()), 1e-12)
+
+
+@njit
+def apart(table: Table, order: IntArray, distance: float) -> IntArray:
+    """Of points in this order, each that lies no nearer than `distance` to one before it that is kept."""
+    positions, keys, _, _, shape = table
+    taken = np.zeros(len(positions), np.bool_)
+    kept = np.empty(len(order), np.int64)
+    count = 0
+    for p in order:
+        if taken[p]:
+            continue
+        kept[count] = p
+        count += 1
+        center = positions[p]
+        z0, z1 = place(table, center[2] - distance, 2), place(table, center[2] + distance, 2)
+        for x in range(place(table, center[0] - distance, 0), place(table, center[0] + distance, 0) + 1):
+            for y in range(place(table, center[1] - distance, 1), place(table, center[1] + distance, 1) + 1):
+                row = (x * shape[1] + y) * shape[2]
+                for q in range(np.searchsorted(keys, row + z0), np.searchsorted(keys, row + z1 + 1)):
+                    gap = 0.0
+                    for axis in range(3):
+                        gap += (positions[q, axis] - center[axis]) ** 2
+                    if gap < distance * distance:
+                        taken[q] = True
+    return kept[:count]
+
+
+@kernel
+def middles(table: Table, centers: FloatArray, reach: float, found: FloatArray) -> None:
+    """The mean (C, 3) of the points within `reach` of each center (C, 3); each has at least one."""
+    positions = table[0]
+    for c in prange(len(centers)):
+        near = np.empty(256, np.int64)
+        count = gather(table, centers[c], reach, near)
+        for axis in range(3):
+            total = 0.0
+            for k in range(count):
+                total += positions[near[k], axis]
+            found[c, axis] = total / count

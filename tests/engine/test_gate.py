@@ -1,0 +1,84 @@
+"""What the gate weighs, says and refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.counting.candidates import Candidates, FruitSize
+from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, features_of, stored_gate
+from fruitlangs.engine.counting.sample import SurfacePoints
+from fruitlangs.engine.counting.sphere import Spheres
+from fruitlangs.engine.counting.visibility import Looks
+
+WHOLE = {
+    "coverage": 0.6, "solidity": 1.0, "thinness": 0.3, "residual": 0.05, "agreement": 0.75, "share": 1.0, "free": 1.0,
+    "off": 0.0, "mean": 1.0,
+}  # fmt: skip
+
+
+def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, SurfacePoints]:
+    """Three candidates of 50 points each: a whole fruit, one that is changed, and another whole fruit."""
+    values = [WHOLE, WHOLE | changes, WHOLE]
+    column = {name: np.array([each[name] for each in values]) for name in WHOLE}
+    spheres = Spheres(
+        centers=np.zeros((3, 3)),
+        radii=0.5 * np.exp(0.1 * np.sqrt(column["off"])),
+        radius_sds=np.full(3, 0.02),
+        support=np.full(3, 50.0),
+        shell=np.ones(3),
+        coverage=column["coverage"],
+        thinness=column["thinness"],
+        residual=column["residual"],
+        agreement=column["agreement"],
+    )
+    looks = Looks(np.ones(3), column["solidity"], np.ones(3), np.full(3, 99.0))
+    owners = np.repeat([0, 1, 2], 50)
+    up = np.tile([0.0, 0.0, 1.0], (150, 1))
+    points = SurfacePoints(up, up, np.arange(150), np.where(owners == 1, probability, 1.0), up)
+    return Candidates(spheres, looks, column["share"], column["free"], owners), points
+
+
+def weighed(threshold: float = 0.5, probability: float = 1.0, **changes: float) -> tuple[np.ndarray, Features]:
+    found, points = candidates(probability, **changes)
+    features = features_of(found, points, FruitSize(1.0, 0.1), threshold)
+    return stored_gate().chances(features), features
+
+
+def test_a_whole_fruit_is_almost_surely_one():
+    assert weighed()[0].min() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"coverage": 0.06}, "covered on 6% of its surface only"),
+        ({"solidity": 0.1}, "seen through (10% as opaque as other fruit)"),
+        ({"thinness": 0.04}, "flat (0.04 radii thick)"),
+        ({"residual": 0.2}, "uneven (0.20 radii off a sphere)"),
+        ({"agreement": 0.2}, "not round (its points face outwards by 0.20 of 1)"),
+        ({"free": 0.5}, "on points of better fruit (50% are its own)"),
+    ],
+)
+def test_what_speaks_against_a_fruit_lowers_its_chance_and_is_named(changes: dict[str, float], told: str):
+    chances, features = weighed(**changes)
+    assert chances[1] < chances[0]
+    assert stored_gate().reason(features, 1).startswith(told)
+
+
+def test_a_faint_candidate_is_refused_whatever_its_form():
+    chances, features = weighed(probability=0.2)
+    assert chances[1] == 0.0
+    assert stored_gate().reason(features, 1) == "its surest points come no nearer than 40% to the threshold"
+
+
+def test_a_lower_threshold_takes_fainter_points_as_seriously():
+    assert weighed(threshold=0.5, probability=0.6)[0][1] == pytest.approx(weighed(0.25, probability=0.3)[0][1])
+
+
+def test_what_is_stored_weighs_all_features_and_was_fitted_on_seeds_for_training():
+    document = json.loads(STORED.read_text(encoding="utf-8"))
+    assert set(document["weights"]) == set(WEIGHED)
+    assert min(int(scene.split()[1]) for scene in document["fitted on"]) >= 1000
