@@ -42,7 +42,8 @@ def write_fruits(
 
     Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
     world) and carries the custom properties of its row in `fruits.json`: id, label, diameter (metres where
-    metres_per_unit is known, else scene units), probability, visible_fraction (absent where not measured) and kind.
+    metres_per_unit is known, else scene units), probability, visible_fraction (absent where not measured), views, color
+    and kind.
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -82,6 +83,8 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
     item["probability"] = float(fruit.probability)
     if fruit.visible_fraction is not None:
         item["visible_fraction"] = float(fruit.visible_fraction)
+    item["views"] = int(fruit.views)
+    item["color"] = [float(value) / 255.0 for value in fruit.color]
     item["kind"] = str(fruit.kind)
     for key, text in (
         ("probability", "Probability of being a fruit of the prompt"),
@@ -89,6 +92,8 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
     ):
         if key in item:
             item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
+    item.id_properties_ui("views").update(min=0, description="Photos that show at least a tenth of it")
+    item.id_properties_ui("color").update(subtype="COLOR", min=0.0, max=1.0, description="Mean colour of its surface")
     item.id_properties_ui("diameter").update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 
 

@@ -15,13 +15,14 @@ from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from .account import Account, account_for
 from .candidates import FruitSize
+from .claims import members
 from .cluster import Clusters, find_fruit
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
 from .sample import SurfacePoints, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, estimate_diameter
 from .sphere import Spheres
 from .template import split_by_template
-from .visibility import Picture, Visibility, draw, edge_ratio, look_at, see
+from .visibility import Looks, Picture, Visibility, draw, edge_ratio, look_at, see
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -96,8 +97,8 @@ def count_fruit(
     spheres = clusters.spheres.select(order)
     if config.diameter is None:
         spheres = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
-    fractions = look_at(pictures, spheres.centers, spheres.radii).visible_fractions
-    return _finish(gaussians, chances, seen, clusters, spheres, order, account, fractions, label, highest)
+    looks = look_at(pictures, spheres.centers, spheres.radii)
+    return _finish(gaussians, chances, seen, clusters, spheres, order, account, looks, label, highest)
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
@@ -187,7 +188,7 @@ def _finish(
     spheres: Spheres,
     order: IntArray,
     account: Account,
-    fractions: FloatArray,
+    looks: Looks,
     label: str,
     highest: float,
 ) -> FruitCount:
@@ -195,6 +196,8 @@ def _finish(
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
     means = gaussians.means.detach().double().cpu().numpy()[seen]
     owners = _nearest_sphere(means, spheres.centers, spheres.radii)
+    colors = 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
+    own = members(clusters.owners, len(spheres))
     fruits = []
     for index in range(len(spheres)):
         diameter = float(2.0 * spheres.radii[index])
@@ -208,19 +211,20 @@ def _finish(
                 diameter_sd=float(2.0 * spheres.radius_sds[index]),
                 volume=float(np.pi / 6.0 * diameter**3),
                 probability=float(clusters.probabilities[order[index]]),
-                visible_fraction=float(fractions[index]) if np.isfinite(fractions[index]) else None,
+                visible_fraction=None if np.isnan(looks.visible_fractions[index]) else looks.visible_fractions[index],
+                views=int(looks.views[index]),
+                color=colors[own[order[index]]].mean(axis=0).round().astype(np.uint8),
                 kind="small" if mean and diameter < SMALL * mean else kind,
                 members=seen[owners == index],
             )
         )
-    colors = gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
     return FruitCount(
         fruits=fruits,
         audit=account.entries,
         max_probability=highest,
         mean_diameter=mean,
         points=clusters.points.positions,
-        point_colors=np.round(255.0 * colors).astype(np.uint8),
+        point_colors=np.round(colors).astype(np.uint8),
         point_fruit_ids=numbers[clusters.owners],
     )
 

@@ -19,7 +19,8 @@ class Fruit:
 
     center: (3,) in the scene's frame; diameter, diameter_sd: scene units; volume: cubed scene units; probability that
     it is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
-    kind: single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of.
+    views: how many show at least a tenth of it; color: (3,) mean sRGB of its surface, which tells how ripe it is; kind:
+    single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of.
     """
 
     id: int
@@ -30,6 +31,8 @@ class Fruit:
     volume: float
     probability: float
     visible_fraction: float | None
+    views: int
+    color: NDArray[np.uint8]
     kind: FruitKind
     members: NDArray[np.int64]
 

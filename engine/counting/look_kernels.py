@@ -24,13 +24,14 @@ def look(
     rim: float,
     tolerance: float,
     stop: float,
+    least_share: float,
     best: FloatArray,
     sums: FloatArray,
 ) -> None:
     """Add one picture's looks at C spheres; see `visibility.Looks`.
 
-    best: (C,) visible share, -1 for none; sums: (C, 3) spots that are stopped, that are free, and the probability of
-    those stopped; disc: (S, 2) spots of the unit disc.
+    best: (C,) visible share, -1 for none; sums: (C, 4) spots that are stopped, that are free, the probability of those
+    stopped, and pictures that show at least `least_share`; disc: (S, 2) spots of the unit disc.
     """
     height, width = depth.shape
     for c in prange(len(radii)):
@@ -62,5 +63,6 @@ def look(
                     sums[c, 0] += 1.0
                     sums[c, 2] += fruit[row, column]
         share = opened / len(disc)
+        sums[c, 3] += share >= least_share
         if 2 * framed >= len(disc) and share > best[c]:
             best[c] = share

@@ -30,6 +30,8 @@ RIM = 0.8
 """Only the disc within this many radii tells what lies behind a sphere: a fit is a little off at its rim."""
 TOLERANCE = 0.5
 """Radii in front of a sphere's surface from which something is an occluder."""
+LEAST_SHARE = 0.1
+"""Share of a disc with nothing in front from which a view sees a fruit."""
 STOP = 0.3
 """A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
 RINGS = np.linspace(0.4, 1.8, 29)
@@ -71,14 +73,15 @@ class Looks:
 
     visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
     of it; solidity: of all the disc's spots with nothing in front, the share that does not show what is behind the
-    sphere; probabilities: mean blended probability on the spots that show the sphere; spots: how many these are. Both
-    are 1 where no view has a free look.
+    sphere; probabilities: mean blended probability on the spots that show the sphere, both 1 where no view has a free
+    look; spots: how many show it; views: how many show at least LEAST_SHARE of the disc.
     """
 
     visible_fractions: FloatArray
     solidity: FloatArray
     probabilities: FloatArray
     spots: FloatArray
+    views: NDArray[np.int64]
 
     def select(self, index: NDArray) -> Looks:
         """The looks at the spheres at `index`."""
@@ -122,20 +125,21 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray)
     """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
     disc = np.stack(_disc(SPOTS), axis=1)
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
-    best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 3))
+    best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
     for picture in pictures:
         camera = picture.camera
         look(
             picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
-            RIM, TOLERANCE, STOP, best, sums,
+            RIM, TOLERANCE, STOP, LEAST_SHARE, best, sums,
         )  # fmt: skip
-    stopped, free, chance = sums.T
+    stopped, free, chance, views = sums.T
     unknown = free == 0
     return Looks(
         visible_fractions=np.where(best < 0.0, np.nan, best),
         solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
         probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
         spots=stopped,
+        views=views.astype(np.int64),
     )
 
 

@@ -44,6 +44,8 @@ def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> N
             "diameter": fruit.diameter,
             "probability": fruit.probability,
             "visible_fraction": fruit.visible_fraction,
+            "views": fruit.views,
+            "color": fruit.color.tolist(),
             "kind": fruit.kind,
         }
         name = object_name(fruit)

@@ -85,6 +85,8 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
         "volume": float(f"{fruit.volume * unit**3:.6g}"),
         "probability": round(fruit.probability, 4),
         "visible_fraction": None if fruit.visible_fraction is None else round(fruit.visible_fraction, 4),
+        "views": fruit.views,
+        "color": [int(value) for value in fruit.color],
         "kind": fruit.kind,
     }
 

@@ -20,14 +20,14 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["id", "label", "x_units", "y_units", "z_units", f"diameter_{unit}", f"diameter_sd_{unit}", f"volume_{unit}3"]
-        + ["probability", "visible_fraction", "kind"]
+        + ["probability", "visible_fraction", "views", "red", "green", "blue", "kind"]
     )
     for fruit in fruit_count.fruits:
         visible = "" if fruit.visible_fraction is None else f"{fruit.visible_fraction:.4f}"
         writer.writerow(
             [fruit.id, fruit.label, *(f"{value:.6f}" for value in fruit.center)]
             + [f"{fruit.diameter * scale:.6f}", f"{fruit.diameter_sd * scale:.6f}", f"{fruit.volume * scale**3:.6g}"]
-            + [f"{fruit.probability:.4f}", visible, fruit.kind]
+            + [f"{fruit.probability:.4f}", visible, fruit.views, *fruit.color.tolist(), fruit.kind]
         )
     return text.getvalue()
 

@@ -73,6 +73,8 @@ def make_counted(metres_per_unit: float | None = None, label: str = "apple", fru
             volume=0.001,
             probability=0.9,
             visible_fraction=None if index == 0 else 0.25,
+            views=7,
+            color=np.array([255, 51, 0], np.uint8),
             kind="single",
             members=np.array([2 * index, 2 * index + 1]),
         )

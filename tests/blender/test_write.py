@@ -113,6 +113,8 @@ def test_fruit_carry_their_properties(counted):
     assert item["probability"] == pytest.approx(0.9)
     assert item["visible_fraction"] == pytest.approx(0.25)
     assert "visible_fraction" not in bpy.data.objects["apple.001"]
+    assert item["views"] == 7
+    assert list(item["color"]) == pytest.approx([1.0, 0.2, 0.0])
 
 
 def test_up_becomes_plus_z_and_distances_stay(counted):

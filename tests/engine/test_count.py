@@ -19,7 +19,7 @@ from fruitlangs.engine.counting.visibility import Visibility
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.scene.camera import Camera
-from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
+from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians, harmonics_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 import simulated_fruit as sim
@@ -77,6 +77,26 @@ def test_counting_twice_gives_the_same_fruit(small: sim.Simulation, small_count:
 def test_every_fruit_has_members_and_a_visible_fraction(small_count: FruitCount) -> None:
     assert all(len(fruit.members) > 5 for fruit in small_count.fruits)
     assert all(fruit.visible_fraction is not None and 0 < fruit.visible_fraction <= 1 for fruit in small_count.fruits)
+
+
+def test_every_fruit_says_how_many_views_show_it(small: sim.Simulation, small_count: FruitCount) -> None:
+    few = counted(dataclasses.replace(small, cameras=small.cameras[:5]))
+    assert 5 < max(fruit.views for fruit in small_count.fruits) <= len(small.cameras)
+    assert 1 <= max(fruit.views for fruit in few.fruits) <= 5
+
+
+def test_every_fruit_has_the_colour_of_its_surface(small: sim.Simulation) -> None:
+    red = small.truth.centers[:, 0] > 0
+    means = small.gaussians.means.double().numpy()
+    owner = np.linalg.norm(means[:, None] - small.truth.centers, axis=2).argmin(axis=1)
+    colors = np.where(red[owner][:, None], [0.8, 0.1, 0.1], [0.2, 0.7, 0.1])
+    painted = dataclasses.replace(small.gaussians, sh=harmonics_of(colors))
+    fruits = counted(dataclasses.replace(small, gaussians=painted)).fruits
+    away = [fruit for fruit in fruits if abs(fruit.center[0]) > fruit.diameter]
+    assert len(away) > 4
+    for fruit in away:
+        expected = [204, 26, 26] if fruit.center[0] > 0 else [51, 178, 26]
+        assert np.abs(fruit.color.astype(int) - expected).max() <= 12
 
 
 def test_fruit_are_numbered_from_the_top(small_count: FruitCount) -> None:

@@ -32,6 +32,8 @@ def fruit(number: int, x: float) -> Fruit:
         volume=0.08**3 * np.pi / 6,
         probability=0.9,
         visible_fraction=0.75,
+        views=12,
+        color=np.array([180, 40, 30], np.uint8),
         kind="single",
         members=np.array([1, 2]),
     )
@@ -92,8 +94,11 @@ def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> Non
         "diameter",
         "probability",
         "visible_fraction",
+        "views",
+        "color",
         "kind",
     }
+    assert document["fruits"][0]["color"] == [180, 40, 30]
     assert document["fruits"][1]["center"] == [1.0, 0.5, -1.0]
 
 
