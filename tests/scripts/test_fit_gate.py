@@ -1,0 +1,73 @@
+"""Fitting the gate that tells fruit from what is none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+import _checkout  # noqa: F401
+
+import fit_gate
+
+from fruitlangs.benchmarks.simulated import Setting, simulate
+from fruitlangs.engine.counting.gate import WEIGHED
+
+FEW = Setting(fruits=(25, 25), leaves=400, wrong=0.1, views=10)
+
+
+def drawn(kind: str, family: str, seed: int, truth: float = 2.0) -> fit_gate.Example:
+    """Candidates of which those with a high first feature are fruit."""
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(400, len(WEIGHED)))
+    fruit = truth * features[:, 0] + rng.logistic(size=400) > 0.0
+    return fit_gate.Example(kind, family, features, fruit, np.ones(400), int(fruit.sum()) + 10)
+
+
+def test_the_regression_finds_what_tells_fruit_and_what_does_not():
+    gate = fit_gate.fit([drawn("sparse", f"crown {1000 + seed}", seed) for seed in range(6)])
+    assert gate.weights[WEIGHED[0]] == pytest.approx(2.0, rel=0.15)
+    assert all(abs(gate.weights[name]) < 0.2 for name in WEIGHED[1:])
+
+
+def test_a_few_walks_weigh_as_much_as_many_crowns():
+    crowns = [drawn("sparse", f"crown {1000 + seed}", seed) for seed in range(8)]
+    gate = fit_gate.fit([*crowns, drawn("walk, encoder", "walk 1314", 9, truth=-2.0)])
+    assert abs(gate.weights[WEIGHED[0]]) < 0.3
+
+
+def test_a_scene_is_never_judged_by_a_gate_that_was_fitted_to_it(monkeypatch: pytest.MonkeyPatch):
+    fitted: list[set[str]] = []
+    fit = fit_gate.fit
+    monkeypatch.setattr(fit_gate, "fit", lambda rows: fitted.append({row.family for row in rows}) or fit(rows))
+    kinds = (("walk, encoder", "walk 1314"), ("walk, true masks", "walk 1314"), ("sparse", "crown 1000"))
+    lines = fit_gate.table([drawn(kind, family, seed) for seed, (kind, family) in enumerate(kinds)]).splitlines()
+    assert sorted(map(sorted, fitted)) == [["crown 1000"], ["walk 1314"]]
+    assert [line.split(" | ")[0] for line in lines[2:]] == ["| walk, encoder", "| walk, true masks", "| sparse"]
+
+
+def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
+    crown = simulate(FEW, 1003)
+    (example,) = fit_gate.example("few", "crown 1003", crown.gaussians, crown.probability, crown.cameras, crown.truth)
+    assert example.features.shape == (len(example.fruit), len(WEIGHED))
+    assert example.fruit.sum() >= 0.9 * example.visible
+    assert not example.fruit.all()
+    precision, recall, f1, promised = fit_gate.judged(example, fit_gate.fit([example]))
+    assert min(precision, recall, f1) > 0.9
+    assert promised == pytest.approx(1.0, abs=0.1)
+
+
+def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
+    out = tmp_path / "gate.json"
+    out.write_text(json.dumps({"kept": True}))
+    command = [sys.executable, str(ROOT / "scripts" / "fit_gate.py"), "--first", "3", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("error: seeds below 1000 are for tests and tables")
+    assert json.loads(out.read_text()) == {"kept": True}
