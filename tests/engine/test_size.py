@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.counting.sample import SurfacePoints
-from fruitlangs.engine.counting.size import estimate_diameter
+from fruitlangs.engine.counting.size import LEAST_EVIDENCE, estimate_diameter
 
 
 def directions(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -38,3 +38,30 @@ def test_a_single_large_fruit_keeps_its_own_diameter() -> None:
     estimate = estimate_diameter(surfaces(np.array([[0.0, 0.0, 0.1]]), 1.0, 4000, 0.01), 0.02, seed=0)
     assert estimate is not None
     assert estimate.diameter == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("noise", "round_"), [(0.02, True), (0.1, True), (0.4, False)])
+def test_blurred_fruit_are_still_round_and_scatter_is_not(noise: float, round_: bool) -> None:
+    rng = np.random.default_rng(2)
+    points = surfaces(4.0 * directions(rng, 40), 1.0, 300, noise)
+    tilted = points.normals + rng.normal(0.0, 2.0 * noise, points.normals.shape)
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    blurred = SurfacePoints(points.positions, tilted, points.gaussians, points.probabilities, points.directions)
+    estimate = estimate_diameter(blurred, 0.05, seed=0)
+    assert (estimate is not None and estimate.evidence > LEAST_EVIDENCE) == round_
+    if round_ and estimate is not None:
+        assert estimate.diameter == pytest.approx(1.0, rel=0.15)
+
+
+def test_sheets_of_leaves_are_not_round() -> None:
+    rng = np.random.default_rng(3)
+    flats = []
+    for middle in rng.uniform(-3, 3, (30, 3)):
+        across = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        spots = middle + (rng.uniform(-1, 1, (200, 2)) * [0.6, 0.3]) @ across[:2] + rng.normal(0, 0.01, (200, 3))
+        normal = across[2] * np.sign(across[2, 0])  # seen from x
+        flats.append((spots, np.tile(normal, (200, 1))))
+    positions, normals = (np.concatenate(each) for each in zip(*flats, strict=True))
+    points = SurfacePoints(positions, normals, np.arange(len(positions)), np.ones(len(positions)), normals)
+    estimate = estimate_diameter(points, 0.05, seed=0)
+    assert estimate is None or estimate.evidence < LEAST_EVIDENCE
