@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN, KMeans
 
 from ..engine.config import CountConfig
-from ..engine.counting.candidates import OVERLAP, FruitSize, Skin, vote
+from ..engine.counting.candidates import OVERLAP, Skin, vote
 from ..engine.counting.count import LARGEST_SCALE, count_fruit, fruit_size, select_gaussians
 from ..engine.counting.sample import SurfacePoints, sample_skin
+from ..engine.counting.size import FruitSize
 from ..engine.counting.sphere import REACH, fit_spheres
 from ..engine.counting.visibility import Visibility, see
 from ..engine.scene.camera import Camera

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .cells import Cells
 from .claims import claim
 from .sample import SurfacePoints
+from .size import FruitSize
 from .sphere import REACH, Spheres, fit_spheres
 from .visibility import Looks, Picture, look_at
 from .vote_kernels import apart, middles, turn_normals
@@ -41,14 +42,6 @@ OVERLAP = 0.8
 """Two fruit's centres are at least this many sums of their radii apart."""
 LEAST_FREE = 0.5
 """A sphere keeps at least this share of its points once better ones have taken theirs."""
-
-
-@dataclass(frozen=True)
-class FruitSize:
-    """diameter: of the mean fruit, scene units; spread: standard deviation of log diameter between fruit."""
-
-    diameter: float
-    spread: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +115,7 @@ def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture]) ->
 def vote(skin: Skin, radius: float) -> FloatArray:
     """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart."""
     cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius)
-    density = cells.numbers(cells.positions, 0.25 * radius)
+    density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
     least = max(LEAST_VOTES, LEAST_VOTE_SHARE * float(np.quantile(density, 0.9)))
     order = np.argsort(-density, kind="stable")
     peaks = apart(cells.table, order[density[order] >= least], 0.35 * radius)

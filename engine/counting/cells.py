@@ -47,10 +47,10 @@ class Cells:
     def table(self) -> Table:
         return self.positions, self.keys, self.corner, self.size, self.shape
 
-    def numbers(self, centers: FloatArray, reach: float) -> IntArray:
-        """(C,) how many points lie within `reach` of each of the centers (C, 3)."""
+    def numbers(self, centers: FloatArray, reaches: FloatArray) -> IntArray:
+        """(C,) how many points lie within reaches (C,) of the centers (C, 3)."""
         found = np.empty(len(centers), np.int64)
-        _numbers(self.table, np.ascontiguousarray(centers), reach, found)
+        _numbers(self.table, np.ascontiguousarray(centers), reaches, found)
         return found
 
 
@@ -94,7 +94,7 @@ def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: 
 
 
 @kernel
-def _numbers(table: Table, centers: FloatArray, reach: float, found: IntArray) -> None:
+def _numbers(table: Table, centers: FloatArray, reaches: FloatArray, found: IntArray) -> None:
     nothing = np.empty(0, np.int64)
     for c in prange(len(centers)):
-        found[c] = walk(table, centers[c], reach, nothing, 0)
+        found[c] = walk(table, centers[c], reaches[c], nothing, 0)

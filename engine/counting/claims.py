@@ -50,20 +50,13 @@ def members(owners: IntArray, count: int) -> list[IntArray]:
 
 def claim(cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray) -> Claims:
     """What each of C spheres, centers (C, 3) and radii (C,), claims of the points in their cells."""
-    numbers = np.empty(len(radii), np.int64)
-    _count(cells.table, centers, REACH * radii, numbers)
+    numbers = np.minimum(cells.numbers(centers, REACH * radii), MOST_POINTS)
     bounds = np.concatenate([np.zeros(1, np.int64), np.cumsum(numbers)])
     points, worths = np.empty(bounds[-1], np.int64), np.empty(bounds[-1])
     _claim(cells.table, normals, centers, radii, bounds, points, worths)
     kept = worths > OFF
     ends = np.concatenate([np.zeros(1, np.int64), np.cumsum(kept)])
     return Claims(points[kept], worths[kept], ends[bounds])
-
-
-@kernel
-def _count(table: Table, centers: FloatArray, reaches: FloatArray, numbers: IntArray) -> None:
-    for c in prange(len(reaches)):
-        numbers[c] = gather(table, centers[c], reaches[c], np.empty(MOST_POINTS, np.int64))
 
 
 @kernel

@@ -12,10 +12,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
-from .candidates import Candidates, FruitSize, Skin, find_candidates
+from .candidates import Candidates, Skin, find_candidates
 from .claims import members
-from .gate import features_of, stored_gate
+from .gate import Features, features_of, stored_gate
 from .sample import SurfacePoints
+from .size import FruitSize
 from .sphere import Spheres
 from .visibility import Picture
 
@@ -65,7 +66,7 @@ class Search:
     skin: Skin
     size: FruitSize
     found: Candidates
-    features: Mapping[str, FloatArray]
+    features: Features
     chances: FloatArray
 
 
@@ -98,17 +99,8 @@ def search(
     return result
 
 
-def find_fruit(
-    points: SurfacePoints,
-    size: FruitSize,
-    pictures: Sequence[Picture],
-    threshold: float,
-    *,
-    given: bool = False,
-    progress: Progress = silent,
-) -> Clusters:
-    """Find the likely fruit that the points make up; see `search`."""
-    result = search(points, size, pictures, threshold, given=given, progress=progress)
+def find_fruit(result: Search) -> Clusters:
+    """The likely fruit among the candidates, and what became of every cluster of points."""
     found, chances = result.found, result.chances
     components = connected(result.skin.points, LINK * result.size.diameter)
     kept = chances > LIKELY

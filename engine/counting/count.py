@@ -14,12 +14,11 @@ from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from .account import Account, account_for
-from .candidates import FruitSize
 from .claims import members
-from .cluster import Clusters, find_fruit
+from .cluster import Clusters, find_fruit, search
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
 from .sample import SurfacePoints, sample_skin, sample_volume
-from .size import LEAST_EVIDENCE, estimate_diameter
+from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .sphere import Spheres
 from .template import split_by_template
 from .visibility import Looks, Picture, Visibility, draw, edge_ratio, look_at, see
@@ -171,7 +170,7 @@ def _find(
     if config.method == "template":
         return split_by_template(points, size.diameter, seed=config.seed, progress=progress)
     given = config.diameter is not None
-    return find_fruit(points, size, pictures, config.threshold, given=given, progress=progress)
+    return find_fruit(search(points, size, pictures, config.threshold, given=given, progress=progress))
 
 
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
@@ -200,7 +199,7 @@ def _finish(
     own = members(clusters.owners, len(spheres))
     fruits = []
     for index in range(len(spheres)):
-        diameter = float(2.0 * spheres.radii[index])
+        diameter, shown = float(2.0 * spheres.radii[index]), float(looks.visible_fractions[index])
         kind: FruitKind = "compound-part" if account.compound[index] else "single"
         fruits.append(
             Fruit(
@@ -211,7 +210,7 @@ def _finish(
                 diameter_sd=float(2.0 * spheres.radius_sds[index]),
                 volume=float(np.pi / 6.0 * diameter**3),
                 probability=float(clusters.probabilities[order[index]]),
-                visible_fraction=None if np.isnan(looks.visible_fractions[index]) else looks.visible_fractions[index],
+                visible_fraction=None if np.isnan(shown) else shown,
                 views=int(looks.views[index]),
                 color=colors[own[order[index]]].mean(axis=0).round().astype(np.uint8),
                 kind="small" if mean and diameter < SMALL * mean else kind,

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .candidates import Candidates, FruitSize
+from .candidates import Candidates
 from .claims import members
 from .sample import SurfacePoints
+from .size import FruitSize
 
 FloatArray = NDArray[np.float64]
 Features = Mapping[str, FloatArray]

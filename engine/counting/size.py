@@ -32,12 +32,17 @@ LEAST_THINNESS = 0.12
 
 
 @dataclass(frozen=True)
-class SizeEstimate:
-    """diameter: scene units; spread: standard deviation of log diameter between fruit; evidence: summed weight of the
-    fits at that diameter, a share of the seeds."""
+class FruitSize:
+    """diameter: of the mean fruit, scene units; spread: standard deviation of log diameter between fruit."""
 
     diameter: float
     spread: float
+
+
+@dataclass(frozen=True)
+class SizeEstimate(FruitSize):
+    """evidence: summed weight of the fits at that diameter, a share of the seeds."""
+
     evidence: float
 
 

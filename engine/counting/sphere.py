@@ -56,11 +56,6 @@ class Spheres:
         """The same spheres with all radii times `factor`."""
         return replace(self, radii=factor * self.radii, radius_sds=factor * self.radius_sds)
 
-    @staticmethod
-    def empty() -> Spheres:
-        """No sphere."""
-        return Spheres(np.zeros((0, 3)), *(np.zeros(0) for _ in range(8)))
-
     def select(self, index: NDArray) -> Spheres:
         """The spheres at `index` (bool mask (C,) or integer indices)."""
         return Spheres(**{field.name: getattr(self, field.name)[index] for field in fields(self)})

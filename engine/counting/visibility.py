@@ -74,13 +74,12 @@ class Looks:
     visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
     of it; solidity: of all the disc's spots with nothing in front, the share that does not show what is behind the
     sphere; probabilities: mean blended probability on the spots that show the sphere, both 1 where no view has a free
-    look; spots: how many show it; views: how many show at least LEAST_SHARE of the disc.
+    look; views: how many show at least LEAST_SHARE of the disc.
     """
 
     visible_fractions: FloatArray
     solidity: FloatArray
     probabilities: FloatArray
-    spots: FloatArray
     views: NDArray[np.int64]
 
     def select(self, index: NDArray) -> Looks:
@@ -138,7 +137,6 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray)
         visible_fractions=np.where(best < 0.0, np.nan, best),
         solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
         probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
-        spots=stopped,
         views=views.astype(np.int64),
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .cells import Table, gather, place
+from .cells import Table, gather
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -21,7 +21,7 @@ FLAT = 0.5
 def turn_normals(
     table: Table, normals: FloatArray, directions: FloatArray, reach: float, limit: int, turned: FloatArray
 ) -> None:
-    """See `cluster.local_normals`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
+    """See `candidates.Skin`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
     positions = table[0]
     for p in prange(len(positions)):
         near = np.empty(limit, np.int64)
@@ -55,9 +55,9 @@ def turn_normals(
 
 @njit
 def apart(table: Table, order: IntArray, distance: float) -> IntArray:
-    """Of points in this order, each that lies no nearer than `distance` to one before it that is kept."""
-    positions, keys, _, _, shape = table
-    taken = np.zeros(len(positions), np.bool_)
+    """Of points in this order, each that lies farther than `distance` from those before it that are kept."""
+    positions = table[0]
+    taken, near = np.zeros(len(positions), np.bool_), np.empty(len(positions), np.int64)
     kept = np.empty(len(order), np.int64)
     count = 0
     for p in order:
@@ -65,17 +65,8 @@ def apart(table: Table, order: IntArray, distance: float) -> IntArray:
             continue
         kept[count] = p
         count += 1
-        center = positions[p]
-        z0, z1 = place(table, center[2] - distance, 2), place(table, center[2] + distance, 2)
-        for x in range(place(table, center[0] - distance, 0), place(table, center[0] + distance, 0) + 1):
-            for y in range(place(table, center[1] - distance, 1), place(table, center[1] + distance, 1) + 1):
-                row = (x * shape[1] + y) * shape[2]
-                for q in range(np.searchsorted(keys, row + z0), np.searchsorted(keys, row + z1 + 1)):
-                    gap = 0.0
-                    for axis in range(3):
-                        gap += (positions[q, axis] - center[axis]) ** 2
-                    if gap < distance * distance:
-                        taken[q] = True
+        for k in range(gather(table, positions[p], distance, near)):
+            taken[near[k]] = True
     return kept[:count]
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.counting.candidates import FruitSize
-from fruitlangs.engine.counting.cluster import Clusters, find_fruit, refine
+from fruitlangs.engine.counting.cluster import Clusters, find_fruit, refine, search
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import Spheres
 
@@ -49,7 +49,7 @@ def joined(*parts: SurfacePoints) -> SurfacePoints:
 
 
 def found(points: SurfacePoints, diameter: float = 1.0) -> Clusters:
-    return find_fruit(points, FruitSize(diameter, 0.15), [], 0.5)
+    return find_fruit(search(points, FruitSize(diameter, 0.15), [], 0.5))
 
 
 def off(clusters: Clusters, centers: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ def cloud(count: int, seed: int = 0) -> np.ndarray:
 def test_as_many_points_are_near_as_brute_force_finds(count: int, size: float, reach: float, seed: int):
     points, centers = cloud(count, seed), 1.5 * cloud(30, seed + 1)
     distances = np.linalg.norm(centers[:, None] - points, axis=2)
-    assert np.array_equal(Cells.of(points, size).numbers(centers, reach), (distances <= reach).sum(axis=1))
+    assert np.array_equal(Cells.of(points, size).numbers(centers, np.full(30, reach)), (distances <= reach).sum(axis=1))
 
 
 def test_the_index_leads_back_to_the_points_as_they_were():
@@ -35,7 +35,7 @@ def test_a_point_astronomically_far_away_does_not_hide_the_others():
     cells = Cells.of(points, 0.5)
     assert cells.shape.max() <= MOST_CELLS
     brute = (np.linalg.norm(points[:100, None] - points, axis=2) <= 1.0).sum(axis=1)
-    assert np.array_equal(cells.numbers(points[:100], 1.0), brute)
+    assert np.array_equal(cells.numbers(points[:100], np.ones(100)), brute)
 
 
 def test_points_that_are_kept_apart_cover_all_others():

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from fruitlangs.engine.counting.candidates import Candidates, FruitSize
+from fruitlangs.engine.counting.candidates import Candidates
 from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, features_of, stored_gate
 from fruitlangs.engine.counting.sample import SurfacePoints
+from fruitlangs.engine.counting.size import FruitSize
 from fruitlangs.engine.counting.sphere import Spheres
 from fruitlangs.engine.counting.visibility import Looks
 
@@ -34,7 +35,7 @@ def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, 
         residual=column["residual"],
         agreement=column["agreement"],
     )
-    looks = Looks(np.ones(3), column["solidity"], np.ones(3), np.full(3, 99.0), np.full(3, 9))
+    looks = Looks(np.ones(3), column["solidity"], np.ones(3), np.full(3, 9))
     owners = np.repeat([0, 1, 2], 50)
     up = np.tile([0.0, 0.0, 1.0], (150, 1))
     points = SurfacePoints(up, up, np.arange(150), np.where(owners == 1, probability, 1.0), up)
