@@ -12,8 +12,8 @@ from sklearn.cluster import DBSCAN, KMeans
 
 from ..engine.config import CountConfig
 from ..engine.counting.candidates import OVERLAP, Skin, vote
-from ..engine.counting.count import LARGEST_SCALE, count_fruit, fruit_size, select_gaussians
-from ..engine.counting.sample import SurfacePoints, sample_skin
+from ..engine.counting.count import count_fruit, fruit_size, select_gaussians
+from ..engine.counting.sample import SurfacePoints, sample_enough
 from ..engine.counting.size import FruitSize
 from ..engine.counting.sphere import REACH, fit_spheres
 from ..engine.counting.visibility import Visibility, see
@@ -55,9 +55,8 @@ def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequenc
     size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
     if size is None:
         return Surface(visibility, None)
-    largest = LARGEST_SCALE * size.diameter
-    points = sample_skin(
-        gaussians, chances, visibility, seen, budget=config.sample_budget, seed=config.seed, largest=largest
+    points = sample_enough(
+        gaussians, chances, visibility, seen, diameter=size.diameter, most=config.sample_budget, seed=config.seed
     )
     return Surface(visibility, (points, size))
 

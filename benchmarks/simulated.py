@@ -30,6 +30,8 @@ CROWN = (9.0, 9.0, 7.0)
 """Half axes of the crown, in whose outer half the fruit hang."""
 LEAST_VISIBLE = 0.05
 """A fruit is to be counted when its best view shows at least this share of it."""
+SHOWN_VIEWS, SHOWN_SHARE, SHOWN_PIXELS = 3, 0.1, 12
+"""What `Truth.visible` asks of a scene's fruit: so many views, share of its disc and pixels."""
 LEAF = (0.75, 0.4, 0.03)
 """Half axes of a leaf."""
 WRONG = 60_000
@@ -74,14 +76,38 @@ SETTINGS: Mapping[str, Setting] = {
 """By name."""
 
 
+def any_setting(seed: int) -> Setting:
+    """A setting drawn at random from all that the named ones span, and beyond."""
+    rng = np.random.default_rng([seed, 7])
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    fruits, around = round(between(20, 800)), rng.random() < 0.8
+    return Setting(
+        fruits=(fruits, fruits),
+        clump=int(rng.integers(1, 13)),
+        size_cv=between(0.05, 0.35),
+        long=rng.uniform(1.0, 1.5),
+        leaves=round(between(300, 9000)),
+        wrong=between(0.002, 0.02),
+        floaters=rng.uniform(0.0, 0.02),
+        views=int(rng.integers(24, 49)),
+        arc=360.0 if around else 180.0,
+        drift=rng.uniform(0.0, 0.15) if rng.random() < 0.3 else 0.0,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """gaussians with probability (N,) of being fruit; the cameras that saw them; truth, in the same frame."""
+    """gaussians with probability (N,) of being fruit; the cameras that saw them; truth, in the same frame; shown: (M,)
+    true fruit of which three views show a tenth and twelve pixels, a stricter line than that of `truth.visible`."""
 
     gaussians: Gaussians
     probability: torch.Tensor
     cameras: list[Camera]
     truth: Truth
+    shown: NDArray[np.bool_]
 
 
 def simulate(setting: Setting, seed: int) -> Simulation:
@@ -92,12 +118,14 @@ def simulate(setting: Setting, seed: int) -> Simulation:
     wrong = rng.random(len(leaves)) < setting.wrong
     numbers = np.concatenate([1 + np.arange(len(fruit)), np.where(wrong, WRONG + np.arange(len(leaves)), 0)])
     cameras = _cameras(setting)
-    depths, instances, fractions = [], [], np.zeros(len(fruit))
+    depths, instances, fractions, views = [], [], np.zeros(len(fruit)), np.zeros(len(fruit), np.int64)
     for camera in cameras:
         depth, body, whole = _drawn(bodies, camera)
         shown = np.where(body >= 0, numbers[body], 0)
         seen = np.bincount(body[body >= 0], minlength=len(bodies))[: len(fruit)]
-        fractions = np.maximum(fractions, seen / np.maximum(whole[: len(fruit)], 1))
+        part = seen / np.maximum(whole[: len(fruit)], 1)
+        fractions = np.maximum(fractions, part)
+        views += (part >= SHOWN_SHARE) & (seen >= SHOWN_PIXELS)
         depths.append(depth)
         instances.append(shown.astype(np.uint16))
     surface = true_surface(_scene(_drifted(cameras, setting)), depths, instances)
@@ -110,7 +138,7 @@ def simulate(setting: Setting, seed: int) -> Simulation:
         visible_fractions=fractions,
         ids=1 + np.arange(len(fruit)),
     )
-    return Simulation(gaussians, probability, cameras, truth)
+    return Simulation(gaussians, probability, cameras, truth, views >= SHOWN_VIEWS)
 
 
 @dataclass(frozen=True, eq=False)

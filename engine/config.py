@@ -255,8 +255,8 @@ class CountConfig(_Checked):
     """Average probabilities over each Gaussian and this many nearest ones; 0 leaves them as they are."""
     diameter: float | None = _number(None, 0, math.inf, open=True)
     """Mean fruit diameter in scene units; estimated from the scene when not given."""
-    sample_budget: int = _number(60_000, 100, 100_000_000)
-    """Points sampled from the selected Gaussians."""
+    sample_budget: int = _number(500_000, 100, 100_000_000)
+    """Most points sampled from the selected Gaussians; fewer where fruit are told apart with fewer."""
     seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice in counting."""
 

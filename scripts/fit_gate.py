@@ -30,7 +30,7 @@ from fruitlangs.benchmarks.rivals import surface_of
 from fruitlangs.benchmarks.simulated import SETTINGS, simulate
 from fruitlangs.engine.config import CountConfig, SceneConfig
 from fruitlangs.engine.counting.cluster import LIKELY, search
-from fruitlangs.engine.counting.gate import STORED, WEIGHED, Gate
+from fruitlangs.engine.counting.gate import STORED, WEIGHED, Gate, standardised, weighed
 from fruitlangs.engine.counting.visibility import draw
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.judgement import judge
@@ -46,6 +46,9 @@ from orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
 FloatArray = NDArray[np.float64]
+
+REGULARISATION = 0.1
+"""Inverse strength of the penalty on the regression's weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,12 +83,7 @@ def main(options: Options) -> None:
         raise ConfigError(f"seeds below {FIRST_TRAINING_SEED} are for tests and tables; give a larger --first")
     examples = [*crown_examples(options), *(walk_examples(options.renders) if options.renders else ())]
     print(table(examples))
-    gate, seeds = fit(examples), sorted({example.family for example in examples})
-    document = {
-        "weights": {name: round(weight, 4) for name, weight in gate.weights.items()},
-        "bias": round(gate.bias, 4),
-        "fitted on": seeds,
-    }
+    document = {**fit(examples).document(), "fitted on": sorted({example.family for example in examples})}
     write_text(options.out, json.dumps(document, indent=1) + "\n")
 
 
@@ -135,22 +133,38 @@ def example(
     found = search(points, size, pictures, CountConfig().threshold)
     judged = judge(found.found.spheres.centers, 2.0 * found.found.spheres.radii, truth)
     told = np.setdiff1d(np.arange(len(found.chances)), judged.ignored)  # on fruit that is not to be counted
-    features = np.stack([found.features[name] for name in WEIGHED], axis=1)[told]
     fruit = np.isin(told, judged.pairs.predicted)
-    yield Example(kind, family, features, fruit, found.features["surest"][told], int(truth.visible.sum()))
+    yield Example(
+        kind, family, weighed(found.features)[told], fruit, found.features["surest"][told], int(truth.visible.sum())
+    )
 
 
 def fit(examples: Sequence[Example]) -> Gate:
-    """The logistic regression of all candidates; crowns and walks weigh alike."""
+    """The logistic regression of all candidates on their features and the products of these.
+
+    Crowns and walks weigh alike, and of each the kinds of scene.
+    """
     features = np.concatenate([example.features for example in examples])
     fruit = np.concatenate([example.fruit for example in examples])
-    walk = np.concatenate([np.full(len(e.fruit), e.family.startswith("walk")) for e in examples])
-    weights = np.where(walk, 1.0 / max(walk.sum(), 1), 1.0 / max((~walk).sum(), 1)) * len(walk) / 2.0
-    scaler = StandardScaler().fit(features)
-    model = LogisticRegression(max_iter=2000).fit(scaler.transform(features), fruit, sample_weight=weights)
-    slopes = model.coef_[0] / scaler.scale_
-    bias = float(model.intercept_[0] - (slopes * scaler.mean_).sum())
-    return Gate(dict(zip(WEIGHED, map(float, slopes), strict=True)), bias)
+    scaler, n = StandardScaler().fit(features), features.shape[1]
+    rows, columns = np.triu_indices(n)
+    x = standardised(features, scaler.mean_, scaler.scale_)
+    products = np.concatenate([x, x[:, rows] * x[:, columns]], axis=1)
+    model = LogisticRegression(C=REGULARISATION, max_iter=5000).fit(products, fruit, sample_weight=_shares(examples))
+    quadratic = np.zeros((n, n))
+    quadratic[rows, columns] = model.coef_[0, n:]
+    return Gate(scaler.mean_, scaler.scale_, model.coef_[0, :n], quadratic, float(model.intercept_[0]))
+
+
+def _shares(examples: Sequence[Example]) -> FloatArray:
+    """(C,) weights of all candidates, 1 on the mean."""
+    sizes, families = dict[str, int](), dict[bool, set[str]]()
+    for example in examples:
+        sizes[example.kind] = sizes.get(example.kind, 0) + len(example.fruit)
+        families.setdefault(example.kind.startswith("walk"), set()).add(example.kind)
+    shares = [np.full(len(e.fruit), 1.0 / sizes[e.kind] / len(families[e.kind.startswith("walk")])) for e in examples]
+    together = np.concatenate(shares)
+    return together / together.mean()
 
 
 def table(examples: Sequence[Example]) -> str:

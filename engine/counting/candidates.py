@@ -36,6 +36,8 @@ MOST_OFF = 3.5
 """What no fruit goes below, or beyond (deviations of log diameter): spheres that fail are not even weighed."""
 RESIDUAL = 0.05
 """Radii off the surface at which a sphere's merit falls."""
+SAME = 0.08
+"""Spheres whose centres and radii differ by fewer radii are one."""
 ROUND = 0.3
 """Spheres covered on more than this share tell how many points a whole fruit has."""
 OVERLAP = 0.8
@@ -80,7 +82,7 @@ class Candidates:
         return len(self.spheres)
 
 
-def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture]) -> Candidates:
+def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Candidates:
     """Spheres that explain the points, whether they look like fruit or not."""
     radius = size.diameter / 2.0
     steps = int(VOTED * size.spread / VOTE_STEP)
@@ -88,9 +90,10 @@ def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture]) ->
     voted = [vote(skin, each) for each in radii]
     starts, start_radii = np.concatenate(voted), np.repeat(radii, [len(each) for each in voted])
     spheres = fit_spheres(
-        skin.cells, skin.normals, starts, REACH * start_radii, start_radii, prior=radius, prior_sd=size.spread
-    )
-    looks = look_at(pictures, spheres.centers, spheres.radii)
+        skin.cells, skin.normals, starts, REACH * start_radii, start_radii,
+        prior=radius, prior_sd=size.spread, same=SAME,
+    )  # fmt: skip
+    looks = look_at(pictures, spheres.centers, spheres.radii, threshold)
     off = np.log(2.0 * np.maximum(spheres.radii, 1e-12) / size.diameter) / size.spread
     shares = support_shares(spheres)
     possible = (

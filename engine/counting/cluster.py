@@ -88,7 +88,7 @@ def search(
     skin, gate = Skin.of(points, size.diameter), stored_gate()
     for step in range(ROUNDS):
         progress(0.2 + 0.4 * step, f"looking for fruit of diameter {size.diameter:.3g}")
-        found = find_candidates(skin, size, pictures)
+        found = find_candidates(skin, size, pictures, threshold)
         features = features_of(found, skin.points, size, threshold)
         result = Search(skin, size, found, features, gate.chances(features))
         refined = size if given else refine(size, found.spheres, result.chances)

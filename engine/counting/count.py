@@ -17,7 +17,7 @@ from .account import Account, account_for
 from .claims import members
 from .cluster import Clusters, find_fruit, search
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
-from .sample import SurfacePoints, sample_skin, sample_volume
+from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .sphere import Spheres
 from .template import split_by_template
@@ -30,8 +30,8 @@ LEAST_OPACITY = 0.05
 FAINT = 1.0 / 3.0
 """Share of the threshold from which a Gaussian may add to a fruit whose surer Gaussians come near the threshold."""
 SIZING_POINTS = 20_000
-LARGEST_SCALE = 0.5
-"""Largest standard deviation, in mean fruit diameters, of a Gaussian that may give points."""
+VOLUME_POINTS = 60_000
+"""Points of the paper's sampling."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
 FIRST_SPREADS = (0.15, 0.35)
@@ -75,16 +75,7 @@ def count_fruit(
     sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
     if sized is None:
         return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
-    sample = sample_volume if config.method == "template" else sample_skin
-    points = sample(
-        gaussians,
-        chances,
-        visibility,
-        seen,
-        budget=config.sample_budget,
-        seed=config.seed,
-        largest=LARGEST_SCALE * sized.diameter,
-    )
+    points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     if len(points) == 0:
         return _none(
             highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}"
@@ -96,7 +87,7 @@ def count_fruit(
     spheres = clusters.spheres.select(order)
     if config.diameter is None:
         spheres = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
-    looks = look_at(pictures, spheres.centers, spheres.radii)
+    looks = look_at(pictures, spheres.centers, spheres.radii, config.threshold)
     return _finish(gaussians, chances, seen, clusters, spheres, order, account, looks, label, highest)
 
 
@@ -158,6 +149,25 @@ def fruit_size(
     if estimate is None or estimate.evidence < LEAST_EVIDENCE:
         return None
     return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
+
+
+def _sampled(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    visibility: Visibility,
+    seen: IntArray,
+    diameter: float,
+    config: CountConfig,
+) -> SurfacePoints:
+    """The points that are counted in, by the road of the method."""
+    if config.method != "template":
+        return sample_enough(
+            gaussians, chances, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed
+        )
+    return sample_volume(
+        gaussians, chances, visibility, seen,
+        budget=min(VOLUME_POINTS, config.sample_budget), seed=config.seed, largest=LARGEST_SCALE * diameter,
+    )  # fmt: skip
 
 
 def _find(

@@ -1,4 +1,5 @@
-"""How likely a sphere is a fruit: a logistic regression on what speaks for it, fitted by `scripts/fit_gate.py`."""
+"""How likely a sphere is a fruit: a logistic regression on what speaks for it and on the products of these, fitted by
+`scripts/fit_gate.py`."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +23,10 @@ Features = Mapping[str, FloatArray]
 """(C,) numbers by name, one a candidate."""
 
 STORED = Path(__file__).with_name("gate.json")
-WEIGHED = ("coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean")
+WEIGHED = ("coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown")
 """Features that the regression weighs."""
+FAR = 5.0
+"""Standard deviations at which a feature is cut."""
 HALF = 0.5
 """Probabilities are weighed as if this were the threshold that the user set."""
 SUREST = 0.25
@@ -31,30 +35,66 @@ WELL = 0.5
 """Spheres covered on more than this share tell how solid a fruit looks in a scene."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gate:
-    """weights by feature, and bias, of the logistic regression."""
+    """score = bias + Σ linear_i x_i + Σ quadratic_ij x_i x_j of n features x, less `center` and by `scale`, cut at FAR.
 
-    weights: Mapping[str, float]
+    center, scale, linear: (n,) in the order of WEIGHED; quadratic: (n, n), 0 below the diagonal.
+    """
+
+    center: FloatArray
+    scale: FloatArray
+    linear: FloatArray
+    quadratic: FloatArray
     bias: float
+
+    @classmethod
+    def read(cls, path: Path) -> Gate:
+        """The gate that `document` made into JSON."""
+        document = json.loads(path.read_text(encoding="utf-8"))
+        names = ("center", "scale", "linear", "quadratic")
+        return cls(**{name: np.array(document[name], np.float64) for name in names}, bias=float(document["bias"]))
+
+    def document(self) -> dict[str, Any]:
+        """The gate as JSON has it."""
+        parts = {name: getattr(self, name).round(5).tolist() for name in ("center", "scale", "linear", "quadratic")}
+        return {"features": list(WEIGHED), **parts, "bias": round(self.bias, 5)}
+
+    def score(self, values: FloatArray) -> FloatArray:
+        """(C,) logarithm of the odds of a fruit, from features (C, n) in the order of WEIGHED."""
+        x = standardised(values, self.center, self.scale)
+        scores: FloatArray = self.bias + x @ self.linear + ((x @ self.quadratic) * x).sum(axis=1)
+        return scores
 
     def chances(self, features: Features) -> FloatArray:
         """(C,) probability of a fruit; 0 where not even the surest tenth of the points come near the threshold."""
-        score = self.bias + sum(weight * features[name] for name, weight in self.weights.items())
-        return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-score)), 0.0)
+        return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-self.score(weighed(features)))), 0.0)
 
     def reason(self, features: Features, index: int) -> str:
         """What speaks most against a candidate, beside a fruit that is well seen, in words."""
         if features["surest"][index] <= SUREST:
             return f"its surest points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
-        against = {
-            name: self.weights.get(name, 0.0) * (usual - float(features[name][index]))
-            for name, (usual, _) in _TOLD.items()
-        }
-        worst = [name for name in sorted(against, key=lambda name: -against[name])[:2] if against[name] > 0.0]
-        values = {name: float(features[name][index]) for name in worst}
+        own = weighed(features)[index]
+        instead = np.repeat(own[None], len(_TOLD), axis=0)
+        for row, (name, (usual, _)) in enumerate(_TOLD.items()):
+            instead[row, WEIGHED.index(name)] = usual
+        lost = self.score(instead) - self.score(own[None])
+        worst = [
+            name for name, loss in sorted(zip(_TOLD, lost, strict=True), key=lambda pair: -pair[1])[:2] if loss > 0
+        ]
+        values = {name: float(own[WEIGHED.index(name)]) for name in worst}
         told = [_TOLD[name][1].format(np.exp(values[name]) if name in _LOGS else values[name]) for name in worst]
         return ", ".join(told) or "of an unlikely form"
+
+
+def weighed(features: Features) -> FloatArray:
+    """(C, n) features in the order of WEIGHED."""
+    return np.stack([features[name] for name in WEIGHED], axis=1)
+
+
+def standardised(values: FloatArray, center: FloatArray, scale: FloatArray) -> FloatArray:
+    """Features (C, n) less (n,) `center` and by (n,) `scale`, cut at FAR, so that products of far ones do not rule."""
+    return np.clip((values - center) / scale, -FAR, FAR)
 
 
 _LOGS = frozenset({"coverage", "thinness", "share"})
@@ -91,6 +131,7 @@ def features_of(found: Candidates, points: SurfacePoints, size: FruitSize, thres
         "share": np.log(np.maximum(found.shares, 0.01)),
         "free": found.free,
         "off": (np.log(2.0 * spheres.radii / size.diameter) / size.spread) ** 2,
+        "shown": np.log(np.maximum(np.nan_to_num(looks.visible_fractions, nan=1.0), 0.02)),
         "mean": np.array([each.mean() for each in owned]),
         "surest": np.array([np.quantile(each, 0.9) for each in owned]),
     }
@@ -99,5 +140,4 @@ def features_of(found: Candidates, points: SurfacePoints, size: FruitSize, thres
 @cache
 def stored_gate() -> Gate:
     """The gate of the package."""
-    document = json.loads(STORED.read_text(encoding="utf-8"))
-    return Gate(document["weights"], document["bias"])
+    return Gate.read(STORED)

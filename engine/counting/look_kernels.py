@@ -24,6 +24,7 @@ def look(
     rim: float,
     tolerance: float,
     stop: float,
+    shown: float,
     least_share: float,
     best: FloatArray,
     sums: FloatArray,
@@ -31,7 +32,8 @@ def look(
     """Add one picture's looks at C spheres; see `visibility.Looks`.
 
     best: (C,) visible share, -1 for none; sums: (C, 4) spots that are stopped, that are free, the probability of those
-    stopped, and pictures that show at least `least_share`; disc: (S, 2) spots of the unit disc.
+    stopped, and pictures that show at least `least_share`; disc: (S, 2) spots of the unit disc; shown: least
+    probability of a spot that shows the fruit and not a leaf on it.
     """
     height, width = depth.shape
     for c in prange(len(radii)):
@@ -43,7 +45,7 @@ def look(
             z += pose[2, axis] * centers[c, axis]
         if z <= 2.0 * radius:
             continue
-        framed, opened = 0, 0
+        framed, passed, seen = 0, 0, 0
         for s in range(len(disc)):
             u = K[0, 0] * (x + radius * disc[s, 0]) / z + K[0, 2]
             v = K[1, 1] * (y + radius * disc[s, 1]) / z + K[1, 2]
@@ -56,13 +58,15 @@ def look(
             behind = (depth[row, column] - z) / radius
             if behind <= -chord - tolerance:
                 continue
-            opened += 1
+            stopped = behind < stop * chord
+            passed += not stopped
+            seen += stopped and fruit[row, column] >= shown
             if off < rim * rim:
                 sums[c, 1] += 1.0
-                if behind < stop * chord:
+                if stopped:
                     sums[c, 0] += 1.0
                     sums[c, 2] += fruit[row, column]
-        share = opened / len(disc)
+        share = seen / max(len(disc) - passed, len(disc) / 2)
         sums[c, 3] += share >= least_share
         if 2 * framed >= len(disc) and share > best[c]:
             best[c] = share

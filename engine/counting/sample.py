@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..splatting.gaussians import Gaussians
+from .cells import Cells
 from .visibility import Visibility
 
 FloatArray = NDArray[np.float64]
@@ -22,6 +23,12 @@ FACING = 0.1
 LEAST_OPACITY = 0.2
 SPARE = 3
 """Skin points tried for each that is wanted: about a third are faced and not covered."""
+LARGEST_SCALE = 0.5
+"""Largest standard deviation, in mean fruit diameters, of a Gaussian that gives points."""
+ENOUGH = 50.0
+"""Points within a quarter of a diameter of one that tell a fruit well."""
+SURVEY, SURVEYED = 60_000, 5_000
+"""Points of a first sample, and how many of them are asked how dense they lie."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +116,35 @@ def sample_skin(
     kept = np.flatnonzero(np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING)
     kept = kept[~covered(positions[kept], chosen)]
     return chosen.points(positions[kept], normals[kept], owner[kept])
+
+
+def sample_enough(
+    gaussians: Gaussians,
+    probability: FloatArray,
+    visibility: Visibility,
+    selected: IntArray,
+    *,
+    diameter: float,
+    most: int,
+    seed: int,
+) -> SurfacePoints:
+    """Points of the skin, as many as fruit of `diameter` scene units need to be told apart, and at most about `most`.
+
+    A first sample tells how dense its points lie on the fruit; density grows with the budget.
+    """
+    largest, budget = LARGEST_SCALE * diameter, min(SURVEY, most)
+    points = sample_skin(gaussians, probability, visibility, selected, budget=budget, seed=seed, largest=largest)
+    if len(points) == 0:
+        return points
+    wanted = min(most, int(budget * ENOUGH / max(density(points.positions, diameter), 1.0)))
+    return sample_skin(gaussians, probability, visibility, selected, budget=wanted, seed=seed, largest=largest)
+
+
+def density(positions: FloatArray, diameter: float) -> float:
+    """Median over points (P, 3) of how many lie within a quarter of a diameter, itself among them."""
+    cells = Cells.of(positions, 0.3 * diameter)
+    asked = cells.positions[:: max(1, len(positions) // SURVEYED)]
+    return float(np.median(cells.numbers(asked, np.full(len(asked), 0.25 * diameter))))
 
 
 @dataclass(frozen=True, eq=False)

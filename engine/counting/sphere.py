@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cells import Cells
-from .sphere_kernels import fit_all, weigh_all
+from .sphere_kernels import distinct, fit_all, weigh_all
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 REACH = 1.6
 """Points within this many radii of a start belong to its neighbourhood."""
@@ -72,18 +73,30 @@ def fit_spheres(
     prior_sd: float,
     rounds: int = 12,
     limit: int = NEIGHBORS,
+    same: float = 0.0,
 ) -> Spheres:
     """Refine C spheres on the points within reaches (C,) of starts (C, 3), by Gauss-Newton with redescending weights.
 
     cells, normals: the points (P, 3) in their cells, and the normal of each; radii: (C,) starts. A normal prior of
     deviation `prior_sd` holds log r near that of `prior`: a half-seen cap alone leaves centre and radius tied to each
-    other. Of more than `limit` points, an even part is fitted to.
+    other. Of more than `limit` points, an even part is fitted to. Of spheres whose centres and radii differ by less
+    than `same` radii, those of earlier starts remain.
     """
     count = len(starts)
     centers, fitted, sds = np.empty((count, 3)), np.empty(count), np.empty(count)
     starts, reaches, radii = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, reaches, radii))
     fit_all(cells.table, normals, starts, reaches, radii, prior, prior_sd, rounds, limit, centers, fitted, sds)
+    if same > 0.0 and count:
+        kept = _distinct(centers, fitted, same)
+        centers, fitted, sds = centers[kept], fitted[kept], sds[kept]
     return weighed(cells, normals, centers, fitted, sds)
+
+
+def _distinct(centers: FloatArray, radii: FloatArray, same: float) -> IntArray:
+    """Which of C spheres differ by `same` radii or more, in centre or radius, from those before them that are kept."""
+    places = Cells.of(centers, same * float(np.median(radii)))
+    order = np.argsort(places.index, kind="stable")
+    return np.sort(places.index[distinct(places.table, radii[places.index], order, same)])
 
 
 def weighed(

@@ -13,13 +13,12 @@ from scipy.spatial import cKDTree
 from ..progress import Progress, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
-from ..splatting.rasterize import accumulate, render
+from ..splatting.rasterize import accumulate, draw_surface
+from ..splatting.surface_kernels import NOTHING
 from .look_kernels import look
 
 FloatArray = NDArray[np.float64]
 
-NOTHING = 1e30
-"""Depth where nothing opaque is."""
 SEEN_WEIGHT = 0.3
 """Summed blending weight in pixels from which a view counts as seeing a Gaussian."""
 MOST_PIXELS = 40_000_000
@@ -34,6 +33,8 @@ LEAST_SHARE = 0.1
 """Share of a disc with nothing in front from which a view sees a fruit."""
 STOP = 0.3
 """A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
+SHOWN = 0.25
+"""Blended probability, in thresholds, of a spot that shows a fruit; below it something lies on the fruit."""
 RINGS = np.linspace(0.4, 1.8, 29)
 """Radii, in those of a sphere, of the rings on which its outline is sought."""
 EDGE_VIEWS = 20
@@ -45,8 +46,8 @@ EDGE_LIMITS = (0.8, 1.35)
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A view drawn from the Gaussians. depth: (H, W) scene units, NOTHING where nothing opaque is; fruit: (H, W)
-    blended probability Σ α T p."""
+    """A view drawn from the Gaussians. depth: (H, W) of the surface, as in `SurfaceView`; fruit: (H, W) blended
+    probability Σ α T p."""
 
     camera: Camera
     depth: NDArray[np.float32]
@@ -112,15 +113,12 @@ def draw(
     pictures = []
     for index, camera in enumerate(_at_drawing_size(cameras)):
         progress(index / len(cameras), f"drawing view {index + 1} of {len(cameras)}")
-        with torch.no_grad():
-            drawn = render(gaussians, camera, features=chances, sh_degree=0)
-        assert drawn.features is not None
-        depth = torch.where(drawn.alpha > 0.5, drawn.depth, NOTHING).float().cpu().numpy()
-        pictures.append(Picture(camera, depth, drawn.features[:, :, 0].float().cpu().numpy()))
+        drawn = draw_surface(gaussians, camera, chances)
+        pictures.append(Picture(camera, drawn.depth, np.ascontiguousarray(drawn.features[:, :, 0])))
     return pictures
 
 
-def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> Looks:
+def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray, threshold: float) -> Looks:
     """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
     disc = np.stack(_disc(SPOTS), axis=1)
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
@@ -129,7 +127,7 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray)
         camera = picture.camera
         look(
             picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
-            RIM, TOLERANCE, STOP, LEAST_SHARE, best, sums,
+            RIM, TOLERANCE, STOP, SHOWN * threshold, LEAST_SHARE, best, sums,
         )  # fmt: skip
     stopped, free, chance, views = sums.T
     unknown = free == 0
@@ -139,6 +137,21 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray)
         probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
         views=views.astype(np.int64),
     )
+
+
+def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
+    """(C,) views that have nothing in front of at least LEAST_SHARE of the disc of each of C spheres, which need not be
+    there: how many would show a fruit in that place."""
+    disc = np.stack(_disc(SPOTS), axis=1)
+    centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
+    best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
+    for picture in pictures:
+        camera = picture.camera
+        look(
+            picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
+            RIM, 0.0, float(NOTHING), -1.0, LEAST_SHARE, best, sums,
+        )  # fmt: skip
+    return sums[:, 3].astype(np.int64)
 
 
 def _disc(count: int) -> tuple[FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ from .blending_backward_kernels import sum_pairs
 from .drawing import FAINTEST, DrawRules, Tiles, blend_view, load_view, project_view, pull_view, tile_view
 from .gaussians import PARAMETERS, Gaussians
 from .lanes import LANES
+from .surface_kernels import measure_surface
 from .tile_kernels import CHANNELS, TRANSMITTANCE
 from .workspace import Workspace
 
@@ -175,6 +176,36 @@ def render(
         features=None if features is None else blended.permute(1, 2, 0),
         radii=radii,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceView:
+    """What a camera sees first. depth: (H, W) float32 along the viewing direction, scene units, at which half of the
+    light has been stopped, NOTHING where it never is; features: (H, W, C) float32 Σ α T f.
+
+    The mean depth Σ α T z lies behind a leaf that a tenth of what is behind it shines through; this one does not.
+    """
+
+    depth: NDArray[np.float32]
+    features: NDArray[np.float32]
+
+
+@torch.no_grad()
+def draw_surface(gaussians: Gaussians, camera: Camera, features: Tensor) -> SurfaceView:
+    """The depths of what a camera sees, and further channels, features (N, C), blended as the colour is.
+
+    Raises:
+        SceneError: the camera has distortion.
+    """
+    check_camera(camera)
+    rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased), Workspace()
+    tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
+    planes = blend_view(tiles, _flat(features), camera, workspace)
+    depth = np.empty((camera.height, camera.width), np.float32)
+    measure_surface(
+        threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), tiles.tile_starts, tiles.gaussian_of, depth
+    )
+    return SurfaceView(depth, np.ascontiguousarray(planes[CHANNELS:].transpose(1, 2, 0)))
 
 
 @torch.no_grad()

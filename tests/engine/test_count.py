@@ -171,7 +171,7 @@ def test_a_prompt_that_nothing_satisfies_is_a_counted_zero(small: sim.Simulation
     assert "0.310" in result.audit[0].reason
 
 
-@pytest.mark.parametrize(("sure", "seen"), [(0.3, 1), (0.0, 0)])
+@pytest.mark.parametrize(("sure", "seen"), [(0.5, 1), (0.0, 0)])
 def test_a_faint_fruit_counts_where_a_part_of_it_is_sure(sure: float, seen: int) -> None:
     tree = sim.simulate(sim.Setting(fruit=3, sheets=0, floaters=0, leaves=0, views=8), seed=3)
     distance = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fruitlangs.engine.counting.candidates import Candidates
-from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, features_of, stored_gate
+from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, Gate, features_of, stored_gate
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.size import FruitSize
 from fruitlangs.engine.counting.sphere import Spheres
@@ -79,7 +80,24 @@ def test_a_lower_threshold_takes_fainter_points_as_seriously():
     assert weighed(threshold=0.5, probability=0.6)[0][1] == pytest.approx(weighed(0.25, probability=0.3)[0][1])
 
 
+def test_what_is_stored_is_the_gate_that_was_fitted(tmp_path: Path):
+    rng, n = np.random.default_rng(0), len(WEIGHED)
+    fitted = Gate(rng.normal(size=n), np.ones(n), rng.normal(size=n), np.triu(rng.normal(size=(n, n))), 0.3)
+    (tmp_path / "gate.json").write_text(json.dumps(fitted.document()))
+    values = rng.normal(size=(50, n))
+    np.testing.assert_allclose(Gate.read(tmp_path / "gate.json").score(values), fitted.score(values), atol=1e-2)
+
+
+def test_a_feature_farther_out_than_any_weighs_no_more_than_the_farthest():
+    gate, values = stored_gate(), np.repeat(stored_gate().center[None], 2, axis=0)
+    values[:, 0] += np.array([5.0, 500.0]) * gate.scale[0]
+    scores = gate.score(values)
+    assert scores[0] == pytest.approx(scores[1])
+
+
 def test_what_is_stored_weighs_all_features_and_was_fitted_on_seeds_for_training():
     document = json.loads(STORED.read_text(encoding="utf-8"))
-    assert set(document["weights"]) == set(WEIGHED)
+    assert document["features"] == list(WEIGHED)
+    assert np.array(document["quadratic"]).shape == (len(WEIGHED), len(WEIGHED))
+    assert not np.tril(document["quadratic"], -1).any()
     assert min(int(scene.split()[1]) for scene in document["fitted on"]) >= 1000

@@ -20,8 +20,9 @@ from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.agreement import compare_with_twin
 from fruitlangs.engine.splatting.drawing import DrawRules, near_plane
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
-from fruitlangs.engine.splatting.rasterize import accumulate, measure_load, render
+from fruitlangs.engine.splatting.rasterize import accumulate, draw_surface, measure_load, render
 from fruitlangs.engine.splatting.reference import blending_weights
+from fruitlangs.engine.splatting.surface_kernels import NOTHING
 
 
 def doubled(gaussians: Gaussians) -> Gaussians:
@@ -53,6 +54,20 @@ def test_listing_pairs_by_a_higher_alpha_draws_less_and_the_exact_one_everything
     torch.testing.assert_close(coarse.color, exact.color, rtol=0, atol=0.8)
     literal = render(gaussians, camera, literal_pairs=True)
     assert float(literal.alpha.sum()) < float(exact.alpha.sum())
+
+
+def test_the_surface_of_a_pixel_is_the_gaussian_that_stops_half_of_the_light() -> None:
+    gaussians, camera = random_gaussians(60, 0, seed=9), ring_camera()
+    drawn = draw_surface(gaussians, camera, torch.ones(60, 1))
+    weights, order = blending_weights(doubled(gaussians), camera)
+    stopped = weights.cumsum(0)
+    pose = torch.from_numpy(camera.world_to_camera)
+    depths = (gaussians.means.double() @ pose[2, :3] + pose[2, 3])[order]
+    clear = (stopped - 0.5).abs().amin(0) > 1e-4  # of rounding
+    expected = torch.where(stopped[-1] > 0.5, depths[(stopped > 0.5).double().argmax(0)], float(NOTHING))
+    assert 0.02 < float((stopped[-1] > 0.5).double().mean()) < 0.9
+    np.testing.assert_allclose(drawn.depth[clear], expected[clear].numpy(), rtol=1e-5)
+    np.testing.assert_allclose(drawn.features[..., 0], stopped[-1].numpy(), atol=1e-4)
 
 
 def test_the_load_of_a_pixel_is_how_many_gaussians_it_blends() -> None:

@@ -32,14 +32,24 @@ def drawn(kind: str, family: str, seed: int, truth: float = 2.0) -> fit_gate.Exa
 
 def test_the_regression_finds_what_tells_fruit_and_what_does_not():
     gate = fit_gate.fit([drawn("sparse", f"crown {1000 + seed}", seed) for seed in range(6)])
-    assert gate.weights[WEIGHED[0]] == pytest.approx(2.0, rel=0.15)
-    assert all(abs(gate.weights[name]) < 0.2 for name in WEIGHED[1:])
+    assert gate.linear[0] == pytest.approx(2.0, rel=0.15)
+    assert np.abs(gate.linear[1:]).max() < 0.2
+    assert np.abs(gate.quadratic).max() < 0.25
+
+
+def test_the_regression_finds_what_tells_fruit_only_together():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(2000, len(WEIGHED)))
+    fruit = 2.0 * features[:, 1] * features[:, 2] + rng.logistic(size=2000) > 0.0
+    gate = fit_gate.fit([fit_gate.Example("sparse", "crown 1000", features, fruit, np.ones(2000), 1000)])
+    assert gate.quadratic[1, 2] == pytest.approx(2.0, rel=0.15)
+    assert np.abs(gate.linear).max() < 0.25
 
 
 def test_a_few_walks_weigh_as_much_as_many_crowns():
     crowns = [drawn("sparse", f"crown {1000 + seed}", seed) for seed in range(8)]
     gate = fit_gate.fit([*crowns, drawn("walk, encoder", "walk 1314", 9, truth=-2.0)])
-    assert abs(gate.weights[WEIGHED[0]]) < 0.3
+    assert abs(gate.linear[0]) < 0.3
 
 
 def test_a_scene_is_never_judged_by_a_gate_that_was_fitted_to_it(monkeypatch: pytest.MonkeyPatch):
