@@ -12,6 +12,7 @@ from pathlib import Path
 
 from .config import Config
 from .counting.count import count_fruit
+from .counting.ids import NOBODY, KnownFruit
 from .errors import OutputError, VocabularyError
 from .files import require_writable
 from .language.embedder import Embedder
@@ -20,8 +21,8 @@ from .language.selection import select
 from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
-from .reconstruction import Stages, adopt, check_foreign, reconstruct, reopen
-from .report.results import FRUITS_JSON
+from .reconstruction import Reconstruction, Stages, adopt, check_foreign, reconstruct, reopen
+from .report.results import FRUITS_JSON, known_fruit
 
 
 def count_scene(
@@ -75,6 +76,7 @@ def count_scene(
             made.scene.cameras,
             config.count,
             label=_label(prompts),
+            known=_known(made, source, out),
             progress=part(progress, 0.9, 0.97),
         )
     result = Result(
@@ -94,6 +96,12 @@ def count_scene(
     result = publish(result, made, writers or {}, keep, stages)
     progress(1.0, "done")
     return result
+
+
+def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
+    """Fruit that were numbered before in this scene: by what `out` holds, else by the result that is counted again."""
+    inputs = made.origin["inputs_sha256"]
+    return next((known for folder in (out, source) if (known := known_fruit(folder, inputs)).last), NOBODY)
 
 
 def _label(prompts: Sequence[str]) -> str:

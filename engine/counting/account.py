@@ -19,19 +19,15 @@ DUST = 20
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """entries: one a cluster; numbers: (F,) fruit id of each sphere of the clusters; compound: (F,) in order of ids,
-    whether the fruit shares its cluster with another."""
+    """entries: one a cluster; compound: (F,) whether a sphere shares its cluster with another."""
 
     entries: list[AuditEntry]
-    numbers: IntArray
     compound: NDArray[np.bool_]
 
 
-def account_for(clusters: Clusters, order: IntArray) -> Account:
-    """Number the spheres 1… in `order` (F,) and say of every cluster why it was kept, split or dropped."""
-    numbers = np.empty(len(order), np.int64)
-    numbers[order] = np.arange(1, len(order) + 1)
-    own = members(clusters.owners, len(order))
+def account_for(clusters: Clusters, numbers: IntArray) -> Account:
+    """Say of every cluster why it was kept, split or dropped; numbers: (F,) the fruit id of each sphere."""
+    own = members(clusters.owners, len(numbers))
     homes = np.array([np.bincount(clusters.components[each]).argmax() for each in own], np.int64)
     sizes = np.bincount(clusters.components)
     entries = [
@@ -47,8 +43,7 @@ def account_for(clusters: Clusters, order: IntArray) -> Account:
                 cluster=len(sizes), verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=int(sum(dust))
             )
         )
-    shared = np.array([(homes == homes[sphere]).sum() > 1 for sphere in order], bool)
-    return Account(entries, numbers, shared)
+    return Account(entries, np.array([(homes == home).sum() > 1 for home in homes], bool))
 
 
 def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbers: IntArray) -> AuditEntry:

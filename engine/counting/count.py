@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -13,15 +15,15 @@ from ..errors import CountingError
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
-from .account import Account, account_for
-from .claims import members
+from .account import account_for
 from .cluster import Clusters, find_fruit, search
-from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
+from .describe import describe, point_colors
+from .fruit import AuditEntry, FruitCount
+from .ids import NOBODY, KnownFruit, number
 from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
-from .sphere import Spheres
 from .template import split_by_template
-from .visibility import Looks, Picture, Visibility, draw, edge_ratio, look_at, see
+from .visibility import Picture, Visibility, draw, edge_ratio, look_at, see
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,8 +38,6 @@ DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
 FIRST_SPREADS = (0.15, 0.35)
 """Least and largest deviation of log diameter that is looked for first."""
-SMALL = 0.6
-"""A fruit below this many mean diameters is of kind "small"."""
 
 
 def count_fruit(
@@ -48,14 +48,16 @@ def count_fruit(
     *,
     label: str,
     visibility: Visibility | None = None,
+    known: KnownFruit = NOBODY,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit that the Gaussians with a probability (N,) near or above `config.threshold` make up.
 
     Where a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well.
 
-    visibility: how the cameras see the Gaussians, where it is known already; rendered otherwise. Fruit are numbered
-    from 1, from top to bottom as the cameras stand. A prompt that no Gaussian satisfies is a count of 0 with one audit
+    visibility: how the cameras see the Gaussians, where it is known already; rendered otherwise; known: fruit that an
+    earlier count of the scene numbered, whose ids stay. New fruit are numbered from top to bottom as the cameras stand,
+    from 1 or after the last id. A prompt that no Gaussian satisfies is a count of 0 with one audit
     entry that says how near it came.
 
     Raises:
@@ -63,32 +65,43 @@ def count_fruit(
     """
     chances = _checked(gaussians, probability, cameras)
     highest = float(chances.max())
+    nothing = partial(_none, highest, known)
     selected = select_gaussians(gaussians, chances, config)
     if highest < config.threshold or len(selected) == 0:
-        return _none(highest, f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
+        return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     progress(0.0, "seeing the Gaussians from each view")
     if visibility is None:
         visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
     seen = selected[visibility.weights[selected] > 0]
     if len(seen) == 0:
-        return _none(highest, f"no view sees any of the {len(selected)} Gaussians of {label}")
+        return nothing(f"no view sees any of the {len(selected)} Gaussians of {label}")
     sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
     if sized is None:
-        return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
+        return nothing(f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     if len(points) == 0:
-        return _none(
-            highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}"
-        )
+        return nothing(f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     clusters = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
-    order = _top_to_bottom(clusters.spheres.centers, cameras)
-    account = account_for(clusters, order)
-    spheres = clusters.spheres.select(order)
     if config.diameter is None:
-        spheres = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
+        spheres = clusters.spheres
+        grown = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
+        clusters = dataclasses.replace(clusters, spheres=grown)
+    spheres = clusters.spheres
+    mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
+    numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)
+    account = account_for(clusters, numbers)
     looks = look_at(pictures, spheres.centers, spheres.radii, config.threshold)
-    return _finish(gaussians, chances, seen, clusters, spheres, order, account, looks, label, highest)
+    return FruitCount(
+        fruits=describe(gaussians, seen, clusters, numbers, account.compound, looks, label),
+        audit=account.entries,
+        max_probability=highest,
+        mean_diameter=mean,
+        last_id=max(known.last, int(numbers.max(initial=0))),
+        points=clusters.points.positions,
+        point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
+        point_fruit_ids=np.append(numbers, -1)[clusters.owners],
+    )
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
@@ -189,65 +202,6 @@ def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
     return np.argsort(-(centers @ up), kind="stable").astype(np.int64)
 
 
-def _finish(
-    gaussians: Gaussians,
-    chances: FloatArray,
-    seen: IntArray,
-    clusters: Clusters,
-    spheres: Spheres,
-    order: IntArray,
-    account: Account,
-    looks: Looks,
-    label: str,
-    highest: float,
-) -> FruitCount:
-    numbers = np.append(account.numbers, -1)
-    mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
-    means = gaussians.means.detach().double().cpu().numpy()[seen]
-    owners = _nearest_sphere(means, spheres.centers, spheres.radii)
-    colors = 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
-    own = members(clusters.owners, len(spheres))
-    fruits = []
-    for index in range(len(spheres)):
-        diameter, shown = float(2.0 * spheres.radii[index]), float(looks.visible_fractions[index])
-        kind: FruitKind = "compound-part" if account.compound[index] else "single"
-        fruits.append(
-            Fruit(
-                id=index + 1,
-                label=label,
-                center=spheres.centers[index],
-                diameter=diameter,
-                diameter_sd=float(2.0 * spheres.radius_sds[index]),
-                volume=float(np.pi / 6.0 * diameter**3),
-                probability=float(clusters.probabilities[order[index]]),
-                visible_fraction=None if np.isnan(shown) else shown,
-                views=int(looks.views[index]),
-                color=colors[own[order[index]]].mean(axis=0).round().astype(np.uint8),
-                kind="small" if mean and diameter < SMALL * mean else kind,
-                members=seen[owners == index],
-            )
-        )
-    return FruitCount(
-        fruits=fruits,
-        audit=account.entries,
-        max_probability=highest,
-        mean_diameter=mean,
-        points=clusters.points.positions,
-        point_colors=np.round(colors).astype(np.uint8),
-        point_fruit_ids=numbers[clusters.owners],
-    )
-
-
-def _nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
-    """(N,) index of the sphere each mean (N, 3) lies in or within 0.3 radii of, the relatively nearest; -1 none."""
-    owners, best = np.full(len(means), -1, np.int64), np.full(len(means), 1.3)
-    for index, (center, radius) in enumerate(zip(centers, radii, strict=True)):
-        relative = np.linalg.norm(means - center, axis=1) / radius
-        closer = relative < best
-        owners[closer], best[closer] = index, relative[closer]
-    return owners
-
-
-def _none(highest: float, reason: str, points: int = 0) -> FruitCount:
+def _none(highest: float, known: KnownFruit, reason: str, points: int = 0) -> FruitCount:
     entry = AuditEntry(cluster=0, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
-    return FruitCount(fruits=[], audit=[entry], max_probability=highest, mean_diameter=None)
+    return FruitCount(fruits=[], audit=[entry], max_probability=highest, mean_diameter=None, last_id=known.last)

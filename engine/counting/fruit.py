@@ -54,7 +54,8 @@ class FruitCount:
     """The fruit of one prompt in one scene.
 
     count: visible fruit = len(fruits); interval, total and total_interval are None until counting estimates them;
-    mean_diameter: scene units, None when there is no fruit; max_probability: the highest any Gaussian reached;
+    mean_diameter: scene units, None when there is no fruit; last_id: the highest id that this and earlier counts of the
+    scene gave; max_probability: the highest any Gaussian reached;
     points, point_fruit_ids: (P, 3) and (P,) the sampled surface points with the id of their fruit (-1 none);
     point_colors: (P, 3) uint8 sRGB.
     """
@@ -63,6 +64,7 @@ class FruitCount:
     audit: Sequence[AuditEntry]
     max_probability: float
     mean_diameter: float | None
+    last_id: int = 0
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     point_colors: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     point_fruit_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))

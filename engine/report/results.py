@@ -13,8 +13,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..counting.fruit import AuditEntry, Fruit, FruitCount
-from ..errors import FormatError, OutputError
+from ..counting.ids import NOBODY, KnownFruit
+from ..errors import FormatError, FruitLangsError, OutputError
 from ..files import file_hash, text_hash
 from .words import place
 
@@ -60,6 +63,7 @@ def fruits_document(
         "interval": fruit_count.interval,
         "total": fruit_count.total,
         "total_interval": fruit_count.total_interval,
+        "last_id": fruit_count.last_id,
         "unit": "scene units" if metres_per_unit is None else "m",
         "metres_per_unit": metres_per_unit,
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
@@ -140,6 +144,19 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
                     f"{folder / name} is missing or not of the same run as {FRUITS_JSON}; count again into this folder"
                 )
     return document
+
+
+def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:
+    """The numbered fruit of an earlier count in `folder` of the same inputs; none where there is no such count."""
+    try:
+        document = read_results(folder, verify=False)
+    except FruitLangsError:
+        return NOBODY
+    if document["provenance"]["inputs_sha256"] != inputs_sha256:
+        return NOBODY
+    ids = np.array([fruit["id"] for fruit in document["fruits"]], np.int64)
+    centers = np.array([fruit["center"] for fruit in document["fruits"]], np.float64).reshape(-1, 3)
+    return KnownFruit(ids, centers, max(int(document.get("last_id", 0)), int(ids.max(initial=0))))
 
 
 def _check_fields(content: Any, part: str, path: Path) -> None:

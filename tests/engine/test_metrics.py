@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fruitlangs.engine.counting.matching import match_centers
 from fruitlangs.engine.errors import CountingError, FormatError
 from fruitlangs.engine.evaluation.calibration import calibration_error, interval_coverage
-from fruitlangs.engine.evaluation.judgement import judge, match_centers
+from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import by_visibility, count_metrics
 from fruitlangs.engine.evaluation.summary import summarise
 from fruitlangs.engine.evaluation.truth import Truth, read_truth, read_views
