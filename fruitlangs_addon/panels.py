@@ -113,6 +113,8 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     row.label(text=f"{result.label}: {result.count}", icon="CHECKMARK")
     if result.count:
         box.label(text=size_text(result).capitalize())
+        if result.unit != "mm":
+            draw_text(box, "Scale unknown: a Length under Units makes millimetres of it", context)
     else:
         draw_text(box, result.zero_reason, context)
     if result.notices:

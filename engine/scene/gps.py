@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from .photo import DECODE_ERRORS, FilePhoto, read_exif
 from .scale import Scale
 
 LEAST_TAGGED = 4
+"""Photos with a place below which there is no scale."""
 LARGEST_ERROR = 0.05
 """Standard error of the scale, as a share of it, above which GPS is not believed."""
 LEAST_SPREAD = 0.5
@@ -41,7 +42,7 @@ class GpsScale:
     """The scale by GPS, None where there is none to believe, and what the user should know of it."""
 
     scale: Scale | None = None
-    notices: Sequence[str] = field(default=())
+    notices: Sequence[str] = ()
 
 
 def read_gps(path: Path) -> GpsTag | None:

@@ -62,8 +62,12 @@ def _tips(gaussians: Gaussians) -> FloatArray:
 
 
 def _box_side(tips: FloatArray) -> float:
-    _, sides = trimesh.bounds.oriented_bounds(tips.reshape(-1, 3))
-    return float(max(sides))
+    """The longest side of the smallest box around tips (…, 3)."""
+    points = tips.reshape(-1, 3) - tips.reshape(-1, 3).mean(0)
+    size = float(np.abs(points).max())  # trimesh has tolerances in absolute units
+    with np.errstate(divide="ignore", invalid="ignore"):  # of hulls without a volume
+        _, sides = trimesh.bounds.oriented_bounds(points / size)
+    return size * float(max(sides))
 
 
 def _parts(points: FloatArray) -> NDArray[np.int32]:

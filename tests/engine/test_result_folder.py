@@ -39,6 +39,14 @@ def test_a_result_of_a_transforms_file_finds_its_photos_again(copied: Path) -> N
     assert again.notices == []
 
 
+def test_cameras_that_training_moved_are_those_of_the_next_prompt_too(few_photos: Path, tmp_path: Path) -> None:
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, refine_poses=True))
+    first = count_scene(few_photos, ["fruit"], tmp_path, config=config)
+    again = count_scene(tmp_path, ["apple"], tmp_path)
+    for ours, theirs in zip(again.scene.cameras, first.scene.cameras, strict=True):
+        assert (ours.world_to_camera == theirs.world_to_camera).all()
+
+
 def test_pictures_that_cannot_be_made_are_told(copied: Path) -> None:
     content = json.loads((copied / "fruits.json").read_text())
     content["provenance"]["source"] = "/gone/photos"

@@ -146,7 +146,7 @@ def side(gaussians: Gaussians) -> float | None:
     return longest_side(gaussians, np.ones(len(gaussians), np.float32))
 
 
-@pytest.mark.parametrize("times", [1.0, 3.0])
+@pytest.mark.parametrize("times", [1e-4, 1.0, 3.0, 1e4])
 def test_the_longest_side_of_a_slanted_bar_is_its_length_at_any_scale(times: float) -> None:
     assert side(bar(1.0, times=times)) == pytest.approx(times * (1.0 + 2 * 0.005 * 1.17), rel=2e-3)
 
