@@ -272,7 +272,7 @@ class UnitsConfig(_Checked):
     cameras: tuple[str, str] | None = None
     """The length lies between the places where these two photos were taken; their names."""
     object: str | None = None
-    """The length is the longest side of the largest thing that this word names, such as bucket, crate or ladder."""
+    """The length is the longest side of the largest crate, ladder, … that this word names; seen whole."""
     metres_per_unit: float | None = _number(None, 0, math.inf, open=True)
     """Metres in a scene unit, where they are known outright."""
     gps: bool = True
