@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..engine.evaluation.alignment import Similarity, align
+from ..engine.scene.alignment import Similarity, align
 from ..engine.scene.camera import Camera, Photo, Scene
 from ..engine.scene.lens import source_map
 from ..engine.scene.photo import FilePhoto

@@ -262,6 +262,57 @@ class CountConfig(_Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
+class UnitsConfig(_Checked):
+    """How long a scene unit is: a known length of one thing, else by the photos' GPS tags."""
+
+    length: float | None = _number(None, 0, math.inf, open=True)
+    """A known length in metres; say of what by points, cameras or object."""
+    points: tuple[float, float, float, float, float, float] | None = None
+    """The length lies between these two points, x y z x y z in the scene's frame."""
+    cameras: tuple[str, str] | None = None
+    """The length lies between the places where these two photos were taken; their names."""
+    object: str | None = None
+    """The length is the longest side of the largest crate, ladder, … that this word names; seen whole."""
+    metres_per_unit: float | None = _number(None, 0, math.inf, open=True)
+    """Metres in a scene unit, where they are known outright."""
+    gps: bool = True
+    """Where no length is given, find the scale by the GPS tags of the photos if they agree with their cameras."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("points", "cameras"):
+            if isinstance(getattr(self, name), list):  # JSON's
+                object.__setattr__(self, name, tuple(getattr(self, name)))
+        measured = [name for name in ("points", "cameras", "object") if getattr(self, name) is not None]
+        if self.metres_per_unit is not None and (measured or self.length is not None):
+            raise ConfigError("--units.metres-per-unit says all; leave out --units.length and what it is of")
+        if len(measured) > 1:
+            raise ConfigError(f"--units.{measured[0]} and --units.{measured[1]} are two things to measure; keep one")
+        if measured and self.length is None:
+            raise ConfigError(f"--units.{measured[0]} has no length; give it in metres by --units.length")
+        if self.length is not None and not measured:
+            raise ConfigError(
+                f"--units.length is {self.length} m of nothing; say of what by --units.points, --units.cameras or "
+                "--units.object"
+            )
+        self._check_points()
+        if self.cameras is not None and (len(self.cameras) != 2 or self.cameras[0] == self.cameras[1]):
+            raise ConfigError(f"--units.cameras is {', '.join(self.cameras)}; name two photos")
+        if self.object is not None and not self.object.strip():
+            raise ConfigError("--units.object is empty; name the thing that was measured, for example bucket")
+
+    def _check_points(self) -> None:
+        if self.points is None:
+            return
+        if len(self.points) != 6 or not all(map(math.isfinite, self.points)):
+            raise ConfigError(
+                f"--units.points is {self.points}; use six finite numbers, x y z of one point and another"
+            )
+        if self.points[:3] == self.points[3:]:
+            raise ConfigError(f"--units.points names the point {self.points[:3]} twice; name two points")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Config:
     """Every stage's settings: what a run needs beside its scene and its prompt."""
 
@@ -275,6 +326,8 @@ class Config:
     """Features and words."""
     count: CountConfig = field(default_factory=CountConfig)
     """Fruit."""
+    units: UnitsConfig = field(default_factory=UnitsConfig)
+    """Scale."""
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Config:
@@ -289,7 +342,9 @@ class Config:
             "train": TrainConfig,
             "embed": EmbedConfig,
             "count": CountConfig,
+            "units": UnitsConfig,
         }
+        document = {"units": {}, **document}  # results of before there were units
         try:
             return cls(**{name: stage(**document[name]) for name, stage in stages.items()})
         except (KeyError, TypeError) as error:

@@ -23,6 +23,7 @@ from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
 from .reconstruction import Reconstruction, Stages, adopt, check_foreign, reconstruct, reopen
 from .report.results import FRUITS_JSON, known_fruit
+from .scale import scaled
 
 
 def count_scene(
@@ -56,6 +57,8 @@ def count_scene(
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
+    if config.units.object is not None:
+        check_prompts(encoder, [config.units.object])
     stages = Stages()
     if foreign is not None:
         check_foreign(source, foreign, out)
@@ -68,6 +71,7 @@ def count_scene(
         made = adopt(source, foreign, out / "cache", embedder, config, stages, part(progress, 0.0, 0.9))
     else:
         made = reconstruct(source, out / "cache", embedder, config, stages, part(progress, 0.0, 0.9))
+    made = scaled(made, encoder, config.units, stages)
     with stages.timed("count"):
         probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
         fruit_count = count_fruit(

@@ -22,6 +22,7 @@ from .progress import Progress, part
 from .report.results import FRUITS_JSON, read_results
 from .scene.camera import Scene
 from .scene.photo import FilePhoto
+from .scene.scale import scale_by_length
 from .scene.source import Source, photos_alone, pose_photos, posed_before
 from .scene.stored import dump_cameras, read_cameras
 from .splatting.borrowed import PLACED, borrow, drawn_again
@@ -178,6 +179,8 @@ def check_foreign(source: Path, foreign: Path, out: Path) -> None:
 def _read_photos(source: Source, config: Config, stages: Stages, progress: Progress) -> Scene:
     """The posed photos of `source`; notes where they are read smaller than they are."""
     scene = source.read(config.scene, progress=progress)
+    # What cannot be measured must not cost a training run.
+    scale_by_length(config.units, [photo.name for photo in scene.images], scene.cameras)
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
     largest = max((max(header.width, header.height) for header in headers), default=0)
     if 0 < config.scene.max_side < largest / config.scene.downscale:
@@ -276,7 +279,7 @@ def reopen(folder: Path, out: Path, embedder: Embedder, config: Config, stages: 
                 "ask with the same --encoder, or give the folder of the photos as SCENE to embed it anew"
             )
         scene = read_cameras(folder / CAMERAS)
-        kept = ("source", "inputs_sha256", "encoder", "training", "foreign")
+        kept = ("source", "inputs_sha256", "encoder", "training", "foreign", "scale")
         origin = {key: document["provenance"][key] for key in kept if key in document["provenance"]}
         gaussians = read_ply(gaussians_file)
         source = Path(origin["source"])
@@ -289,7 +292,10 @@ def reopen(folder: Path, out: Path, embedder: Embedder, config: Config, stages: 
                 if photos is not None:
                     found = posed_before(photos, folder / "cache", out / "cache", stored.photos)
                 if found.hash() == origin["inputs_sha256"]:
-                    scene = found.read(stored.scene)
+                    photos_read = found.read(stored.scene)
+                    scene = dataclasses.replace(
+                        photos_read, cameras=scene.cameras, metres_per_unit=scene.metres_per_unit
+                    )
         if not scene.images:
             stages.notices.append(f"the photos at {source} are gone or have changed: no pictures were made")
     stages.reused += ["train", "embed"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..operators.count import FRUITLANGS_OT_count
+from ..operators.count import FRUITLANGS_OT_count, size_text
 from ..operators.dependencies import FRUITLANGS_OT_copy_install_command, missing_packages
 from ..operators.import_scene import FRUITLANGS_OT_import_scene
 from ..operators.jobs import FRUITLANGS_OT_cancel, Job, running
@@ -112,7 +112,9 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     row.scale_y = 1.4
     row.label(text=f"{result.label}: {result.count}", icon="CHECKMARK")
     if result.count:
-        box.label(text=f"Mean diameter {result.mean_diameter:.3g} {result.unit}")
+        box.label(text=size_text(result).capitalize())
+        if result.unit != "mm":
+            draw_text(box, "Scale unknown: a Length under Units makes millimetres of it", context)
     else:
         draw_text(box, result.zero_reason, context)
     if result.notices:

@@ -44,7 +44,7 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     count: IntProperty(name="Count", default=-1, min=-1, description="Fruit counted; -1 before there was a count")
     label: StringProperty(name="Label", description="What was counted")
     mean_diameter: FloatProperty(name="Mean Diameter", description="Of the counted fruit, in the unit beside it")
-    unit: StringProperty(name="Unit", description="m where the scene's scale is known, else scene units")
+    unit: StringProperty(name="Unit", description="mm where the scene's scale is known, else scene units")
     zero_reason: StringProperty(name="Reason", description="Why nothing was counted")
     notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
     folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=_RELATIVE)

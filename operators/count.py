@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.report.words import nothing_found
+from ..engine.report.words import length_unit, nothing_found, three_digits
 from .blender_data import owned_object
 from .jobs import JobOperator, Work, running
 from .settings import read_config, read_prompts, read_words, result_folder, source_folder, stored_path
@@ -67,11 +67,11 @@ class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
 
 def keep_result(settings: Any, result: Any) -> None:
     """Keep in the .blend what the panel shows of a count."""
-    fruit_count, metres_per_unit, shown = result.fruit_count, result.scene.metres_per_unit, settings.result
+    fruit_count, shown = result.fruit_count, settings.result
     shown.count = fruit_count.count
     shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
-    shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * (metres_per_unit or 1.0)
-    shown.unit = "m" if metres_per_unit else "scene units"
+    shown.unit, scale = length_unit(result.scene.metres_per_unit)
+    shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
     shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, result.config.count.threshold)
     shown.notices = "; ".join(result.notices)
     shown.cameras, shown.points = len(result.scene.cameras), len(result.scene.points)
@@ -79,10 +79,15 @@ def keep_result(settings: Any, result: Any) -> None:
 
 
 def count_text(shown: Any) -> str:
-    """'apple: 7, mean diameter 0.081 m'."""
+    """'apple: 7, mean diameter 81.2 mm'."""
     if shown.count:
-        return f"{shown.label}: {shown.count}, mean diameter {shown.mean_diameter:.3g} {shown.unit}"
+        return f"{shown.label}: {shown.count}, {size_text(shown)}"
     return f"{shown.label}: 0, {shown.zero_reason}"
+
+
+def size_text(shown: Any) -> str:
+    """'mean diameter 81.2 mm'."""
+    return f"mean diameter {three_digits(shown.mean_diameter)} {shown.unit}"
 
 
 CLASSES = (FRUITLANGS_OT_count,)

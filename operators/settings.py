@@ -43,7 +43,7 @@ def field_docs(config_class: type) -> dict[str, str]:
 def config_properties(config_class: type) -> dict[str, Any]:
     """{field: Blender property} of a config dataclass, in its order.
 
-    A number that may be None is a property with 0 for None.
+    Where None is allowed, 0 stands for it, or an empty text; several texts are one, with commas.
     """
     docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
     return {
@@ -60,12 +60,15 @@ def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
     """
     kinds = typing.get_type_hints(config_class)
     values = {field.name: getattr(group, field.name) for field in dataclasses.fields(config_class)}
+    for name in values:
+        if _is_texts(kinds[name]):
+            values[name] = tuple(read_words(values[name]))
     missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
     return config_class(**{name: None if name in missing else _plain(value) for name, value in values.items()})
 
 
 def _is_zero(value: Any) -> bool:
-    """Whether the property of an optional number or direction holds what means "not given"."""
+    """Whether the property of an optional setting holds what means "not given"."""
     return not any(value) if isinstance(value, bpy.types.bpy_prop_array) else not value
 
 
@@ -80,19 +83,32 @@ def _optional(kind: Any) -> bool:
     return isinstance(kind, types.UnionType | typing._UnionGenericAlias) and type(None) in typing.get_args(kind)  # type: ignore[attr-defined]
 
 
+def _given(kind: Any) -> Any:
+    """The kind of an optional setting that is given."""
+    return next(choice for choice in typing.get_args(kind) if choice is not type(None)) if _optional(kind) else kind
+
+
+def _is_texts(kind: Any) -> bool:
+    """Whether a setting is several texts, given or not."""
+    given = _given(kind)
+    return typing.get_origin(given) is tuple and set(typing.get_args(given)) == {str}
+
+
 def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
     """The Blender property for one field."""
     words = field.name.replace("_", " ").title()
     named = {"name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "), "description": doc.rstrip(".")}
     if _optional(kind):
-        (kind,) = (choice for choice in typing.get_args(kind) if choice is not type(None))
-        named["description"] += " (0: not given)"
-        default = field.default or kind()
+        kind = _given(kind)
+        named["description"] += " (empty: not given)" if kind is str or _is_texts(kind) else " (0: not given)"
+        default: Any = field.default or kind()
     else:
         default = field.default
     if typing.get_origin(kind) is typing.Literal:
         items = [(choice, choice.replace("-", " ").capitalize(), "") for choice in typing.get_args(kind)]
         return bpy.props.EnumProperty(items=items, default=default, **named)
+    if _is_texts(kind):
+        return bpy.props.StringProperty(default=", ".join(default), **named)
     if typing.get_origin(kind) is tuple:
         size = len(typing.get_args(kind))
         return bpy.props.FloatVectorProperty(size=size, default=default or (0.0,) * size, precision=3, **named)

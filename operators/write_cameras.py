@@ -30,6 +30,7 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
     remove_objects(owned_objects(bpy_scene, "camera"))
     collection = owned_collection(bpy_scene, "cameras", "Cameras")
     size = 0.04 * scene.extent if len(scene.cameras) else 1.0
+    scale = scene.metres_per_unit or 1.0
     objects = []
     # A scene read back from a result whose photos are gone has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
@@ -37,7 +38,8 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
         data = bpy.data.cameras.new(PurePath(name).name)
         set_intrinsics(data, camera)
         data.display_size = size
-        data.clip_start, data.clip_end = 0.01 * size, 1000.0 * max(size, 1.0)
+        # Unlike all else below the root, clipping is in the world's unit.
+        data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
         item = new_object(PurePath(name).stem, data, "camera", collection, root)
         item["photo"] = name if scene.images else ""
         item.matrix_basis = Matrix(blender_pose(camera).tolist())

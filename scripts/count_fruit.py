@@ -27,6 +27,7 @@ from fruitlangs.engine.config import (
     Preset,
     SceneConfig,
     TrainConfig,
+    UnitsConfig,
 )
 from fruitlangs.engine.errors import ConfigError
 
@@ -63,6 +64,7 @@ class Arguments:
     embed: EmbedConfig = field(default_factory=EmbedConfig)
     """How Gaussians get features that words can query. These flags may go without their stage: --encoder clip."""
     count: CountConfig = field(default_factory=CountConfig)
+    units: UnitsConfig = field(default_factory=UnitsConfig)
 
 
 def blend_writer(wanted: bool) -> dict[str, Writer]:
@@ -87,6 +89,7 @@ def main() -> None:
         raise ConfigError('no prompt is given; say what to count, for example --prompt apple or --prompt "red apple"')
     from fruitlangs.engine.pipeline import count_scene
     from fruitlangs.engine.report.tables import summary
+    from fruitlangs.engine.report.words import scale_text
 
     result = count_scene(
         arguments.source,
@@ -99,6 +102,7 @@ def main() -> None:
             train=arguments.train,
             embed=arguments.embed,
             count=arguments.count,
+            units=arguments.units,
         ),
         foreign=arguments.gaussians,
         writers=blend_writer(arguments.blend),
@@ -112,6 +116,8 @@ def main() -> None:
         seconds=result.seconds,
     )
     print(text)
+    if "scale" in result.origin:
+        print(f"  {scale_text(result.origin['scale'])}")
     training = result.origin["training"]
     if training["psnr"] is not None:
         print(f"  held-out photos: PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}")

@@ -17,6 +17,7 @@ from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rasterize import render
 from .meshes import id_color
+from .words import length_unit, three_digits
 
 _CIVIDIS = np.array(
     [[0, 34, 78], [18, 53, 112], [59, 73, 108], [87, 93, 109], [112, 113, 115]]
@@ -63,11 +64,18 @@ def view_strip(
         f"photo {scene.images[view].name}": scene.images[view].pixels(),
         "probability of the prompt": _ramp(channels[..., 0]),
         "language": _bytes(channels[..., 1:] + (1.0 - alpha)),
-        "fruit": _draw_ids(
+        _fruit_title(fruit_count, scene.metres_per_unit): _draw_ids(
             _bytes(drawn.color.detach().numpy()), drawn.depth.detach().numpy(), camera, fruit_count.fruits
         ),
     }
     return _side_by_side(panels)
+
+
+def _fruit_title(fruit_count: FruitCount, metres_per_unit: float | None) -> str:
+    if fruit_count.mean_diameter is None or metres_per_unit is None:
+        return "fruit"
+    unit, scale = length_unit(metres_per_unit)
+    return f"fruit, mean diameter {three_digits(fruit_count.mean_diameter * scale)} {unit}"
 
 
 def strip_views(scene: Scene, number: int = 4) -> list[int]:

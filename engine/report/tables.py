@@ -9,24 +9,27 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import nothing_found, place
+from .words import length_unit, nothing_found, place, three_digits
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
-    """One row a fruit; the unit of every length stands in its column's name."""
-    unit = "units" if metres_per_unit is None else "m"
-    scale = 1.0 if metres_per_unit is None else metres_per_unit
+    """One row a fruit; the unit of every length stands in its column's name: mm and cm³ where the scale is known."""
+    unit, volume_unit = ("units", "units3") if metres_per_unit is None else ("mm", "cm3")
+    _, scale = length_unit(metres_per_unit)
+    decimals = 6 if metres_per_unit is None else 2
+    volume_scale = 1.0 if metres_per_unit is None else (100.0 * metres_per_unit) ** 3
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
-        ["id", "label", "x_units", "y_units", "z_units", f"diameter_{unit}", f"diameter_sd_{unit}", f"volume_{unit}3"]
-        + ["probability", "visible_fraction", "views", "red", "green", "blue", "kind"]
+        ["id", "label", "x_units", "y_units", "z_units", f"diameter_{unit}", f"diameter_sd_{unit}"]
+        + [f"volume_{volume_unit}", "probability", "visible_fraction", "views", "red", "green", "blue", "kind"]
     )
     for fruit in fruit_count.fruits:
         visible = "" if fruit.visible_fraction is None else f"{fruit.visible_fraction:.4f}"
         writer.writerow(
             [fruit.id, fruit.label, *(f"{value:.6f}" for value in fruit.center)]
-            + [f"{fruit.diameter * scale:.6f}", f"{fruit.diameter_sd * scale:.6f}", f"{fruit.volume * scale**3:.6g}"]
+            + [f"{value * scale:.{decimals}f}" for value in (fruit.diameter, fruit.diameter_sd)]
+            + [f"{fruit.volume * volume_scale:.6g}"]
             + [f"{fruit.probability:.4f}", visible, fruit.views, *fruit.color.tolist(), fruit.kind]
         )
     return text.getvalue()
@@ -45,11 +48,10 @@ def summary(
 
     threshold: the probability that was asked for, which explains a zero.
     """
-    unit, scale = ("units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
     lines = [f"{prompt}: {fruit_count.count} visible fruit"]
     if fruit_count.fruits:
-        lines += _sizes(fruit_count.fruits, unit, scale)
-        lines += ["", *_fruit_rows(fruit_count.fruits[:rows], unit, scale)]
+        lines += _sizes(fruit_count, metres_per_unit)
+        lines += ["", *_fruit_rows(fruit_count.fruits[:rows], metres_per_unit)]
         if fruit_count.count > rows:
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
     else:
@@ -60,12 +62,15 @@ def summary(
     return "\n".join(lines)
 
 
-def _sizes(fruits: Sequence[Fruit], unit: str, scale: float) -> list[str]:
-    diameters = np.array([fruit.diameter for fruit in fruits]) * scale
-    low, middle, high = np.quantile(diameters, [0.1, 0.5, 0.9])
+def _sizes(fruit_count: FruitCount, metres_per_unit: float | None) -> list[str]:
+    unit, scale = length_unit(metres_per_unit)
+    mean = three_digits(scale * float(fruit_count.diameters.mean()))
+    low, high = (three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
+    unknown = " (scale unknown: --units.length sets it)" if metres_per_unit is None else ""
+    fruits = fruit_count.fruits
     kinds = ", ".join(f"{sum(fruit.kind == kind for fruit in fruits)} {kind}" for kind in _kinds(fruits))
     return [
-        f"  diameter: median {middle:.4f} {unit}, 80 % between {low:.4f} and {high:.4f} {unit}",
+        f"  mean diameter {mean} {unit}, 80 % between {low} and {high}{unknown}",
         f"  kinds: {kinds}",
     ]
 
@@ -74,12 +79,14 @@ def _kinds(fruits: Sequence[Fruit]) -> list[str]:
     return sorted({fruit.kind for fruit in fruits})
 
 
-def _fruit_rows(fruits: Sequence[Fruit], unit: str, scale: float) -> list[str]:
-    header = f"  {'id':>4}  {'label':<12} {'diameter/' + unit:>14} {'probability':>12} {'visible':>8}  kind"
+def _fruit_rows(fruits: Sequence[Fruit], metres_per_unit: float | None) -> list[str]:
+    unit, scale = length_unit(metres_per_unit)
+    size_head = f"diameter/{unit.removeprefix('scene ')}"
+    header = f"  {'id':>4}  {'label':<12} {size_head:>14} {'probability':>12} {'visible':>8}  kind"
     rows = []
     for fruit in fruits:
         visible = "-" if fruit.visible_fraction is None else f"{100 * fruit.visible_fraction:.0f} %"
-        size = f"{fruit.diameter * scale:.4f}"
+        size = three_digits(fruit.diameter * scale)
         rows.append(
             f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {fruit.probability:>12.2f} {visible:>8}  {fruit.kind}"
         )

@@ -1,6 +1,9 @@
-"""What fruit are called and how a zero is explained: the same words in files, the terminal and Blender."""
+"""What fruit are called, how long they are and how a zero is explained: the same in files, the terminal and Blender."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 from ..counting.fruit import AuditEntry, Fruit, FruitCount
 
@@ -26,3 +29,20 @@ def nothing_found(fruit_count: FruitCount, threshold: float) -> str:
     if clusters:
         return f"{clusters} clusters reached the threshold {threshold:.2f}, none has the form of a fruit"
     return "; ".join(entry.reason for entry in fruit_count.audit)
+
+
+def length_unit(metres_per_unit: float | None) -> tuple[str, float]:
+    """The unit in which people read lengths, and how many of it a scene unit is: mm where the scale is known."""
+    return ("scene units", 1.0) if metres_per_unit is None else ("mm", 1000.0 * metres_per_unit)
+
+
+def three_digits(value: float) -> str:
+    """A measured number with three significant digits: 78.3, 0.0783, 1230."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def scale_text(scale: Mapping[str, Any]) -> str:
+    """How the provenance's scale was found: '1 scene unit is 0.998 m ± 0.4 %, by the GPS tags of 60 photos'."""
+    metres, error = scale["metres_per_unit"], scale["standard_error"]
+    spread = "" if error is None else f" ± {error / metres:.1%}".replace("%", " %")
+    return f"1 scene unit is {three_digits(metres)} m{spread}, by {scale['of']}"

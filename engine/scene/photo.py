@@ -56,12 +56,17 @@ def read_header(path: Path) -> Header:
     """
     try:
         with Image.open(path) as image:
-            exif_is_near = image.format != "PNG" or "exif" in image.info  # else Pillow decodes the PNG to look for it
-            orientation = image.getexif().get(ExifTags.Base.Orientation, 1) if exif_is_near else 1
+            orientation = read_exif(image).get(ExifTags.Base.Orientation, 1)
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             return Header(image.width, image.height, has_alpha, orientation if orientation in range(1, 9) else 1)
     except DECODE_ERRORS as error:
         raise SceneError(f"{path} cannot be read as a picture ({error}); replace the file") from error
+
+
+def read_exif(image: Image.Image) -> Image.Exif:
+    """The EXIF tags of an open picture, none where it has none; nothing is decoded for it."""
+    exif_is_near = image.format != "PNG" or "exif" in image.info  # else Pillow decodes the PNG to look for it
+    return image.getexif() if exif_is_near else Image.Exif()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,27 @@ def dump_cameras(scene: Scene) -> str:
     return json.dumps(document, indent=1) + "\n"
 
 
+def with_scale(path: Path, metres_per_unit: float | None) -> str:
+    """JSON text of a cameras file with this unit in place of its own.
+
+    Raises:
+        OutputError, FormatError: as `read_cameras`.
+    """
+    return json.dumps({**_read(path), "metres_per_unit": metres_per_unit}, indent=1) + "\n"
+
+
+def camera_names(path: Path) -> list[str]:
+    """Names of the photos of a cameras file's cameras, in their order.
+
+    Raises:
+        OutputError, FormatError: as `read_cameras`.
+    """
+    try:
+        return [entry["name"] for entry in _read(path)["cameras"]]
+    except (KeyError, TypeError) as error:
+        raise FormatError(f"{path} is not a cameras file ({error}); count again from the photos") from error
+
+
 def read_cameras(path: Path) -> Scene:
     """A scene with cameras but without photos and sparse points.
 
@@ -40,12 +62,8 @@ def read_cameras(path: Path) -> Scene:
         OutputError: the file is missing.
         FormatError: it is not a cameras file of this version.
     """
-    if not path.is_file():
-        raise OutputError(f"{path} is missing; give the folder of the photos as SCENE instead of this result folder")
+    document = _read(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if document["schema"] != SCHEMA:
-            raise FormatError(f"{path} has schema {document['schema']!r}; this version reads {SCHEMA!r}")
         cameras = [
             Camera(
                 K=np.asarray(entry["K"], dtype=np.float64).reshape(3, 3),
@@ -65,3 +83,17 @@ def read_cameras(path: Path) -> Scene:
         )
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path} is not a cameras file ({error}); count again from the photos") from error
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The document of a cameras file of this version."""
+    if not path.is_file():
+        raise OutputError(f"{path} is missing; give the folder of the photos as SCENE instead of this result folder")
+    try:
+        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        schema = document["schema"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"{path} is not a cameras file ({error}); count again from the photos") from error
+    if schema != SCHEMA:
+        raise FormatError(f"{path} has schema {schema!r}; this version reads {SCHEMA!r}")
+    return document

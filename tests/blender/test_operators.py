@@ -88,6 +88,20 @@ def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings,
     assert options["keep"] is None
 
 
+def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, settings, counted_with, monkeypatch):
+    from fruitlangs.operators.count import count_text, keep_result
+
+    counted = counted_with(metres_per_unit=0.4)
+    result = types.SimpleNamespace(
+        scene=counted.scene, fruit_count=counted.fruit_count, config=Config(), notices=[], out=Path("/out")
+    )
+    keep_result(settings, result)
+    assert settings.result.unit == "mm"
+    assert count_text(settings.result) == "apple: 3, mean diameter 80 mm"
+    keep_result(settings, types.SimpleNamespace(**{**vars(result), "scene": counted_with().scene}))
+    assert count_text(settings.result) == "apple: 3, mean diameter 0.2 scene units"
+
+
 def test_a_count_never_removes_the_open_file(engine, settings, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.ops.fruitlangs.count()

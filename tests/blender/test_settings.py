@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fruitlangs.engine.config import PRESETS, Config, TrainConfig
+from fruitlangs.engine.config import PRESETS, Config, TrainConfig, UnitsConfig
 from fruitlangs.engine.errors import ConfigError, SceneError, VocabularyError
 from fruitlangs.operators import settings as conversions
 
@@ -54,6 +54,33 @@ def test_a_direction_of_zeros_means_not_given_and_another_arrives_as_typed(exten
     assert conversions.read_config(bpy.context.scene.fruitlangs).scene.up is None
     scene.up = (0.0, -0.6, 0.8)
     assert conversions.read_config(bpy.context.scene.fruitlangs).scene.up == (0.0, -0.6, 0.8)
+
+
+def test_units_without_anything_typed_are_not_given_and_typed_ones_arrive(extension):
+    units = bpy.context.scene.fruitlangs.config.units
+    assert conversions.read_config(bpy.context.scene.fruitlangs).units == UnitsConfig()
+    units.length, units.cameras = 2.5, "IMG_1.jpg, row/IMG_9.jpg"
+    asked = UnitsConfig(length=2.5, cameras=("IMG_1.jpg", "row/IMG_9.jpg"))
+    assert conversions.read_config(bpy.context.scene.fruitlangs).units == asked
+    units.cameras, units.object = "", "bucket"
+    assert conversions.read_config(bpy.context.scene.fruitlangs).units == UnitsConfig(length=2.5, object="bucket")
+    units.object, units.points = "", (0, 0, 0.1, 0, 0, 1.2)
+    asked = UnitsConfig(length=2.5, points=(0.0, 0.0, 0.1, 0.0, 0.0, 1.2))
+    assert conversions.read_config(bpy.context.scene.fruitlangs).units == asked
+
+
+def test_one_photo_where_two_are_asked_for_is_the_configs_own_error(extension):
+    units = bpy.context.scene.fruitlangs.config.units
+    units.length, units.cameras = 2.5, "IMG_1.jpg"
+    with pytest.raises(ConfigError, match="name two photos"):
+        conversions.read_config(bpy.context.scene.fruitlangs)
+
+
+def test_the_tooltip_of_a_text_that_may_be_left_out_says_how(extension):
+    properties = bpy.context.scene.fruitlangs.config.units.bl_rna.properties
+    assert properties["object"].description.endswith("(empty: not given)")
+    assert properties["cameras"].description.endswith("(empty: not given)")
+    assert properties["points"].description.endswith("(0: not given)")
 
 
 def test_a_senseless_value_is_the_configs_own_error(extension):

@@ -144,6 +144,16 @@ def test_a_known_scale_makes_metres(counted_with):
     assert (last - first).length == pytest.approx(0.3, rel=1e-5)
 
 
+@pytest.mark.parametrize("metres_per_unit", [None, 0.001, 20.0])
+def test_cameras_clip_nothing_that_they_look_at_whatever_the_unit(counted_with, metres_per_unit):
+    counted = counted_with(metres_per_unit=metres_per_unit)
+    written(counted)
+    distance = np.linalg.norm(counted.scene.cameras[0].center - [1, 2, 3]) * (metres_per_unit or 1.0)
+    clip = bpy.data.collections["Cameras"].objects[0].data
+    assert clip.clip_start < 0.01 * distance
+    assert clip.clip_end > 10.0 * distance
+
+
 def test_every_camera_sees_a_fruit_at_the_pixel_of_its_projection(counted):
     written(counted)
     bpy_scene = bpy.context.scene

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.engine.evaluation.alignment import Similarity, align
+from fruitlangs.engine.scene.alignment import Similarity, align
 
 TRUE = Similarity(2.5, Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix(), np.array([3.0, -1.0, 0.5]))
 

@@ -25,6 +25,7 @@ FLOORS = {
     "evaluation": 5,
     "reconstruction": 6,
     "publishing": 7,
+    "scale": 7,
     "pipeline": 8,
 }
 """Floor of every file and room of engine/; a higher one may import a lower one, never back."""

@@ -18,9 +18,9 @@ from scipy.ndimage import gaussian_filter
 
 from fruitlangs.engine.config import Config, CountConfig, PhotosConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, SceneError
-from fruitlangs.engine.evaluation.alignment import align
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.engine.scene import child_process
+from fruitlangs.engine.scene.alignment import align
 from fruitlangs.engine.scene.colmap_library import colmap_library
 from fruitlangs.engine.scene.mapping import drop_lost, pairs_to_match
 from fruitlangs.engine.scene.photos import find_poses

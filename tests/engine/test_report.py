@@ -190,7 +190,8 @@ def test_lengths_become_metres_when_the_scale_is_known() -> None:
     assert document["fruits"][0]["diameter"] == pytest.approx(0.16)
     assert document["fruits"][0]["center"] == [0.0, 0.5, -1.0]
     row = next(csv.DictReader(io.StringIO(fruits_csv(two_fruit(), metres_per_unit=2.0))))
-    assert float(row["diameter_m"]) == pytest.approx(0.16)
+    assert float(row["diameter_mm"]) == pytest.approx(160.0)
+    assert float(row["volume_cm3"]) == pytest.approx(two_fruit().fruits[0].volume * 8e6, rel=1e-5)
 
 
 def test_the_table_has_one_row_a_fruit_and_names_its_unit() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import OutputError, SceneError
 from fruitlangs.engine.pipeline import Result, count_scene
 
@@ -37,6 +37,15 @@ def test_a_result_of_a_transforms_file_finds_its_photos_again(copied: Path) -> N
     again = count_scene(copied, ["apple"], copied)
     assert list((copied / "pictures").iterdir())
     assert again.notices == []
+
+
+def test_cameras_that_training_moved_are_those_of_the_next_prompt_too(few_photos: Path, tmp_path: Path) -> None:
+    nothing = CountConfig(threshold=0.999999)
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, refine_poses=True), count=nothing)
+    first = count_scene(few_photos, ["fruit"], tmp_path, config=config)
+    again = count_scene(tmp_path, ["apple"], tmp_path, config=Config(count=nothing))
+    for ours, theirs in zip(again.scene.cameras, first.scene.cameras, strict=True):
+        assert (ours.world_to_camera == theirs.world_to_camera).all()
 
 
 def test_pictures_that_cannot_be_made_are_told(copied: Path) -> None:

@@ -13,7 +13,7 @@ from ..errors import SceneError
 FloatArray = NDArray[np.float64]
 
 _SAMPLES = 500
-_OUTLIER = 5.0
+OUTLIER = 5.0
 """Views farther off than so many times the median are left out of the fit."""
 
 
@@ -69,7 +69,7 @@ def align(source: FloatArray, target: FloatArray) -> Similarity:
     for _ in range(10):
         distances = _distances(best, source, target)
         spread = np.linalg.norm(target - np.median(target, axis=0), axis=1).max()
-        near = distances <= max(_OUTLIER * float(np.median(distances)), 1e-9 * spread)
+        near = distances <= max(OUTLIER * float(np.median(distances)), 1e-9 * spread)
         if _on_one_line(source[near]) or _on_one_line(target[near]):
             break
         best = _fit(source[near], target[near])

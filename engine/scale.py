@@ -1,0 +1,75 @@
+"""The scale of a reconstruction: what the settings say is measured, or the photos' GPS tags, or the one it had."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from .config import UnitsConfig
+from .errors import SceneError
+from .language.encoders import Encoder
+from .language.relevancy import relevancy
+from .reconstruction import Reconstruction, Stages
+from .scene.gps import scale_by_gps
+from .scene.scale import Scale, scale_by_length
+from .scene.stored import camera_names
+from .splatting.extent import longest_side
+
+SURE = 0.5
+"""Probability from which a Gaussian belongs to the thing that was measured."""
+
+
+def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, stages: Stages) -> Reconstruction:
+    """`made` with its scale, in the scene and in the origin, where one is found; all else stays as it is.
+
+    An earlier result that is asked nothing new of units keeps the scale it has.
+
+    Raises:
+        SceneError: what shall be measured is not in the scene, or two cameras stand in one place.
+        EncoderError: the features were made by another encoder.
+        VocabularyError: the encoder does not know the object's word.
+    """
+    units = made.config.units if asked == UnitsConfig() else asked
+    if made.scene.metres_per_unit is not None and units == made.config.units:
+        return made
+    with stages.timed("scale"):
+        scale = _measured(made, encoder, units, stages)
+    origin = {key: value for key, value in made.origin.items() if key != "scale"}
+    return dataclasses.replace(
+        made,
+        scene=dataclasses.replace(made.scene, metres_per_unit=None if scale is None else scale.metres_per_unit),
+        config=dataclasses.replace(made.config, units=units),
+        origin=origin if scale is None else {**origin, "scale": dataclasses.asdict(scale)},
+    )
+
+
+def _measured(made: Reconstruction, encoder: Encoder, units: UnitsConfig, stages: Stages) -> Scale | None:
+    scene = made.scene
+    scale = scale_by_length(units, camera_names(made.cameras_file), scene.cameras)
+    if scale is None and units.object is not None and units.length is not None:
+        return _scale_by_object(made, encoder, units.object, units.length)
+    if scale is None and units.gps and scene.images:
+        found = scale_by_gps(scene.cameras, scene.images)
+        stages.notices += found.notices
+        return found.scale
+    return scale
+
+
+def _scale_by_object(made: Reconstruction, encoder: Encoder, word: str, length: float) -> Scale:
+    """The scale by the longest side, of `length` metres, of the largest thing that fits the word.
+
+    Raises:
+        SceneError: there is none.
+    """
+    probability = relevancy(made.features, encoder, [word])
+    fits = probability >= SURE
+    side = longest_side(made.gaussians.select(fits), made.features.weights.amax(1)[fits].numpy())
+    if side is None:
+        raise SceneError(
+            f"--units.object: the scene has no {word} to measure: {int(fits.sum())} Gaussians are one with probability "
+            f"{SURE} or more, and the highest probability is {float(probability.max()):.2f}; measure something else"
+        )
+    return Scale(
+        metres_per_unit=length / side,
+        measure="object",
+        of=f"{length:g} m, the longest side of the largest {word}, {side:.4g} units",
+    )

@@ -1,0 +1,196 @@
+"""Where photos were taken, by the GPS tags of their EXIF, and how many metres a scene unit is by them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image
+
+from ..errors import FormatError, SceneError
+from .alignment import OUTLIER, Similarity, align
+from .camera import Camera, FloatArray, Photo
+from .photo import DECODE_ERRORS, FilePhoto, read_exif
+from .scale import Scale
+
+LEAST_TAGGED = 4
+"""Photos with a place below which there is no scale."""
+LARGEST_ERROR = 0.05
+"""Standard error of the scale, as a share of it, above which GPS is not believed."""
+LEAST_SPREAD = 0.5
+"""Metres that the tagged places must lie apart; less is one place."""
+_INDEPENDENT = 5
+"""Places whose errors are held to be independent, at most."""
+_EQUATOR, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
+"""WGS84's semi-major axis in metres and its flattening."""
+
+
+@dataclass(frozen=True)
+class GpsTag:
+    """A place on WGS84: degrees north, degrees east, metres above the ellipsoid or the sea (None: not tagged)."""
+
+    latitude: float
+    longitude: float
+    altitude: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class GpsScale:
+    """The scale by GPS, None where there is none to believe, and what the user should know of it."""
+
+    scale: Scale | None = None
+    notices: Sequence[str] = ()
+
+
+def read_gps(path: Path) -> GpsTag | None:
+    """The place in a photo's EXIF; None where it has none or the receiver had no fix.
+
+    Raises:
+        FormatError: the tags make no sense.
+    """
+    try:
+        with Image.open(path) as image:
+            tags = read_exif(image).get_ifd(ExifTags.IFD.GPSInfo)
+        if not tags or tags.get(ExifTags.GPS.GPSStatus) == "V":
+            return None
+        if not {ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude} <= tags.keys():
+            return None
+        latitude = _degrees(tags[ExifTags.GPS.GPSLatitude], tags.get(ExifTags.GPS.GPSLatitudeRef, "N"), 90.0)
+        longitude = _degrees(tags[ExifTags.GPS.GPSLongitude], tags.get(ExifTags.GPS.GPSLongitudeRef, "E"), 180.0)
+        altitude = tags.get(ExifTags.GPS.GPSAltitude)
+        if altitude is not None:
+            below = tags.get(ExifTags.GPS.GPSAltitudeRef, b"\0") in (b"\1", 1, "\1")
+            altitude = _finite(-float(altitude) if below else float(altitude))
+    except (*DECODE_ERRORS, TypeError, KeyError, AttributeError, ZeroDivisionError) as error:
+        raise FormatError(f"the GPS tags of {path} make no sense ({error}); check them in a viewer") from error
+    if latitude == longitude == 0.0:  # what cameras write that wait for a fix
+        return None
+    return GpsTag(latitude, longitude, altitude)
+
+
+def _degrees(parts: Sequence[float], reference: str, largest: float) -> float:
+    """Degrees, minutes and seconds as degrees; south and west are negative."""
+    degrees, minutes, seconds = map(float, parts)
+    angle = _finite(degrees + minutes / 60.0 + seconds / 3600.0)
+    if not 0.0 <= angle <= largest or reference.strip("\0 ") not in ("N", "S", "E", "W"):
+        raise ValueError(f"{angle:g} degrees {reference!r}")
+    return -angle if reference.strip("\0 ") in ("S", "W") else angle
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is no number")
+    return value
+
+
+def local_metres(tags: Sequence[GpsTag]) -> FloatArray:
+    """(N, 3) metres to the east, to the north and up of the tags' mean place.
+
+    By way of WGS84's geocentric coordinates: with φ, λ, h and N(φ) = a / √(1 - e² sin² φ), x = (N + h) cos φ cos λ,
+    y = (N + h) cos φ sin λ, z = (N (1 - e²) + h) sin φ (Hofmann-Wellenhof, Lichtenegger & Wasle, GNSS, 2008). A tag
+    without altitude has that of the ellipsoid.
+    """
+    latitude, longitude, altitude = np.array([(t.latitude, t.longitude, t.altitude or 0.0) for t in tags]).T
+    phi, lam = np.radians(latitude), np.radians(longitude)
+    squared = _FLATTENING * (2.0 - _FLATTENING)
+    normal = _EQUATOR / np.sqrt(1.0 - squared * np.sin(phi) ** 2)
+    flat = (normal + altitude) * np.cos(phi)
+    places = np.stack([flat * np.cos(lam), flat * np.sin(lam), (normal * (1.0 - squared) + altitude) * np.sin(phi)], 1)
+    middle = places.mean(0)
+    lam0 = np.arctan2(middle[1], middle[0])
+    phi0 = phi.mean()
+    east = np.array([-np.sin(lam0), np.cos(lam0), 0.0])
+    up = np.array([np.cos(phi0) * np.cos(lam0), np.cos(phi0) * np.sin(lam0), np.sin(phi0)])
+    return (places - middle) @ np.stack([east, np.cross(up, east), up], 1)
+
+
+def scale_by_gps(cameras: Sequence[Camera], photos: Sequence[Photo]) -> GpsScale:
+    """The scale by the similarity that carries the cameras best to the places in their photos' EXIF (see `align`).
+
+    Photos without altitude are left out where others have one; where none has, all are held to be at one height.
+    Without any tag there is neither scale nor notice; fewer than 4, all of one place or an error above 5 % is a notice.
+
+    cameras and photos: one each a view, in the order of the walk.
+    """
+    tagged = _tagged(cameras, photos)
+    if not tagged.tags:
+        return GpsScale(notices=tagged.notices)
+    refusal = f"the GPS tags of {len(tagged.tags)} photos tell no scale"
+    try:
+        places = _spread_places(tagged.tags)
+        found = align(tagged.centers, places)
+    except SceneError as failure:
+        return GpsScale(notices=[*tagged.notices, f"{refusal}: {failure}"])
+    error = _standard_error(found, tagged.centers, places)
+    if error > LARGEST_ERROR * found.scale:
+        misfit = f"{refusal}: its standard error would be {error / found.scale:.0%}; --units.length gives it"
+        return GpsScale(notices=[*tagged.notices, misfit])
+    of = f"the GPS tags of {len(tagged.tags)} photos"
+    scale = Scale(metres_per_unit=found.scale, measure="gps", of=of, standard_error=error)
+    return GpsScale(scale=scale, notices=tagged.notices)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Tagged:
+    """Photos that say where they were taken: (N, 3) centres of their cameras, and N tags."""
+
+    centers: FloatArray
+    tags: Sequence[GpsTag]
+    notices: Sequence[str]
+
+
+def _tagged(cameras: Sequence[Camera], photos: Sequence[Photo]) -> _Tagged:
+    """Each file once: the faces of a panorama are one measurement."""
+    centers: dict[Path, FloatArray] = {}
+    tags: dict[Path, GpsTag] = {}
+    senseless = []
+    for camera, photo in zip(cameras, photos, strict=True):
+        if not isinstance(photo, FilePhoto) or photo.path in centers:
+            continue
+        centers[photo.path] = camera.center
+        try:
+            tag = read_gps(photo.path)
+        except FormatError as error:
+            senseless.append(str(error))
+            continue
+        if tag is not None:
+            tags[photo.path] = tag
+    if any(tag.altitude is not None for tag in tags.values()):
+        tags = {path: tag for path, tag in tags.items() if tag.altitude is not None}
+    return _Tagged(
+        centers=np.array([centers[path] for path in tags]).reshape(-1, 3),
+        tags=list(tags.values()),
+        notices=[f"{senseless[0]} (photos left out of the scale: {len(senseless)})"] if senseless else [],
+    )
+
+
+def _spread_places(tags: Sequence[GpsTag]) -> FloatArray:
+    """(N, 3) metres, once there are enough of them, apart from each other.
+
+    Raises:
+        SceneError: there are not.
+    """
+    if len(tags) < LEAST_TAGGED:
+        raise SceneError(f"at least {LEAST_TAGGED} are needed")
+    places = local_metres(tags)
+    if np.linalg.norm(places - places.mean(0), axis=1).max() < LEAST_SPREAD:
+        raise SceneError("all are of one place")
+    return places
+
+
+def _standard_error(similarity: Similarity, centers: FloatArray, places: FloatArray) -> float:
+    """Of the similarity's scale s: √(Σ|r|² / Σ|x|² / (3m - 7)), r the misfits and x the centres about their mean.
+
+    With m independent places of three numbers each it is that of least squares with seven unknowns, r² / (3m - 7)
+    being the variance of a number times m. A receiver's errors drift, and photos that follow each other share them: so
+    m is 5 however many photos there are. A misfit beyond five times the median, which `align` leaves out, counts as
+    just that.
+    """
+    misfits = np.linalg.norm(similarity.apply(centers) - places, axis=1)
+    misfits = np.minimum(misfits, OUTLIER * np.median(misfits))
+    independent = min(len(centers), _INDEPENDENT)
+    spread = np.square(centers - centers.mean(0)).sum()
+    return float(np.sqrt(np.square(misfits).sum() / spread / (3 * independent - 7)))
