@@ -12,6 +12,7 @@ from pathlib import Path
 
 from .config import Config
 from .counting.count import count_fruit
+from .counting.template_shape import read_template
 from .errors import OutputError, VocabularyError
 from .files import require_writable
 from .language.embedder import Embedder
@@ -55,6 +56,8 @@ def count_scene(
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
+    if config.count.template:
+        read_template(Path(config.count.template))  # nor must a file that is no template
     stages = Stages()
     if foreign is not None:
         check_foreign(source, foreign, out)

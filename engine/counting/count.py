@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,10 +18,12 @@ from .account import Account, account_for
 from .claims import members
 from .cluster import Clusters, find_fruit, search
 from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
+from .fruitnerf import cluster_as_fruitnerf
 from .sample import SurfacePoints, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .sphere import Spheres
 from .template import split_by_template
+from .template_shape import read_template
 from .visibility import Looks, Picture, Visibility, draw, edge_ratio, look_at, see
 
 FloatArray = NDArray[np.float64]
@@ -75,7 +78,7 @@ def count_fruit(
     sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
     if sized is None:
         return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
-    sample = sample_volume if config.method == "template" else sample_skin
+    sample = sample_skin if config.method == "voting" else sample_volume
     points = sample(
         gaussians,
         chances,
@@ -125,7 +128,7 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
 def select_gaussians(gaussians: Gaussians, chances: FloatArray, config: CountConfig) -> IntArray:
     """Which Gaussians may give surface points: opaque, and with a probability (N,) that is high enough."""
     opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
-    least = config.threshold * (1.0 if config.method == "template" else FAINT)
+    least = config.threshold * (FAINT if config.method == "voting" else 1.0)
     return np.flatnonzero((chances >= least) & opaque)
 
 
@@ -167,8 +170,10 @@ def _find(
     config: CountConfig,
     progress: Progress,
 ) -> Clusters:
-    if config.method == "template":
-        return split_by_template(points, size.diameter, seed=config.seed, progress=progress)
+    if config.method != "voting":
+        template = read_template(Path(config.template), seed=config.seed) if config.template else None
+        road = split_by_template if config.method == "template" else cluster_as_fruitnerf
+        return road(points, size.diameter, template, progress=progress)
     given = config.diameter is not None
     return find_fruit(search(points, size, pictures, config.threshold, given=given, progress=progress))
 
@@ -213,7 +218,7 @@ def _finish(
                 visible_fraction=None if np.isnan(shown) else shown,
                 views=int(looks.views[index]),
                 color=colors[own[order[index]]].mean(axis=0).round().astype(np.uint8),
-                kind="small" if mean and diameter < SMALL * mean else kind,
+                kind="small" if order[index] in clusters.small or (mean and diameter < SMALL * mean) else kind,
                 members=seen[owners == index],
             )
         )
