@@ -31,7 +31,7 @@ IntArray = NDArray[np.int64]
 FRUIT = 0.7 * 0.08
 """Diameter of its apples, in its scene's units."""
 VOXEL, LINK, MERGED = 0.001 / FRUIT, 0.01 / FRUIT, 0.04 / FRUIT
-"""Side of the voxels, DBSCAN's ε (and the radius of cleaning), and distance of small clusters that are one fruit, all in
+"""Side of the voxels, DBSCAN's ε (and radius of cleaning), and how far apart small clusters of one fruit are, all in
 diameters."""
 SKIN_POINTS = 3 * np.pi * (LINK / VOXEL) ** 2
 """Voxels within ε of a point on a fruit whose skin is three voxels thick, as its radiance field draws it."""
@@ -60,9 +60,8 @@ def _judged(cloud: Cloud, index: IntArray) -> Finding:
     volume = cloud.volume(index)
     if volume < LEAST_VOLUME:
         return Finding.dropped(index, f"its alpha shape has {volume:.2f} template volumes ({LEAST_VOLUME} is asked)")
-    return Finding.kept(
-        index, volume, best_split(cloud, index, MOST_PARTS) if volume > SPLIT_VOLUME else [cloud.part(index)]
-    )
+    parts = best_split(cloud, index, MOST_PARTS) if volume > SPLIT_VOLUME else [cloud.part(index)]
+    return Finding.kept(index, volume, parts)
 
 
 def _one_a_voxel(points: SurfacePoints, side: float) -> SurfacePoints:

@@ -66,7 +66,7 @@ def hausdorff(parts: Sequence[Part]) -> float:
 
 
 def best_split(cloud: Cloud, index: IntArray, most: int) -> list[Part]:
-    """The points at `index` as one part, or as those 2 to `most` whose Hausdorff distances are the least on the mean."""
+    """The points at `index` as one part, or as those 2 to `most` of the least mean Hausdorff distance."""
     best = [cloud.part(index)]
     fitted = {index.tobytes(): best[0]}
     for groups in cuts(cloud.positions, index, most):

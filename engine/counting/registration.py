@@ -12,10 +12,10 @@ from .template_shape import Template
 
 FloatArray = NDArray[np.float64]
 
-ROUNDS = 12
+ROUNDS = 20
 MOST = 200
 """Points, evenly thinned, that a template is laid onto."""
-SETTLED = 5e-3
+SETTLED = 2e-3
 """A step of the centre that ends the rounds."""
 QUANTILE = 0.95
 """Of the distances that the Hausdorff distance is the largest of: one stray point must not rule."""

@@ -179,7 +179,7 @@ def share_out(shares: FloatArray, budget: int) -> IntArray:
 
 
 def spread_out(shares: FloatArray, budget: int) -> IntArray:
-    """Whole numbers (N,) that sum to `budget` and, over any run of the N, follow the non-negative `shares` (N,) within 1.
+    """Whole numbers (N,) that sum to `budget`; over any run of them within 1 of the non-negative `shares` (N,).
 
     Where N is above the budget, largest remainders would give the largest shares one each and all others none: fruit of
     small Gaussians would vanish.

@@ -43,6 +43,10 @@ MISMATCH = 0.2
 """A cluster whose points lie farther than this from the template is split, whatever its volume."""
 SMALL_OFF = 0.12
 """Points of a small fruit lie on the template up to this; those of leaves and twigs do not."""
+TYPICAL = (0.7, 1.2)
+"""In volumes of a ball, what a fruit that shows from most sides has."""
+BARE = 0.25
+"""How far the ball's points may lie from those of a fruit that shows from most sides."""
 TRIED = 8
 """Single fruit of which the most typical becomes the template."""
 FEWEST = 3
@@ -84,8 +88,8 @@ def judged(cloud: Cloud, index: IntArray, dense: float) -> Finding:
     if small.fit.off > SMALL_OFF:
         return Finding.dropped(
             index,
-            f"its alpha shape has {volume:.2f} template volumes and its points lie {small.fit.off:.2f} diameters off the "
-            f"aligned template (a small fruit's at most {SMALL_OFF})",
+            f"its alpha shape has {volume:.2f} template volumes and its points are {small.fit.off:.2f} diameters off "
+            f"the aligned template (a small fruit's at most {SMALL_OFF})",
         )
     return Finding.kept(index, volume, [small])
 
@@ -106,10 +110,9 @@ def typical_fruit(cloud: Cloud, clusters: Sequence[IntArray]) -> Template:
 
     cloud: with a ball as its template, which tells what is a single fruit.
     """
-    volumes = [cloud.volume(index) for index in clusters]
-    single = [i for i, volume in enumerate(volumes) if SPLIT_VOLUME - MISMATCH < volume < SPLIT_VOLUME + MISMATCH]
-    whole = [cloud.part(clusters[i]) for i in sorted(single, key=lambda i: -len(clusters[i]))[: 2 * TRIED]]
-    whole = sorted((part for part in whole if part.fit.off < MISMATCH), key=lambda part: part.fit.bare)[:TRIED]
+    sized = [index for index in clusters if TYPICAL[0] < cloud.volume(index) < TYPICAL[1]]
+    single = [part for part in map(cloud.part, sized) if part.fit.off < MISMATCH and part.fit.bare < BARE]
+    whole = sorted(single, key=lambda part: part.fit.bare)[:TRIED]
     if len(whole) < FEWEST:
         return cloud.template
     shapes = [cut_out(cloud.positions[part.index]) for part in whole]

@@ -74,5 +74,5 @@ def test_points_without_a_volume_have_none(points: np.ndarray) -> None:
 def test_a_point_that_is_not_finite_is_refused() -> None:
     points = cloud(0)
     points[3, 1] = np.nan
-    with pytest.raises(ValueError, match="nan|NaN|finite"):
+    with pytest.raises(ValueError, match=r"nan|NaN|finite"):
         alpha_shape_volume(points, 1.0)
