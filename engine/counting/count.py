@@ -63,6 +63,7 @@ def count_fruit(
 
     Raises:
         CountingError: a shape does not fit, a value is not finite, or there are no Gaussians or no cameras.
+        ConfigError, FormatError: the file that `config.template` names is missing, or no template.
     """
     chances = _checked(gaussians, probability, cameras)
     highest = float(chances.max())

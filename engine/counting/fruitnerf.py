@@ -12,12 +12,18 @@ with a template of 0.08 at scale 1, an apple of 8 cm: its file is not described.
 
 from __future__ import annotations
 
+from itertools import compress
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
 from .candidates import Skin
+from .claims import members
 from .cluster import Clusters
 from .density import Density, dense_clusters
 from .finding import Finding, clusters_of
@@ -78,11 +84,27 @@ def _clustered(positions: FloatArray) -> list[IntArray]:
 
 def _merged(cloud: Cloud, clusters: list[IntArray]) -> list[IntArray]:
     """The clusters (C), with small ones whose middles lie near each other in one."""
-    small = np.array([cloud.volume(index) < LEAST_VOLUME for index in clusters], bool)
-    if np.count_nonzero(small) < 2:
+    small = [cloud.volume(index) < LEAST_VOLUME for index in clusters]
+    pieces = list(compress(clusters, small))
+    if len(pieces) < 2:
         return clusters
-    pieces = [index for index, is_small in zip(clusters, small, strict=True) if is_small]
     middles = np.stack([cloud.positions[index].mean(axis=0) for index in pieces])
-    group = fcluster(linkage(middles, "average"), MERGED, criterion="distance")
-    merged = [np.concatenate([pieces[i] for i in np.flatnonzero(group == each)]) for each in np.unique(group)]
+    groups = [own[near] for own in _linked(middles) for near in _near(middles[own])]
+    merged = [np.concatenate([pieces[piece] for piece in group]) for group in groups]
     return [index for index, is_small in zip(clusters, small, strict=True) if not is_small] + merged
+
+
+def _linked(middles: FloatArray) -> list[IntArray]:
+    """Groups of middles (C, 3) in chains of near ones; the pairs of all middles would not fit into memory."""
+    pairs = cKDTree(middles).query_pairs(MERGED, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(middles),) * 2)
+    count, labels = connected_components(graph, directed=False)
+    return members(labels.astype(np.int64), count)
+
+
+def _near(middles: FloatArray) -> list[IntArray]:
+    """Groups of middles (C, 3) that lie on the mean no farther from each other than pieces of one fruit."""
+    if len(middles) == 1:
+        return [np.zeros(1, np.int64)]
+    labels = fcluster(linkage(middles, "average"), MERGED, criterion="distance").astype(np.int64)
+    return members(labels - 1, int(labels.max()))

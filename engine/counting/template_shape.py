@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import QhullError
 
 from ..errors import ConfigError, FormatError
 from .alpha_shape import alpha_shape_volume
@@ -51,7 +50,7 @@ def ball() -> Template:
 def cut_out(points: FloatArray) -> Template:
     """The template of a fruit's points (M, 3) in a scene, in fruit diameters; of many points, an even part."""
     thinned = points[np.linspace(0, len(points) - 1, min(len(points), POINTS)).astype(np.int64)]
-    return Template.of(thinned - np.asarray(trimesh.convex.convex_hull(points).center_mass))
+    return Template.of(thinned - _middle(points))
 
 
 def read_template(path: Path, *, seed: int = 0) -> Template:
@@ -98,14 +97,15 @@ def _from_cloud(points: FloatArray, path: Path, seed: int) -> Template:
     points = np.unique(points, axis=0)
     if len(points) < FEWEST:
         raise FormatError(f"{path} has {len(points)} points; a template needs at least {FEWEST}, all over one fruit")
-    try:
-        hull = trimesh.convex.convex_hull(points)
-        volume = _checked_volume(abs(float(hull.volume)), np.ptp(points, axis=0), path)
-    except QhullError:
-        volume = _checked_volume(0.0, np.ptp(points, axis=0), path)
+    volume = _checked_volume(alpha_shape_volume(points, np.inf), np.ptp(points, axis=0), path)
     order = np.random.default_rng(seed).permutation(len(points))[: 8 * POINTS]
-    points = (_apart(points[order], POINTS) - hull.center_mass) / np.cbrt(6.0 * volume / np.pi)
+    points = (_apart(points[order], POINTS) - _middle(points)) / np.cbrt(6.0 * volume / np.pi)
     return Template.of(points)
+
+
+def _middle(points: FloatArray) -> FloatArray:
+    """(3,) centre of mass of the convex hull of points (M, 3)."""
+    return np.asarray(trimesh.convex.convex_hull(points).center_mass, np.float64)
 
 
 def _checked_volume(volume: float, extents: Sequence[float] | FloatArray, path: Path) -> float:
