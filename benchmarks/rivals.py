@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Literal
 
 import numpy as np
 import torch
@@ -74,6 +76,21 @@ def ours(simulation: Simulation, surface: Surface) -> Found:
     return counted.centers, counted.diameters
 
 
+def by_road(method: Literal["template", "fruitnerf"], simulation: Simulation, surface: Surface) -> Found:
+    """A published road of the product's, given the same size; it samples points of its own (the paper's eq. 12)."""
+    if surface.sample is None:
+        return NONE
+    counted = count_fruit(
+        simulation.gaussians,
+        simulation.probability,
+        simulation.cameras,
+        CountConfig(method=method, diameter=surface.sample[1].diameter),
+        label="fruit",
+        visibility=surface.visibility,
+    )
+    return counted.centers, counted.diameters
+
+
 def by_mass(simulation: Simulation, surface: Surface) -> Found:
     """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
     if surface.sample is None:
@@ -117,6 +134,8 @@ def by_votes(simulation: Simulation, surface: Surface) -> Found:
 METHODS: Mapping[str, Callable[[Simulation, Surface], Found]] = {
     "DBSCAN + mass ratio": by_mass,
     "plain centre voting": by_votes,
+    "FruitNeRF's clustering": partial(by_road, "fruitnerf"),
+    "paper's template road": partial(by_road, "template"),
     "ours": ours,
 }
 """By name."""

@@ -243,8 +243,10 @@ class CountConfig(_Checked):
 
     threshold: float = _number(0.5, 0, 1, open=True)
     """Lowest probability at which a Gaussian belongs to the prompt."""
-    method: Literal["voting", "template"] = "voting"
-    """'voting': centre votes, sphere fits, non-maximum suppression; 'template': the paper's DBSCAN and templates."""
+    method: Literal["voting", "template", "fruitnerf"] = "voting"
+    """'voting': centre votes, sphere fits, a gate; 'template': the paper's templates; 'fruitnerf': FruitNeRF's."""
+    template: str = ""
+    """Mesh or point cloud of one fruit, for the methods 'template' and 'fruitnerf'; without it the scene or a ball."""
     select: Literal["calibrated", "dual"] = "calibrated"
     """'calibrated': by the probability of the prompt; 'dual': by the paper's two thresholds on cosines (eq. 11)."""
     tau_pos: float = _number(0.25, 0, 1)
@@ -259,6 +261,11 @@ class CountConfig(_Checked):
     """Most points sampled from the selected Gaussians; fewer where fruit are told apart with fewer."""
     seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice in counting."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.template and self.method == "voting":
+            raise ConfigError("--count.template is for --count.method template or fruitnerf; voting needs no template")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 from .config import Config
 from .counting.count import count_fruit
 from .counting.ids import NOBODY, KnownFruit
+from .counting.template_shape import read_template
 from .errors import OutputError, VocabularyError
 from .files import require_writable
 from .language.embedder import Embedder
@@ -59,6 +60,8 @@ def count_scene(
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
     if config.units.object is not None:
         check_prompts(encoder, [config.units.object])
+    if config.count.template:
+        read_template(Path(config.count.template))  # nor must a file that is no template
     stages = Stages()
     if foreign is not None:
         check_foreign(source, foreign, out)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .claims import members
 from .cluster import Clusters
-from .fruit import AuditEntry
+from .fruit import AuditEntry, Verdict
 
 IntArray = NDArray[np.int64]
 
@@ -60,6 +60,9 @@ def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbe
         return AuditEntry(component, "kept", reason, center, size, others)
     if len(spheres) == 0:
         return AuditEntry(component, "dropped", clusters.refusal(component), center, size)
+    verdict: Verdict = "split" if len(spheres) > 1 else "kept"
+    if component in clusters.findings:
+        return AuditEntry(component, verdict, clusters.findings[component], center, size, ids)
     fits = clusters.spheres.select(spheres)
     told = (
         f"covered from {fits.coverage.mean():.0%} of directions, {fits.shell.mean():.0%} of points on the surface, "
@@ -67,8 +70,8 @@ def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbe
     )
     if len(spheres) == 1:
         reason = f"one sphere of diameter {2 * fits.radii[0]:.3g}, {told}"
-        return AuditEntry(component, "kept", reason, center, size, ids)
-    return AuditEntry(component, "split", f"{len(spheres)} touching spheres, {told}", center, size, ids)
+        return AuditEntry(component, verdict, reason, center, size, ids)
+    return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {told}", center, size, ids)
 
 
 def _listed(numbers: tuple[int, ...]) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,8 @@ class Clusters:
     points: the P surface points, in an order of their own; spheres: the F accepted fruit; owners: (P,) index of the
     sphere each point belongs to, -1 none; components: (P,) index of the connected cluster a point is in; probabilities:
     (F,) that a sphere is a fruit of the prompt; refusals: why the likeliest candidate of a cluster without fruit was
-    refused, by cluster.
+    refused, by cluster; findings: why a cluster with fruit was kept, by cluster, where not by its spheres; small:
+    spheres of kind small, whatever their size.
     """
 
     points: SurfacePoints
@@ -53,6 +54,8 @@ class Clusters:
     components: IntArray
     probabilities: FloatArray
     refusals: Mapping[int, str]
+    findings: Mapping[int, str] = field(default_factory=dict)
+    small: Collection[int] = ()
 
     def refusal(self, component: int) -> str:
         """Why a cluster holds no fruit."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,10 +20,12 @@ from .account import account_for
 from .cluster import Clusters, find_fruit, search
 from .describe import describe, point_colors
 from .fruit import AuditEntry, FruitCount
+from .fruitnerf import cluster_as_fruitnerf
 from .ids import NOBODY, KnownFruit, number
 from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .template import split_by_template
+from .template_shape import read_template
 from .visibility import Picture, Visibility, draw, edge_ratio, look_at, see
 
 FloatArray = NDArray[np.float64]
@@ -62,6 +65,7 @@ def count_fruit(
 
     Raises:
         CountingError: a shape does not fit, a value is not finite, or there are no Gaussians or no cameras.
+        ConfigError, FormatError: the file that `config.template` names is missing, or no template.
     """
     chances = _checked(gaussians, probability, cameras)
     highest = float(chances.max())
@@ -129,7 +133,7 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
 def select_gaussians(gaussians: Gaussians, chances: FloatArray, config: CountConfig) -> IntArray:
     """Which Gaussians may give surface points: opaque, and with a probability (N,) that is high enough."""
     opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
-    least = config.threshold * (1.0 if config.method == "template" else FAINT)
+    least = config.threshold * (FAINT if config.method == "voting" else 1.0)
     return np.flatnonzero((chances >= least) & opaque)
 
 
@@ -172,8 +176,8 @@ def _sampled(
     diameter: float,
     config: CountConfig,
 ) -> SurfacePoints:
-    """The points that are counted in, by the road of the method."""
-    if config.method != "template":
+    """The points that are counted in: of the skin, or spread through the volume as the published roads have them."""
+    if config.method == "voting":
         return sample_enough(
             gaussians, chances, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed
         )
@@ -190,8 +194,10 @@ def _find(
     config: CountConfig,
     progress: Progress,
 ) -> Clusters:
-    if config.method == "template":
-        return split_by_template(points, size.diameter, seed=config.seed, progress=progress)
+    if config.method != "voting":
+        template = read_template(Path(config.template), seed=config.seed) if config.template else None
+        road = split_by_template if config.method == "template" else cluster_as_fruitnerf
+        return road(points, size.diameter, template, progress=progress)
     given = config.diameter is not None
     return find_fruit(search(points, size, pictures, config.threshold, given=given, progress=progress))
 

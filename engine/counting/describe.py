@@ -55,7 +55,7 @@ def describe(
                 visible_fraction=None if np.isnan(shown) else shown,
                 views=int(looks.views[index]),
                 color=colors[own[index]].mean(axis=0).round().astype(np.uint8),
-                kind="small" if diameter < SMALL * mean else kind,
+                kind="small" if index in clusters.small or diameter < SMALL * mean else kind,
                 members=seen[owners == index],
             )
         )

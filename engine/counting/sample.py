@@ -78,7 +78,7 @@ def sample_volume(
     chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
     logs = np.log(chosen.scales).sum(axis=1)
     owner = np.repeat(
-        np.arange(len(chosen)), share_out(np.exp(logs - logs.max(initial=0.0)) * chosen.opacities, budget)
+        np.arange(len(chosen)), spread_out(np.exp(logs - logs.max(initial=0.0)) * chosen.opacities, budget)
     )
     own = np.random.default_rng(seed).standard_normal((len(owner), 3)).clip(-2.0, 2.0)
     positions = chosen.means[owner] + np.einsum("pij,pj->pi", chosen.axes[owner], own * chosen.scales[owner])
@@ -212,6 +212,20 @@ def share_out(shares: FloatArray, budget: int) -> IntArray:
     rest = budget - int(counts.sum())
     counts[np.argsort(counts - exact, kind="stable")[:rest]] += 1
     return counts
+
+
+def spread_out(shares: FloatArray, budget: int) -> IntArray:
+    """Whole numbers (N,) that sum to `budget`; over any run of them within 1 of the non-negative `shares` (N,).
+
+    Where N is above the budget, largest remainders would give the largest shares one each and all others none: fruit of
+    small Gaussians would vanish.
+    """
+    total = np.cumsum(shares)
+    if len(shares) == 0 or total[-1] <= 0.0:
+        return share_out(shares, budget)
+    ends = np.floor(total * (budget / total[-1]) + 0.5).astype(np.int64)
+    ends[-1] = budget
+    return np.diff(ends, prepend=0)
 
 
 def canonical_order(gaussians: Gaussians, probability: FloatArray, selected: IntArray) -> IntArray:
