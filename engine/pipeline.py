@@ -75,6 +75,7 @@ def count_scene(
             made.scene.cameras,
             config.count,
             label=_label(prompts),
+            up=made.scene.up,
             progress=part(progress, 0.9, 0.97),
         )
     result = Result(

@@ -113,6 +113,7 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     row.label(text=f"{result.label}: {result.count}", icon="CHECKMARK")
     if result.count:
         box.label(text=f"Mean diameter {result.mean_diameter:.3g} {result.unit}")
+        draw_text(box, result.whereabouts, context)
     else:
         draw_text(box, result.zero_reason, context)
     if result.notices:

@@ -43,7 +43,7 @@ def field_docs(config_class: type) -> dict[str, str]:
 def config_properties(config_class: type) -> dict[str, Any]:
     """{field: Blender property} of a config dataclass, in its order.
 
-    A number that may be None is a property with 0 for None.
+    A number that may be None is a property with 0 for None; a list of numbers of any length is typed as text.
     """
     docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
     return {
@@ -61,7 +61,9 @@ def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
     kinds = typing.get_type_hints(config_class)
     values = {field.name: getattr(group, field.name) for field in dataclasses.fields(config_class)}
     missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
-    return config_class(**{name: None if name in missing else _plain(value) for name, value in values.items()})
+    typed = {name: value.replace(",", " ").split() for name, value in values.items() if _is_list(kinds[name])}
+    plain = {name: _plain(value) for name, value in values.items()}
+    return config_class(**{**plain, **typed, **dict.fromkeys(missing)})
 
 
 def _is_zero(value: Any) -> bool:
@@ -80,19 +82,26 @@ def _optional(kind: Any) -> bool:
     return isinstance(kind, types.UnionType | typing._UnionGenericAlias) and type(None) in typing.get_args(kind)  # type: ignore[attr-defined]
 
 
+def _is_list(kind: Any) -> bool:
+    """Whether a field holds numbers of any length."""
+    return any(Ellipsis in typing.get_args(choice) for choice in (kind, *typing.get_args(kind)))
+
+
 def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
     """The Blender property for one field."""
     words = field.name.replace("_", " ").title()
     named = {"name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "), "description": doc.rstrip(".")}
     if _optional(kind):
         (kind,) = (choice for choice in typing.get_args(kind) if choice is not type(None))
-        named["description"] += " (0: not given)"
-        default = field.default or kind()
+        named["description"] += " (empty: not given)" if _is_list(kind) else " (0: not given)"
+        default: Any = field.default or kind()
     else:
         default = field.default
     if typing.get_origin(kind) is typing.Literal:
         items = [(choice, choice.replace("-", " ").capitalize(), "") for choice in typing.get_args(kind)]
         return bpy.props.EnumProperty(items=items, default=default, **named)
+    if _is_list(kind):
+        return bpy.props.StringProperty(default=" ".join(map(str, default)), **named)
     if typing.get_origin(kind) is tuple:
         size = len(typing.get_args(kind))
         return bpy.props.FloatVectorProperty(size=size, default=default or (0.0,) * size, precision=3, **named)

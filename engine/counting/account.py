@@ -27,8 +27,11 @@ class Account:
     compound: NDArray[np.bool_]
 
 
-def account_for(clusters: Clusters, order: IntArray) -> Account:
-    """Number the spheres 1… in `order` (F,) and say of every cluster why it was kept, split or dropped."""
+def account_for(clusters: Clusters, order: IntArray, *, beyond: int = 0) -> Account:
+    """Number the spheres 1… in `order` (F,) and say of every cluster why it was kept, split or dropped.
+
+    beyond: fruit that were left out because their centres lie outside the region.
+    """
     numbers = np.empty(len(order), np.int64)
     numbers[order] = np.arange(1, len(order) + 1)
     own = members(clusters.owners, len(order))
@@ -42,13 +45,17 @@ def account_for(clusters: Clusters, order: IntArray) -> Account:
     dust = [size for component, size in enumerate(sizes) if size < DUST and not (homes == component).any()]
     if dust:
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
-        entries.append(
-            AuditEntry(
-                cluster=len(sizes), verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=int(sum(dust))
-            )
-        )
+        entries.append(_of_many(len(sizes), reason, int(sum(dust))))
+    if beyond:
+        reason = f"{beyond} fruit near the region's border have their centres outside and are not counted"
+        entries.append(_of_many(len(sizes) + 1, reason, 0))
     shared = np.array([(homes == homes[sphere]).sum() > 1 for sphere in order], bool)
     return Account(entries, numbers, shared)
+
+
+def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
+    """What was dropped without a cluster of its own."""
+    return AuditEntry(cluster=cluster, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
 
 
 def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbers: IntArray) -> AuditEntry:

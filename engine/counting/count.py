@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,7 +17,10 @@ from ..splatting.gaussians import Gaussians
 from .account import Account, account_for
 from .claims import members
 from .cluster import Clusters, find_fruit, search
-from .fruit import AuditEntry, Fruit, FruitCount, FruitKind
+from .fruit import NO_TREE, AuditEntry, Fruit, FruitCount, FruitKind, Tree
+from .ground import lying_on_ground
+from .region import REACH, Region, keep_inside, region_of, spaced
+from .row import Row, trees_of_row
 from .sample import SurfacePoints, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .sphere import Spheres
@@ -47,6 +51,7 @@ def count_fruit(
     config: CountConfig,
     *,
     label: str,
+    up: FloatArray | None = None,
     visibility: Visibility | None = None,
     progress: Progress = silent,
 ) -> FruitCount:
@@ -54,27 +59,35 @@ def count_fruit(
 
     Where a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well.
 
-    visibility: how the cameras see the Gaussians, where it is known already; rendered otherwise. Fruit are numbered
-    from 1, from top to bottom as the cameras stand. A prompt that no Gaussian satisfies is a count of 0 with one audit
-    entry that says how near it came.
+    up: (3,) away from the ground; as the cameras stand where it is not given. visibility: how the cameras see the
+    Gaussians, where it is known already; rendered otherwise. Fruit are numbered from 1, from top to bottom as the
+    cameras stand. A prompt that no Gaussian satisfies is a count of 0 with one audit entry that says how near it came.
+    With a region, size and fruit come from what lies in it; what it cuts in two is looked at whole.
 
     Raises:
-        CountingError: a shape does not fit, a value is not finite, or there are no Gaussians or no cameras.
+        ConfigError: the region is no region.
+        CountingError: a shape does not fit, a value is not finite, there are no Gaussians or no cameras, none lies in
+            the region, or there are fewer fruit than trees asked for.
     """
     chances = _checked(gaussians, probability, cameras)
-    highest = float(chances.max())
+    up = _mean_top(cameras) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
+    region = region_of(config, up)
+    means = gaussians.means.detach().double().cpu().numpy()
+    inside = _inside(region, means)
+    highest = float(chances[inside].max())
     selected = select_gaussians(gaussians, chances, config)
-    if highest < config.threshold or len(selected) == 0:
+    if highest < config.threshold or not inside[selected].any():
         return _none(highest, f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     progress(0.0, "seeing the Gaussians from each view")
     if visibility is None:
         visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
     seen = selected[visibility.weights[selected] > 0]
-    if len(seen) == 0:
-        return _none(highest, f"no view sees any of the {len(selected)} Gaussians of {label}")
-    sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
+    own = seen[inside[seen]]
+    if len(own) == 0:
+        return _none(highest, f"no view sees any of the {inside[selected].sum()} Gaussians of {label}")
+    sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.5))
     if sized is None:
-        return _none(highest, f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
+        return _none(highest, f"none of the {len(own)} Gaussians of {label} lie on anything round", len(own))
     sample = sample_volume if config.method == "template" else sample_skin
     points = sample(
         gaussians,
@@ -85,19 +98,37 @@ def count_fruit(
         seed=config.seed,
         largest=LARGEST_SCALE * sized.diameter,
     )
+    points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
         return _none(
-            highest, f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}"
+            highest, f"all {len(own)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}"
         )
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
-    clusters = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
+    found = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
+    clusters = keep_inside(found, region)
     order = _top_to_bottom(clusters.spheres.centers, cameras)
-    account = account_for(clusters, order)
+    account = account_for(clusters, order, beyond=len(found.spheres) - len(clusters.spheres))
     spheres = clusters.spheres.select(order)
     if config.diameter is None:
         spheres = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
     looks = look_at(pictures, spheres.centers, spheres.radii)
-    return _finish(gaussians, chances, seen, clusters, spheres, order, account, looks, label, highest)
+    counted = _finish(gaussians, chances, seen, clusters, spheres, order, account, looks, label, highest)
+    others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
+    lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
+    row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
+    return _placed(counted, lying, row)
+
+
+def _inside(region: Region, means: FloatArray) -> NDArray[np.bool_]:
+    """(N,) which of the means (N, 3) lie in the region; an error with the scene's extent where none does."""
+    inside = region.contains(means)
+    if not inside.any():
+        low, high = np.quantile(means, [0.01, 0.99], axis=0)
+        raise CountingError(
+            f"none of the {len(means)} Gaussians lies in the region (--count.box or --count.polygon); nearly all lie "
+            f"between {spaced(low)} and {spaced(high)}"
+        )
+    return inside
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
@@ -173,10 +204,14 @@ def _find(
     return find_fruit(search(points, size, pictures, config.threshold, given=given, progress=progress))
 
 
+def _mean_top(cameras: Sequence[Camera]) -> FloatArray:
+    """(3,) mean of the cameras' own upward axes."""
+    return -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+
+
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
     """Order of the centres (F, 3) by falling height along the mean of the cameras' own upward axes."""
-    up = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
-    return np.argsort(-(centers @ up), kind="stable").astype(np.int64)
+    return np.argsort(-(centers @ _mean_top(cameras)), kind="stable").astype(np.int64)
 
 
 def _finish(
@@ -226,6 +261,18 @@ def _finish(
         point_colors=np.round(colors).astype(np.uint8),
         point_fruit_ids=numbers[clusters.owners],
     )
+
+
+def _placed(counted: FruitCount, lying: Sequence[bool | None], row: Row | None) -> FruitCount:
+    """The fruit with what is known of where they are: on the ground or not, and on which tree."""
+    numbers = [NO_TREE] * counted.count if row is None else row.numbers.tolist()
+    fruits = [
+        replace(fruit, fallen=fallen, tree=None if number == NO_TREE else number)
+        for fruit, fallen, number in zip(counted.fruits, lying, numbers, strict=True)
+    ]
+    places = () if row is None else row.places
+    trees = [Tree(number, place, numbers.count(number)) for number, place in enumerate(places, start=1)]
+    return replace(counted, fruits=fruits, trees=trees)
 
 
 def _nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:

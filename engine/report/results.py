@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..counting.fruit import AuditEntry, Fruit, FruitCount
+from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..errors import FormatError, OutputError
 from ..files import file_hash, text_hash
 from .words import place
@@ -62,6 +62,9 @@ def fruits_document(
         "total_interval": fruit_count.total_interval,
         "unit": "scene units" if metres_per_unit is None else "m",
         "metres_per_unit": metres_per_unit,
+        "hanging": fruit_count.hanging,
+        "fallen": fruit_count.fallen,
+        "trees": [_tree_entry(tree) for tree in fruit_count.trees],
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
         "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
         "audit": {
@@ -88,7 +91,14 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
         "views": fruit.views,
         "color": [int(value) for value in fruit.color],
         "kind": fruit.kind,
+        "fallen": fruit.fallen,
+        "tree": fruit.tree,
     }
+
+
+def _tree_entry(tree: Tree) -> dict[str, Any]:
+    position = [round(float(value), 6) for value in tree.position]
+    return {"number": tree.number, "position": position, "count": tree.count, "interval": None}
 
 
 def _audit_entry(entry: AuditEntry) -> dict[str, Any]:

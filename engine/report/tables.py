@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import nothing_found, place
+from .words import nothing_found, place, whereabouts
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -20,7 +20,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["id", "label", "x_units", "y_units", "z_units", f"diameter_{unit}", f"diameter_sd_{unit}", f"volume_{unit}3"]
-        + ["probability", "visible_fraction", "views", "red", "green", "blue", "kind"]
+        + ["probability", "visible_fraction", "views", "red", "green", "blue", "kind", "fallen", "tree"]
     )
     for fruit in fruit_count.fruits:
         visible = "" if fruit.visible_fraction is None else f"{fruit.visible_fraction:.4f}"
@@ -28,6 +28,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
             [fruit.id, fruit.label, *(f"{value:.6f}" for value in fruit.center)]
             + [f"{fruit.diameter * scale:.6f}", f"{fruit.diameter_sd * scale:.6f}", f"{fruit.volume * scale**3:.6g}"]
             + [f"{fruit.probability:.4f}", visible, fruit.views, *fruit.color.tolist(), fruit.kind]
+            + ["" if fruit.fallen is None else str(fruit.fallen).lower(), "" if fruit.tree is None else fruit.tree]
         )
     return text.getvalue()
 
@@ -48,6 +49,7 @@ def summary(
     unit, scale = ("units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
     lines = [f"{prompt}: {fruit_count.count} visible fruit"]
     if fruit_count.fruits:
+        lines += [f"  {where}" for where in whereabouts(fruit_count)]
         lines += _sizes(fruit_count.fruits, unit, scale)
         lines += ["", *_fruit_rows(fruit_count.fruits[:rows], unit, scale)]
         if fruit_count.count > rows:
