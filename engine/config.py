@@ -67,7 +67,9 @@ def _finite(values: Any) -> tuple[float, ...]:
 
 def _spaced(values: Any) -> str:
     """A list as it is typed on a command line."""
-    return " ".join(map(str, values)) if isinstance(values, tuple | list) else repr(values)
+    if not isinstance(values, tuple | list):
+        return repr(values)
+    return " ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,10 +290,14 @@ class CountConfig(_Checked):
             raise ConfigError("--count.box and --count.polygon are both given; use one of them")
         if self.box is not None and any(self.box[axis] == self.box[axis + 3] for axis in range(3)):
             raise ConfigError(f"--count.box {_spaced(self.box)} has no volume; its corners must differ in x, y and z")
-        if self.tree_places is not None and self.trees not in (0, len(self.tree_places) // 3):
+        if self.tree_places is None:
+            return
+        places = {self.tree_places[start : start + 3] for start in range(0, len(self.tree_places), 3)}
+        if 3 * len(places) < len(self.tree_places):
+            raise ConfigError("--count.tree-places names one place twice; give every tree a place of its own")
+        if self.trees not in (0, len(places)):
             raise ConfigError(
-                f"--count.trees is {self.trees} and --count.tree-places has {len(self.tree_places) // 3} trees; "
-                "leave one of them out"
+                f"--count.trees is {self.trees} and --count.tree-places has {len(places)} trees; leave one of them out"
             )
 
     def _check_places(self, name: str, enough: Callable[[int], bool], expected: str) -> None:

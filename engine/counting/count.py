@@ -14,6 +14,7 @@ from ..errors import CountingError
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
+from ..splatting.viewpoints import find_subject
 from .account import Account, account_for
 from .claims import members
 from .cluster import Clusters, find_fruit, search
@@ -72,8 +73,7 @@ def count_fruit(
     chances = _checked(gaussians, probability, cameras)
     up = _mean_top(cameras) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
     region = region_of(config, up)
-    means = gaussians.means.detach().double().cpu().numpy()
-    inside = _inside(region, means)
+    inside = _inside(region, gaussians)
     highest = float(chances[inside].max())
     selected = select_gaussians(gaussians, chances, config)
     if highest < config.threshold or not inside[selected].any():
@@ -119,14 +119,15 @@ def count_fruit(
     return _placed(counted, lying, row)
 
 
-def _inside(region: Region, means: FloatArray) -> NDArray[np.bool_]:
-    """(N,) which of the means (N, 3) lie in the region; an error with the scene's extent where none does."""
-    inside = region.contains(means)
+def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
+    """(N,) which Gaussians lie in the region; an error with the scene's extent where none does."""
+    inside = region.contains(gaussians.means.detach().double().cpu().numpy())
     if not inside.any():
-        low, high = np.quantile(means, [0.01, 0.99], axis=0)
+        subject = find_subject(gaussians)
         raise CountingError(
-            f"none of the {len(means)} Gaussians lies in the region (--count.box or --count.polygon); nearly all lie "
-            f"between {spaced(low)} and {spaced(high)}"
+            f"none of the {len(inside)} Gaussians lies in the region (--count.box or --count.polygon); the scene's "
+            f"detail lies between {spaced(subject.center - subject.radius)} and "
+            f"{spaced(subject.center + subject.radius)}"
         )
     return inside
 

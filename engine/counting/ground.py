@@ -16,15 +16,14 @@ from ..splatting.viewpoints import Subject
 FloatArray = NDArray[np.float64]
 
 FALLEN = 0.5
-"""Diameters above the ground below which the lowest point of a fruit that lies on it is."""
+"""Median diameters above the ground below which a fruit on it has its lowest point. Measured on true surfaces and on
+trained Gaussians of 5 scenes: fallen fruit have it up to 0.34 above, hanging ones from 2.6."""
 NEARNESS = 0.5
 """The subject's radius over the distance from which it was photographed."""
 AROUND = 0.15
 """Radii of the subject about a fruit's foot in which the ground's own height is looked up."""
 RELIEF = 0.12
 """Radii of the subject by which the ground may rise above its plane or lie below it."""
-LOW = 0.25
-"""Share of the ground about a fruit that lies lower than its foot: grass stands above the ground."""
 LEAST_OPACITY = 0.3
 FEWEST = 10
 """Gaussians about a foot from which a height is told."""
@@ -70,4 +69,4 @@ def _relief(gaussians: Gaussians, plane: Plane, centers: FloatArray, radius: flo
     means, above = means[near], above[near]
     feet = centers - plane.above(centers)[:, None] * plane.normal
     around = cKDTree(means - above[:, None] * plane.normal).query_ball_point(feet, AROUND * radius)
-    return np.array([np.quantile(above[own], LOW) if len(own) >= FEWEST else np.nan for own in around])
+    return np.array([np.median(above[own]) if len(own) >= FEWEST else np.nan for own in around])
