@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -158,6 +157,6 @@ def _between(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
     return bool((c >= np.minimum(a, b)).all() and (c <= np.maximum(a, b)).all())
 
 
-def spaced(place: Sequence[float]) -> str:
-    """A place as flags take it."""
+def spaced(place: FloatArray) -> str:
+    """A place (3,) as flags take it."""
     return " ".join(f"{value:.3g}" for value in place)

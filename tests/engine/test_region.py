@@ -89,6 +89,13 @@ def test_the_audit_says_how_many_fruit_at_the_border_lie_outside(tree: sim.Simul
     assert sorted(own) == [fruit.id for fruit in part.fruits]
 
 
+def test_a_region_beside_a_fruits_centre_holds_none_of_it(tree: sim.Simulation, whole: FruitCount) -> None:
+    rightmost = whole.fruits[int(whole.centers[:, 0].argmax())]
+    result = counted(tree, dataclasses.replace(boxed(rightmost.center[0] + 0.2, FAR), diameter=1.0))
+    assert result.count == 0
+    assert any("outside and are not counted" in entry.reason for entry in result.audit)
+
+
 def test_a_region_that_holds_everything_changes_nothing(tree: sim.Simulation, whole: FruitCount) -> None:
     result = counted(tree, boxed(-FAR, FAR))
     np.testing.assert_array_equal(result.centers, whole.centers)
