@@ -6,7 +6,7 @@ Field docstrings (the string below a field) are the text of the flag and of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, Literal
 
@@ -56,6 +56,22 @@ class _Checked:
                 raise ConfigError(f"{flag} is {value}; use {allowed}")
 
 
+def _finite(values: Any) -> tuple[float, ...]:
+    """The values as finite numbers; empty where they are no such list."""
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        return ()
+    return numbers if all(map(math.isfinite, numbers)) else ()
+
+
+def _spaced(values: Any) -> str:
+    """A list as it is typed on a command line."""
+    if not isinstance(values, tuple | list):
+        return repr(values)
+    return " ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig(_Checked):
     """How photos and cameras are read."""
@@ -71,11 +87,8 @@ class SceneConfig(_Checked):
         super().__post_init__()
         if self.up is None:
             return
-        try:
-            up = tuple(float(value) for value in self.up)
-        except TypeError:
-            up = ()
-        if len(up) != 3 or not all(map(math.isfinite, up)) or not any(up):
+        up = _finite(self.up)
+        if len(up) != 3 or not any(up):
             raise ConfigError(f"--scene.up is {self.up}; use three finite numbers, not all 0, for example 0 0 1")
         object.__setattr__(self, "up", up)  # JSON gives lists
 
@@ -259,6 +272,14 @@ class CountConfig(_Checked):
     """Mean fruit diameter in scene units; estimated from the scene when not given."""
     sample_budget: int = _number(500_000, 100, 100_000_000)
     """Most points sampled from the selected Gaussians; fewer where fruit are told apart with fewer."""
+    box: tuple[float, float, float, float, float, float] | None = None
+    """Count in this box only: two opposite corners x y z x y z in the scene's frame."""
+    polygon: tuple[float, ...] | None = None
+    """Count in this outline only, at any height: three or more corners x y z x y z … in the scene's frame, in order."""
+    trees: int = _number(0, 0, 10_000)
+    """Trees of the row that fruit are shared out among; 0 asks for no counts by tree."""
+    tree_places: tuple[float, ...] | None = None
+    """Where the trees of the row stand, x y z x y z … in the scene's frame; found from the fruit when not given."""
     seed: int = _number(0, 0, LARGEST)
     """Seed of every random choice in counting."""
 
@@ -266,6 +287,33 @@ class CountConfig(_Checked):
         super().__post_init__()
         if self.template and self.method == "voting":
             raise ConfigError("--count.template is for --count.method template or fruitnerf; voting needs no template")
+        self._check_places("box", lambda n: n == 2, "two opposite corners, x y z x y z")
+        self._check_places("polygon", lambda n: n >= 3, "three or more corners, x y z each")
+        self._check_places("tree_places", lambda n: n >= 1, "x y z of each tree")
+        if self.box is not None and self.polygon is not None:
+            raise ConfigError("--count.box and --count.polygon are both given; use one of them")
+        if self.box is not None and any(self.box[axis] == self.box[axis + 3] for axis in range(3)):
+            raise ConfigError(f"--count.box {_spaced(self.box)} has no volume; its corners must differ in x, y and z")
+        if self.tree_places is None:
+            return
+        places = {self.tree_places[start : start + 3] for start in range(0, len(self.tree_places), 3)}
+        if 3 * len(places) < len(self.tree_places):
+            raise ConfigError("--count.tree-places names one place twice; give every tree a place of its own")
+        if self.trees not in (0, len(places)):
+            raise ConfigError(
+                f"--count.trees is {self.trees} and --count.tree-places has {len(places)} trees; leave one of them out"
+            )
+
+    def _check_places(self, name: str, enough: Callable[[int], bool], expected: str) -> None:
+        """Make the setting a tuple of finite numbers, three a place."""
+        given = getattr(self, name)
+        if given is None:
+            return
+        numbers = _finite(given)
+        if len(numbers) % 3 or not enough(len(numbers) // 3):
+            flag = f"--count.{name.replace('_', '-')}"
+            raise ConfigError(f"{flag} is {_spaced(given)}; use {expected}, all finite numbers in the scene's frame")
+        object.__setattr__(self, name, numbers)  # JSON gives lists, Blender text
 
 
 @dataclass(frozen=True, kw_only=True)

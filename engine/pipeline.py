@@ -84,6 +84,7 @@ def count_scene(
             config.count,
             label=_label(prompts),
             known=_known(made, source, out),
+            up=made.scene.up,
             progress=part(progress, 0.9, 0.97),
         )
     result = Result(

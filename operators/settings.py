@@ -43,7 +43,8 @@ def field_docs(config_class: type) -> dict[str, str]:
 def config_properties(config_class: type) -> dict[str, Any]:
     """{field: Blender property} of a config dataclass, in its order.
 
-    Where None is allowed, 0 stands for it, or an empty text; several texts are one, with commas.
+    Where None is allowed, 0 stands for it, or an empty text; several texts are one, with commas, and a list of numbers
+    of any length is typed as text.
     """
     docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
     return {
@@ -64,7 +65,9 @@ def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
         if _is_texts(kinds[name]):
             values[name] = tuple(read_words(values[name]))
     missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
-    return config_class(**{name: None if name in missing else _plain(value) for name, value in values.items()})
+    typed = {name: value.replace(",", " ").split() for name, value in values.items() if _is_list(kinds[name])}
+    plain = {name: _plain(value) for name, value in values.items()}
+    return config_class(**{**plain, **typed, **dict.fromkeys(missing)})
 
 
 def _is_zero(value: Any) -> bool:
@@ -94,13 +97,19 @@ def _is_texts(kind: Any) -> bool:
     return typing.get_origin(given) is tuple and set(typing.get_args(given)) == {str}
 
 
+def _is_list(kind: Any) -> bool:
+    """Whether a field holds numbers of any length."""
+    return any(Ellipsis in typing.get_args(choice) for choice in (kind, *typing.get_args(kind)))
+
+
 def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
     """The Blender property for one field."""
     words = field.name.replace("_", " ").title()
     named = {"name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "), "description": doc.rstrip(".")}
     if _optional(kind):
         kind = _given(kind)
-        named["description"] += " (empty: not given)" if kind is str or _is_texts(kind) else " (0: not given)"
+        typed = kind is str or _is_texts(kind) or _is_list(kind)
+        named["description"] += " (empty: not given)" if typed else " (0: not given)"
         default: Any = field.default or kind()
     else:
         default = field.default
@@ -109,6 +118,8 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
         return bpy.props.EnumProperty(items=items, default=default, **named)
     if _is_texts(kind):
         return bpy.props.StringProperty(default=", ".join(default), **named)
+    if _is_list(kind):
+        return bpy.props.StringProperty(default=" ".join(map(str, default)), **named)
     if typing.get_origin(kind) is tuple:
         size = len(typing.get_args(kind))
         return bpy.props.FloatVectorProperty(size=size, default=default or (0.0,) * size, precision=3, **named)

@@ -43,7 +43,7 @@ def write_fruits(
     Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
     world) and carries the custom properties of its row in `fruits.json`: id, label, diameter (metres where
     metres_per_unit is known, else scene units), probability, visible_fraction (absent where not measured), views, color
-    and kind.
+    and kind, fallen and tree (absent where not known).
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -86,6 +86,9 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
     item["views"] = int(fruit.views)
     item["color"] = [float(value) / 255.0 for value in fruit.color]
     item["kind"] = str(fruit.kind)
+    for key, known in (("fallen", fruit.fallen), ("tree", fruit.tree)):
+        if known is not None:
+            item[key] = known
     for key, text in (
         ("probability", "Probability of being a fruit of the prompt"),
         ("visible_fraction", "Largest share of it that any photo shows"),

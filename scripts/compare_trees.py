@@ -2,32 +2,37 @@
 
     python scripts/compare_trees.py RESULT_DIR --truth truth.json
 
-The truth says for each fruit on which tree it hangs; a counted fruit belongs to the nearest tree along the row, or to
-the box it lies in where --trees gives boxes. Prints a row a tree, then mean absolute percentage error, bias and R²:
-against visible fruit and against all.
+The truth says for each fruit on which tree it hangs. A counted fruit belongs to the tree that the result itself gives
+it (--count.trees); where it gives none, or with --trees, to the nearest tree along the row, or to the box it lies in
+where --trees gives boxes. Prints a row a tree, then mean absolute percentage error, bias and R²: against visible fruit
+and against all.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from _terminal import arguments_of, run, table
+from fruitlangs.engine.counting.fruit import NO_TREE
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.trees import (
     TreeComparison,
+    TreePlaces,
     assign_to_trees,
     compare,
     places_of,
     read_places,
     tally,
 )
-from fruitlangs.engine.evaluation.truth import NO_TREE, read_truth, true_labels
+from fruitlangs.engine.evaluation.truth import read_truth, true_labels
 from fruitlangs.engine.report.results import read_results
 
 
@@ -58,10 +63,23 @@ def compare_row(
     if numbers is None or not numbers.any():
         raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on; expected a number as its tree")
     places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
-    centers = np.array([fruit["center"] for fruit in document["fruits"]], dtype=np.float64).reshape(-1, 3)
-    counted = assign_to_trees(centers, places)
+    if trees_file is None and document.get("trees"):
+        counted = own_trees(document, places)
+    else:
+        counted = assign_to_trees(_rows(fruit["center"] for fruit in document["fruits"]), places)
     trees = np.union1d(places.numbers, numbers[numbers != NO_TREE])
     return compare(tally(numbers[truth.visible], trees), counted), compare(tally(numbers, trees), counted)
+
+
+def own_trees(document: Mapping[str, Any], places: TreePlaces) -> NDArray[np.int64]:
+    """(P,) true number of the tree that a result gives each of its fruit: that of the true tree where it found it."""
+    stand = assign_to_trees(_rows(tree["position"] for tree in document["trees"]), places)
+    numbers = {tree["number"]: int(true) for tree, true in zip(document["trees"], stand, strict=True)}
+    return np.array([numbers.get(fruit["tree"], NO_TREE) for fruit in document["fruits"]], dtype=np.int64)
+
+
+def _rows(places: Iterable[Sequence[float]]) -> NDArray[np.float64]:
+    return np.array(list(places), dtype=np.float64).reshape(-1, 3)
 
 
 def comparison_table(visible: TreeComparison, total: TreeComparison) -> str:

@@ -25,8 +25,12 @@ class Account:
     compound: NDArray[np.bool_]
 
 
-def account_for(clusters: Clusters, numbers: IntArray) -> Account:
-    """Say of every cluster why it was kept, split or dropped; numbers: (F,) the fruit id of each sphere."""
+def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Account:
+    """Say of every cluster why it was kept, split, merged or dropped.
+
+    numbers: (F,) the fruit id of each sphere; beyond: fruit that were left out because their centres lie outside the
+    region.
+    """
     own = members(clusters.owners, len(numbers))
     homes = np.array([np.bincount(clusters.components[each]).argmax() for each in own], np.int64)
     sizes = np.bincount(clusters.components)
@@ -38,12 +42,16 @@ def account_for(clusters: Clusters, numbers: IntArray) -> Account:
     dust = [size for component, size in enumerate(sizes) if size < DUST and not (homes == component).any()]
     if dust:
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
-        entries.append(
-            AuditEntry(
-                cluster=len(sizes), verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=int(sum(dust))
-            )
-        )
+        entries.append(_of_many(len(sizes), reason, int(sum(dust))))
+    if beyond:
+        reason = f"{beyond} fruit near the region's border have their centres outside and are not counted"
+        entries.append(_of_many(len(sizes) + 1, reason, 0))
     return Account(entries, np.array([(homes == home).sum() > 1 for home in homes], bool))
+
+
+def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
+    """What was dropped without a cluster of its own."""
+    return AuditEntry(cluster=cluster, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
 
 
 def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbers: IntArray) -> AuditEntry:

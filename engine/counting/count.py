@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,12 +16,16 @@ from ..errors import CountingError
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
+from ..splatting.viewpoints import find_subject
 from .account import account_for
 from .cluster import Clusters, find_fruit, search
-from .describe import describe, point_colors
+from .describe import describe, place_fruit, point_colors
 from .fruit import AuditEntry, FruitCount
 from .fruitnerf import cluster_as_fruitnerf
+from .ground import lying_on_ground
 from .ids import NOBODY, KnownFruit, number
+from .region import REACH, Region, keep_inside, region_of, spaced
+from .row import trees_of_row
 from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .template import split_by_template
@@ -50,53 +54,63 @@ def count_fruit(
     config: CountConfig,
     *,
     label: str,
+    up: FloatArray | None = None,
     visibility: Visibility | None = None,
     known: KnownFruit = NOBODY,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit that the Gaussians with a probability (N,) near or above `config.threshold` make up.
 
-    Where a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well.
+    Where a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well. With a region,
+    size and fruit come from what lies in it; what it cuts in two is looked at whole. A prompt that no Gaussian
+    satisfies is a count of 0 with one audit entry that says how near it came.
 
-    visibility: how the cameras see the Gaussians, where it is known already; rendered otherwise; known: fruit that an
-    earlier count of the scene numbered, whose ids stay. New fruit are numbered from top to bottom as the cameras stand,
-    from 1 or after the last id. A prompt that no Gaussian satisfies is a count of 0 with one audit
-    entry that says how near it came.
+    up: (3,) away from the ground; as the cameras stand where it is not given. visibility: how the cameras see the
+    Gaussians, where it is known already; rendered otherwise. known: fruit that an earlier count of the scene numbered,
+    whose ids stay; new fruit are numbered from top to bottom as the cameras stand, from 1 or after the last id.
 
     Raises:
-        CountingError: a shape does not fit, a value is not finite, or there are no Gaussians or no cameras.
-        ConfigError, FormatError: the file that `config.template` names is missing, or no template.
+        ConfigError: the region is no region, or the file that `config.template` names is missing.
+        FormatError: that file holds no template.
+        CountingError: a shape does not fit, a value is not finite, there are no Gaussians or no cameras, none lies in
+            the region, or there are fewer fruit than trees asked for.
     """
     chances = _checked(gaussians, probability, cameras)
-    highest = float(chances.max())
+    up = _mean_top(cameras) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
+    region = region_of(config, up)
+    inside = _inside(region, gaussians)
+    highest = float(chances[inside].max())
     nothing = partial(_none, highest, known)
     selected = select_gaussians(gaussians, chances, config)
-    if highest < config.threshold or len(selected) == 0:
+    if highest < config.threshold or not inside[selected].any():
         return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     progress(0.0, "seeing the Gaussians from each view")
     if visibility is None:
         visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
     seen = selected[visibility.weights[selected] > 0]
-    if len(seen) == 0:
-        return nothing(f"no view sees any of the {len(selected)} Gaussians of {label}")
-    sized = fruit_size(gaussians, chances, visibility, seen, config, part(progress, 0.3, 0.5))
+    own = seen[inside[seen]]
+    if len(own) == 0:
+        return nothing(f"no view sees any of the {inside[selected].sum()} Gaussians of {label}")
+    sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.5))
     if sized is None:
-        return nothing(f"none of the {len(seen)} Gaussians of {label} lie on anything round", len(seen))
+        return nothing(f"none of the {len(own)} Gaussians of {label} lie on anything round", len(own))
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
+    points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        return nothing(f"all {len(seen)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
+        return nothing(f"all {len(own)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
-    clusters = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
+    found = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
+    clusters = keep_inside(found, region)
     if config.diameter is None:
         spheres = clusters.spheres
         grown = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
-        clusters = dataclasses.replace(clusters, spheres=grown)
+        clusters = replace(clusters, spheres=grown)
     spheres = clusters.spheres
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
     numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)
-    account = account_for(clusters, numbers)
+    account = account_for(clusters, numbers, beyond=len(found.spheres) - len(spheres))
     looks = look_at(pictures, spheres.centers, spheres.radii, config.threshold)
-    return FruitCount(
+    counted = FruitCount(
         fruits=describe(gaussians, seen, clusters, numbers, account.compound, looks, label),
         audit=account.entries,
         max_probability=highest,
@@ -106,6 +120,23 @@ def count_fruit(
         point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
     )
+    others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
+    lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
+    row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
+    return place_fruit(counted, lying, row)
+
+
+def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
+    """(N,) which Gaussians lie in the region; an error with the scene's extent where none does."""
+    inside = region.contains(gaussians.means.detach().double().cpu().numpy())
+    if not inside.any():
+        subject = find_subject(gaussians)
+        raise CountingError(
+            f"none of the {len(inside)} Gaussians lies in the region (--count.box or --count.polygon); the scene's "
+            f"detail lies between {spaced(subject.center - subject.radius)} and "
+            f"{spaced(subject.center + subject.radius)}"
+        )
+    return inside
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
@@ -202,10 +233,14 @@ def _find(
     return find_fruit(search(points, size, pictures, config.threshold, given=given, progress=progress))
 
 
+def _mean_top(cameras: Sequence[Camera]) -> FloatArray:
+    """(3,) mean of the cameras' own upward axes."""
+    return -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+
+
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
     """Order of the centres (F, 3) by falling height along the mean of the cameras' own upward axes."""
-    up = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
-    return np.argsort(-(centers @ up), kind="stable").astype(np.int64)
+    return np.argsort(-(centers @ _mean_top(cameras)), kind="stable").astype(np.int64)
 
 
 def _none(highest: float, known: KnownFruit, reason: str, points: int = 0) -> FruitCount:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..splatting.gaussians import Gaussians
 from .claims import members
 from .cluster import Clusters
-from .fruit import Fruit, FruitKind
+from .fruit import NO_TREE, Fruit, FruitCount, FruitKind, Tree
+from .row import Row
 from .visibility import Looks
 
 FloatArray = NDArray[np.float64]
@@ -60,6 +64,18 @@ def describe(
             )
         )
     return fruits
+
+
+def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | None) -> FruitCount:
+    """The fruit with what is known of where they are: on the ground or not, and on which tree."""
+    numbers = [NO_TREE] * counted.count if row is None else row.numbers.tolist()
+    fruits = [
+        replace(fruit, fallen=fallen, tree=None if number == NO_TREE else number)
+        for fruit, fallen, number in zip(counted.fruits, lying, numbers, strict=True)
+    ]
+    places = () if row is None else row.places
+    trees = [Tree(number, place, numbers.count(number)) for number, place in enumerate(places, start=1)]
+    return replace(counted, fruits=fruits, trees=trees)
 
 
 def point_colors(gaussians: Gaussians, clusters: Clusters) -> FloatArray:

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 FruitKind = Literal["single", "small", "compound-part"]
 Verdict = Literal["kept", "split", "dropped"]
 
+NO_TREE = 0
+"""The number of a fruit that belongs to no tree of the row."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fruit:
@@ -20,7 +23,9 @@ class Fruit:
     center: (3,) in the scene's frame; diameter, diameter_sd: scene units; volume: cubed scene units; probability that
     it is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
     views: how many show at least a tenth of it; color: (3,) mean sRGB of its surface, which tells how ripe it is; kind:
-    single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of.
+    single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of; fallen: whether
+    it lies on the ground, None where no ground is seen; tree: the number of its tree, from 1, None where no trees were
+    asked for or it belongs to none.
     """
 
     id: int
@@ -35,6 +40,17 @@ class Fruit:
     color: NDArray[np.uint8]
     kind: FruitKind
     members: NDArray[np.int64]
+    fallen: bool | None = None
+    tree: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """One tree of a row. number: from 1 along the row; position: (3,) in the scene's frame; count: of its fruit."""
+
+    number: int
+    position: NDArray[np.float64]
+    count: int
 
 
 @dataclass(frozen=True)
@@ -54,8 +70,9 @@ class FruitCount:
     """The fruit of one prompt in one scene.
 
     count: visible fruit = len(fruits); interval, total and total_interval are None until counting estimates them;
-    mean_diameter: scene units, None when there is no fruit; last_id: the highest id that this and earlier counts of the
-    scene gave; max_probability: the highest any Gaussian reached;
+    trees: those of the row, where they were asked for; mean_diameter: scene units, None when there is no fruit;
+    last_id: the highest id that this and earlier counts of the scene gave; max_probability: the highest any Gaussian
+    reached;
     points, point_fruit_ids: (P, 3) and (P,) the sampled surface points with the id of their fruit (-1 none);
     point_colors: (P, 3) uint8 sRGB.
     """
@@ -71,10 +88,25 @@ class FruitCount:
     interval: tuple[float, float] | None = None
     total: float | None = None
     total_interval: tuple[float, float] | None = None
+    trees: Sequence[Tree] = ()
 
     @property
     def count(self) -> int:
         return len(self.fruits)
+
+    @property
+    def hanging(self) -> int | None:
+        """Fruit that do not lie on the ground; None where no ground is seen under any."""
+        return self._known(False)
+
+    @property
+    def fallen(self) -> int | None:
+        """Fruit on the ground; None where no ground is seen under any."""
+        return self._known(True)
+
+    def _known(self, fallen: bool) -> int | None:
+        known = [fruit.fallen for fruit in self.fruits if fruit.fallen is not None]
+        return known.count(fallen) if known else None
 
     @property
     def centers(self) -> NDArray[np.float64]:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..counting.fruit import NO_TREE
+from ..counting.row import nearest_along
 from ..errors import FormatError
 from .number_table import read_numbers
-from .truth import NO_TREE
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -82,16 +83,8 @@ def assign_to_trees(centers: FloatArray, places: TreePlaces) -> IntArray:
     if places.are_boxes:
         inside = ((centers[:, None] >= places.low) & (centers[:, None] <= places.high)).all(axis=2)
         distances = np.where(inside, np.linalg.norm(centers[:, None] - middles, axis=2), np.inf)
-        reachable = inside.any(axis=1)
-    elif len(middles) == 1:
-        return np.full(len(centers), places.numbers[0], dtype=np.int64)
-    else:
-        axis = np.linalg.svd(middles - middles.mean(axis=0))[2][0]
-        along, stations = centers @ axis, middles @ axis
-        beyond = 0.5 * float(np.median(np.diff(np.sort(stations))))
-        distances = np.abs(along[:, None] - stations)
-        reachable = (along >= stations.min() - beyond) & (along <= stations.max() + beyond)
-    return np.where(reachable, places.numbers[distances.argmin(axis=1)], NO_TREE)
+        return np.where(inside.any(axis=1), places.numbers[distances.argmin(axis=1)], NO_TREE)
+    return np.append(places.numbers, NO_TREE)[nearest_along(centers, middles)]
 
 
 def compare(true: TreeCounts, counted: IntArray) -> TreeComparison:

@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..counting.fruit import NO_TREE
 from ..errors import FormatError, VocabularyError
 from ..language.vocabulary import parse
-
-NO_TREE = 0
-"""The number of a fruit that belongs to no tree of the row."""
 
 
 @dataclass(frozen=True, eq=False)

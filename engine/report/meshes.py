@@ -47,6 +47,8 @@ def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> N
             "views": fruit.views,
             "color": fruit.color.tolist(),
             "kind": fruit.kind,
+            "fallen": fruit.fallen,
+            "tree": fruit.tree,
         }
         name = object_name(fruit)
         pose = rotation @ trimesh.transformations.translation_matrix(fruit.center)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..counting.fruit import AuditEntry, Fruit, FruitCount
+from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..counting.ids import NOBODY, KnownFruit
 from ..errors import FormatError, FruitLangsError, OutputError
 from ..files import file_hash, text_hash
@@ -66,6 +66,9 @@ def fruits_document(
         "last_id": fruit_count.last_id,
         "unit": "scene units" if metres_per_unit is None else "m",
         "metres_per_unit": metres_per_unit,
+        "hanging": fruit_count.hanging,
+        "fallen": fruit_count.fallen,
+        "trees": [_tree_entry(tree) for tree in fruit_count.trees],
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
         "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
         "audit": {
@@ -92,7 +95,14 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
         "views": fruit.views,
         "color": [int(value) for value in fruit.color],
         "kind": fruit.kind,
+        "fallen": fruit.fallen,
+        "tree": fruit.tree,
     }
+
+
+def _tree_entry(tree: Tree) -> dict[str, Any]:
+    position = [round(float(value), 6) for value in tree.position]
+    return {"number": tree.number, "position": position, "count": tree.count, "interval": None}
 
 
 def _audit_entry(entry: AuditEntry) -> dict[str, Any]:

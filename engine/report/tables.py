@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import length_unit, nothing_found, place, three_digits
+from .words import length_unit, nothing_found, place, three_digits, whereabouts
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -23,6 +23,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
     writer.writerow(
         ["id", "label", "x_units", "y_units", "z_units", f"diameter_{unit}", f"diameter_sd_{unit}"]
         + [f"volume_{volume_unit}", "probability", "visible_fraction", "views", "red", "green", "blue", "kind"]
+        + ["fallen", "tree"]
     )
     for fruit in fruit_count.fruits:
         visible = "" if fruit.visible_fraction is None else f"{fruit.visible_fraction:.4f}"
@@ -31,6 +32,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
             + [f"{value * scale:.{decimals}f}" for value in (fruit.diameter, fruit.diameter_sd)]
             + [f"{fruit.volume * volume_scale:.6g}"]
             + [f"{fruit.probability:.4f}", visible, fruit.views, *fruit.color.tolist(), fruit.kind]
+            + ["" if fruit.fallen is None else str(fruit.fallen).lower(), "" if fruit.tree is None else fruit.tree]
         )
     return text.getvalue()
 
@@ -50,6 +52,7 @@ def summary(
     """
     lines = [f"{prompt}: {fruit_count.count} visible fruit"]
     if fruit_count.fruits:
+        lines += [f"  {where}" for where in whereabouts(fruit_count)]
         lines += _sizes(fruit_count, metres_per_unit)
         lines += ["", *_fruit_rows(fruit_count.fruits[:rows], metres_per_unit)]
         if fruit_count.count > rows:

@@ -18,6 +18,21 @@ def place(entry: AuditEntry) -> tuple[float, float, float] | None:
     return entry.center if any(entry.center) else None
 
 
+def whereabouts(fruit_count: FruitCount) -> list[str]:
+    """Where counted fruit are, a sentence each: hanging or on the ground, and on which tree of the row."""
+    hanging, fallen = fruit_count.hanging, fruit_count.fallen
+    if hanging is None or fallen is None:
+        told = ["hanging or fallen: not known, no ground is seen"]
+    else:
+        unknown = fruit_count.count - hanging - fallen
+        told = [f"{hanging} hanging, {fallen} on the ground" + (f", {unknown} not known" if unknown else "")]
+    if fruit_count.trees:
+        counts = ", ".join(f"{tree.count} on tree {tree.number}" for tree in fruit_count.trees)
+        elsewhere = sum(fruit.tree is None for fruit in fruit_count.fruits)
+        told.append(counts + (f", {elsewhere} on none of them" if elsewhere else ""))
+    return told
+
+
 def nothing_found(fruit_count: FruitCount, threshold: float) -> str:
     """Why there is no fruit: nothing reached `threshold`, or what reached it has not the form of a fruit."""
     highest = fruit_count.max_probability

@@ -83,6 +83,23 @@ def test_the_tooltip_of_a_text_that_may_be_left_out_says_how(extension):
     assert properties["points"].description.endswith("(0: not given)")
 
 
+def test_a_box_of_zeros_means_not_given_and_an_outline_is_typed_as_numbers(extension):
+    count = bpy.context.scene.fruitlangs.config.count
+    read = conversions.read_config(bpy.context.scene.fruitlangs).count
+    assert (read.box, read.polygon, read.tree_places) == (None, None, None)
+    count.polygon, count.tree_places = "0 0 0, 1.5 0 0, 1.5 2 0", "1 2 3"
+    read = conversions.read_config(bpy.context.scene.fruitlangs).count
+    assert (read.polygon, read.tree_places) == ((0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 1.5, 2.0, 0.0), (1.0, 2.0, 3.0))
+    count.polygon, count.box = "", (0.0, 0.0, 0.1, 1.0, 1.0, 2.0)
+    assert conversions.read_config(bpy.context.scene.fruitlangs).count.box == (0.0, 0.0, 0.1, 1.0, 1.0, 2.0)
+
+
+def test_an_outline_that_is_no_numbers_is_the_configs_own_error(extension):
+    bpy.context.scene.fruitlangs.config.count.polygon = "here 0 0"
+    with pytest.raises(ConfigError, match=r"--count\.polygon is here 0 0"):
+        conversions.read_config(bpy.context.scene.fruitlangs)
+
+
 def test_a_senseless_value_is_the_configs_own_error(extension):
     bpy.context.scene.fruitlangs.config.count.threshold = 1.0
     with pytest.raises(ConfigError, match="threshold"):

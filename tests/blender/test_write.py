@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -115,6 +116,15 @@ def test_fruit_carry_their_properties(counted):
     assert "visible_fraction" not in bpy.data.objects["apple.001"]
     assert item["views"] == 7
     assert list(item["color"]) == pytest.approx([1.0, 0.2, 0.0])
+
+
+def test_fruit_say_where_they_are_only_where_it_is_known(counted):
+    hanging, lying, unknown = counted.fruit_count.fruits
+    known = [dataclasses.replace(hanging, fallen=False, tree=2), dataclasses.replace(lying, fallen=True), unknown]
+    written(dataclasses.replace(counted, fruit_count=dataclasses.replace(counted.fruit_count, fruits=known)))
+    items = [bpy.data.objects[f"apple.{number:03d}"] for number in (1, 2, 3)]
+    assert [item.get("fallen") for item in items] == [False, True, None]
+    assert [item.get("tree") for item in items] == [2, None, None]
 
 
 def test_up_becomes_plus_z_and_distances_stay(counted):

@@ -13,13 +13,13 @@ import pytest
 import trimesh
 from plyfile import PlyData
 
-from fruitlangs.engine.counting.fruit import AuditEntry, Fruit, FruitCount
+from fruitlangs.engine.counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color, write_glb, write_points_ply
 from fruitlangs.engine.report.results import dump, fruits_document, read_results
 from fruitlangs.engine.report.tables import fruits_csv, summary
-from fruitlangs.engine.report.words import nothing_found
+from fruitlangs.engine.report.words import nothing_found, whereabouts
 
 
 def fruit(number: int, x: float) -> Fruit:
@@ -48,6 +48,16 @@ def two_fruit() -> FruitCount:
         points=np.array([[0.0, 0.54, -1.0], [9.0, 9.0, 9.0]]),
         point_colors=np.array([[200, 10, 10], [0, 0, 0]], np.uint8),
         point_fruit_ids=np.array([1, -1]),
+    )
+
+
+def placed() -> FruitCount:
+    """Two fruit, one on the first of two trees and one on the ground beyond the row."""
+    hanging, lying = two_fruit().fruits
+    return dataclasses.replace(
+        two_fruit(),
+        fruits=[dataclasses.replace(hanging, fallen=False, tree=1), dataclasses.replace(lying, fallen=True)],
+        trees=[Tree(1, np.array([0.0, 0.5, -1.0]), 1), Tree(2, np.array([5.0, 0.5, -1.0]), 0)],
     )
 
 
@@ -100,6 +110,32 @@ def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> Non
     }
     assert document["fruits"][0]["color"] == [180, 40, 30]
     assert document["fruits"][1]["center"] == [1.0, 0.5, -1.0]
+
+
+def test_fruits_json_counts_hanging_and_fallen_fruit_apart_and_by_tree(tmp_path: Path) -> None:
+    write_set(tmp_path, placed())
+    document = read_results(tmp_path)
+    assert (document["count"], document["hanging"], document["fallen"]) == (2, 1, 1)
+    assert [(fruit["fallen"], fruit["tree"]) for fruit in document["fruits"]] == [(False, 1), (True, None)]
+    first = {"number": 1, "position": [0.0, 0.5, -1.0], "count": 1, "interval": None}
+    assert document["trees"] == [first, {**first, "number": 2, "position": [5.0, 0.5, -1.0], "count": 0}]
+
+
+def test_what_is_not_known_of_a_fruits_place_is_empty_in_every_table(tmp_path: Path) -> None:
+    write_set(tmp_path, two_fruit())
+    document = read_results(tmp_path)
+    assert (document["hanging"], document["fallen"], document["trees"]) == (None, None, [])
+    rows = [
+        next(csv.DictReader(io.StringIO(fruits_csv(count, metres_per_unit=None)))) for count in (two_fruit(), placed())
+    ]
+    assert [(row["fallen"], row["tree"]) for row in rows] == [("", ""), ("false", "1")]
+
+
+def test_people_are_told_where_fruit_are() -> None:
+    assert whereabouts(placed()) == ["1 hanging, 1 on the ground", "1 on tree 1, 0 on tree 2, 1 on none of them"]
+    assert whereabouts(two_fruit()) == ["hanging or fallen: not known, no ground is seen"]
+    half = dataclasses.replace(placed(), trees=(), fruits=[placed().fruits[0], two_fruit().fruits[1]])
+    assert whereabouts(half) == ["1 hanging, 0 on the ground, 1 not known"]
 
 
 def test_no_fruit_is_a_count_of_zero_that_says_how_near_it_came(tmp_path: Path) -> None:

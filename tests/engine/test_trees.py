@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.config import CountConfig
+from fruitlangs.engine.counting.row import trees_of_row
+from fruitlangs.engine.errors import CountingError, FormatError
 from fruitlangs.engine.evaluation.trees import (
     TreeCounts,
     TreePlaces,
@@ -122,3 +124,61 @@ def test_a_bad_table_of_trees_says_what_is_expected(content: str, tmp_path: Path
     (tmp_path / "trees.txt").write_text(content)
     with pytest.raises(FormatError, match="number x y z"):
         read_places(tmp_path / "trees.txt")
+
+
+UP, RIGHT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+
+
+def row_of_fruit(loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Fruit of trees 5 apart on a row that runs across the axes, and the number of each one's tree."""
+    random, numbers = np.random.default_rng(2), np.repeat(np.arange(1, len(loads) + 1), loads)
+    along = random.uniform(-1.6, 1.6, len(numbers)) + 5.0 * numbers
+    across, heights = random.uniform(-1.5, 1.5, len(numbers)), random.uniform(0, 3, len(numbers))
+    return np.stack([0.6 * along - 0.8 * across, 0.8 * along + 0.6 * across, heights], axis=1), numbers
+
+
+@pytest.mark.parametrize("loads", [(40, 40, 40), (12, 60, 25, 50), (30,)])
+def test_trees_are_found_by_their_fruit_and_numbered_as_the_first_camera_sees_them(loads: tuple[int, ...]) -> None:
+    fruit, numbers = row_of_fruit(loads)
+    row, back = (trees_of_row(fruit, CountConfig(trees=len(loads)), UP, side) for side in (RIGHT, -RIGHT))
+    assert row is not None
+    assert back is not None
+    np.testing.assert_array_equal(row.numbers, numbers)
+    np.testing.assert_array_equal(back.numbers, len(loads) + 1 - numbers)
+    np.testing.assert_allclose(row.places, [fruit[numbers == tree].mean(axis=0) for tree in range(1, len(loads) + 1)])
+
+
+def test_shuffling_moving_turning_and_scaling_a_row_leaves_its_trees_alone() -> None:
+    fruit, numbers = row_of_fruit((12, 60, 25))
+    random = np.random.default_rng(1)
+    order, turn = random.permutation(len(fruit)), np.linalg.qr(random.normal(size=(3, 3)))[0]
+    row = trees_of_row(0.03 * fruit[order] @ turn.T + 7.0, CountConfig(trees=3), turn @ UP, turn @ RIGHT)
+    assert row is not None
+    np.testing.assert_array_equal(row.numbers, numbers[order])
+
+
+def test_given_trees_keep_their_order_and_their_height_does_not_matter() -> None:
+    fruit, numbers = row_of_fruit((20, 20, 20))
+    feet = np.array([[0.6 * 5 * tree, 0.8 * 5 * tree, height] for tree, height in ((3, 0.0), (1, 9.0), (2, -4.0))])
+    row = trees_of_row(fruit, CountConfig(tree_places=tuple(feet.ravel())), UP, RIGHT)
+    assert row is not None
+    np.testing.assert_array_equal(row.places, feet)
+    np.testing.assert_array_equal(row.numbers, np.array([0, 2, 3, 1])[numbers])
+
+
+def test_fruit_far_beyond_given_trees_belong_to_none() -> None:
+    fruit, numbers = row_of_fruit((20, 20, 20))
+    feet = (3.0, 4.0, 0.0, 6.0, 8.0, 0.0)
+    row = trees_of_row(fruit, CountConfig(tree_places=feet), UP, RIGHT)
+    assert row is not None
+    np.testing.assert_array_equal(row.numbers, np.where(numbers == 3, 0, numbers))
+
+
+def test_without_fruit_or_a_wish_for_trees_there_are_none() -> None:
+    assert trees_of_row(np.zeros((0, 3)), CountConfig(trees=3), UP, RIGHT) is None
+    assert trees_of_row(DIAGONAL, CountConfig(), UP, RIGHT) is None
+
+
+def test_fewer_fruit_than_trees_is_an_error_that_names_the_way_out() -> None:
+    with pytest.raises(CountingError, match=r"4 trees and only 3 fruit.*--count\.tree-places"):
+        trees_of_row(DIAGONAL, CountConfig(trees=4), UP, RIGHT)

@@ -91,6 +91,24 @@ def test_trees_of_an_imported_row_are_compared(row: Path, tmp_path: Path, capsys
     assert lines[7] == "1 counted fruit belong to no tree of the row"
 
 
+def test_a_result_that_names_its_trees_is_compared_by_them_whatever_their_order(
+    row: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    run("import_truth", "fuji-sfm", row, "--out", tmp_path / "truth.json")
+    capsys.readouterr()
+    folder = result(tmp_path / "found", PLACES)
+    document = json.loads((folder / "fruits.json").read_text())
+    stand = [(number, PLACES[TREES.index(4 - number)].tolist()) for number in (1, 2, 3)]  # from the other end
+    document["trees"] = [{"number": number, "position": place} for number, place in stand]
+    for fruit, tree in zip(document["fruits"], (1, 1, 1, None), strict=True):
+        fruit["tree"] = tree
+    (folder / "fruits.json").write_text(json.dumps(document))
+    assert run("compare_trees", folder, "--truth", tmp_path / "truth.json") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[3] for line in lines[1:4]] == ["0", "0", "3"]
+    assert lines[7] == "1 counted fruit belong to no tree of the row"
+
+
 def test_trees_may_be_boxes_of_a_table(row: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     run("import_truth", "fuji-sfm", row, "--out", tmp_path / "truth.json")
     (tmp_path / "boxes.txt").write_text("1 -1 -1 0 1 0.5 3\n2 -1 0.5 0 1 1.5 3\n")
