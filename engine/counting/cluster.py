@@ -17,7 +17,7 @@ from .claims import members
 from .gate import Features, features_of, stored_gate
 from .sample import SurfacePoints
 from .size import FruitSize
-from .sphere import Spheres
+from .sphere import REACH, Spheres, fit_spheres
 from .visibility import Picture
 
 FloatArray = NDArray[np.float64]
@@ -33,8 +33,10 @@ SETTLED = 0.03
 """A size that changes the logarithms of diameter and spread by less needs no further round."""
 FEWEST = 3
 """Fruit from which a size can be told."""
-ROUNDS = 3
-"""Of looking for fruit of the size that the round before found."""
+ROUNDS, COARSE = 3, 3
+"""Of looking for fruit of the size that the round before found, and of how many points one tells the size."""
+STEADY = 0.25
+"""Radii by which a fruit may move when it is fitted from its own place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,18 +90,23 @@ def search(
     of the Gaussians' probability.
     """
     progress(0.0, "finding normals")
-    skin, gate = Skin.of(points, size.diameter), stored_gate()
-    for step in range(ROUNDS):
-        progress(0.2 + 0.4 * step, f"looking for fruit of diameter {size.diameter:.3g}")
-        found = find_candidates(skin, size, pictures, threshold)
-        features = features_of(found, skin.points, size, threshold)
-        result = Search(skin, size, found, features, gate.chances(features))
-        refined = size if given else refine(size, found.spheres, result.chances)
-        change = np.log([refined.diameter / size.diameter, refined.spread / size.spread])
-        if (np.abs(change) < SETTLED).all():
-            break
-        size = refined
-    return result
+    if not given:
+        skin = Skin.of(points.select(np.arange(0, len(points), COARSE)), size.diameter)
+        for step in range(ROUNDS):
+            progress(0.1 + 0.1 * step, f"looking for fruit of diameter {size.diameter:.3g}")
+            coarse = _searched(skin, size, pictures, threshold)
+            before, size = size, refine(size, coarse.found.spheres, coarse.chances)
+            change = np.log([size.diameter / before.diameter, size.spread / before.spread])
+            if (np.abs(change) < SETTLED).all():
+                break
+    progress(0.5, f"looking for all fruit of diameter {size.diameter:.3g}")
+    return _searched(Skin.of(points, size.diameter), size, pictures, threshold)
+
+
+def _searched(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
+    found = find_candidates(skin, size, pictures, threshold)
+    features = features_of(found, skin.points, size, threshold)
+    return Search(skin, size, found, features, stored_gate().chances(features))
 
 
 def find_fruit(result: Search) -> Clusters:
@@ -110,12 +117,25 @@ def find_fruit(result: Search) -> Clusters:
     numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
     return Clusters(
         result.skin.points,
-        found.spheres.select(kept),
+        _settled(result, found.spheres.select(kept)),
         numbers[found.owners],
         components,
         chances[kept],
         _refusals(result, kept, components),
     )
+
+
+def _settled(result: Search, spheres: Spheres) -> Spheres:
+    """The spheres, each fitted from its own place, so that it does not tell from which start it came."""
+    if len(spheres) == 0:
+        return spheres
+    skin, size = result.skin, result.size
+    fitted = fit_spheres(
+        skin.cells, skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
+        prior=size.diameter / 2.0, prior_sd=size.spread,
+    )  # fmt: skip
+    moved = np.linalg.norm(fitted.centers - spheres.centers, axis=1) + np.abs(fitted.radii - spheres.radii)
+    return fitted.where(moved < STEADY * spheres.radii, spheres)
 
 
 def refine(size: FruitSize, spheres: Spheres, chances: FloatArray) -> FruitSize:

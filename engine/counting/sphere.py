@@ -61,6 +61,15 @@ class Spheres:
         """The spheres at `index` (bool mask (C,) or integer indices)."""
         return Spheres(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
+    def where(self, chosen: NDArray[np.bool_], others: Spheres) -> Spheres:
+        """These spheres where `chosen` (C,), the others elsewhere."""
+
+        def pick(name: str) -> FloatArray:
+            own, other = getattr(self, name), getattr(others, name)
+            return np.where(chosen[:, None] if own.ndim == 2 else chosen, own, other)
+
+        return Spheres(**{field.name: pick(field.name) for field in fields(self)})
+
 
 def fit_spheres(
     cells: Cells,
