@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon benchmarks
-SCRIPT_PACKAGES := orchard encoder
+SCRIPT_PACKAGES := orchard encoder fitting
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py)))
 
 .PHONY: demo test lint types pytest baseline extension clean

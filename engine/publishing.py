@@ -20,6 +20,7 @@ from .errors import FruitLangsError, OutputError
 from .files import file_hash, write_text
 from .language.features import Features
 from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, Stages
+from .report.audit import audit_text
 from .report.meshes import write_glb, write_points_ply
 from .report.pictures import write_strips
 from .report.provenance import run_stamp, versions
@@ -101,12 +102,13 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     write_text(folder / CAMERAS, with_scale(made.cameras_file, result.scene.metres_per_unit))
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
+    write_text(folder / "audit.txt", audit_text(result.fruit_count, prompt=", ".join(result.origin["prompts"])))
     write_glb(folder / "fruits.glb", result.fruit_count, result.scene.up)
     write_points_ply(folder / "fruits.ply", result.fruit_count)
     pictures = write_strips(
         folder / PICTURES, result.scene, result.gaussians, result.features, result.probability, result.fruit_count
     )
-    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "fruits.glb", "fruits.ply"]
+    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply"]
     return names + [f"{PICTURES}/{path.name}" for path in pictures]
 
 

@@ -115,6 +115,7 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
         box.label(text=size_text(result).capitalize())
         if result.unit != "mm":
             draw_text(box, "Scale unknown: a Length under Units makes millimetres of it", context)
+        draw_text(box, result.sureness, context)
         draw_text(box, result.whereabouts, context)
     else:
         draw_text(box, result.zero_reason, context)

@@ -46,6 +46,7 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     mean_diameter: FloatProperty(name="Mean Diameter", description="Of the counted fruit, in the unit beside it")
     unit: StringProperty(name="Unit", description="mm where the scene's scale is known, else scene units")
     zero_reason: StringProperty(name="Reason", description="Why nothing was counted")
+    sureness: StringProperty(name="Sureness", description="90 % intervals of the visible fruit and of all")
     whereabouts: StringProperty(name="Whereabouts", description="Fruit on the ground, and fruit on each tree of a row")
     notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
     folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=_RELATIVE)

@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.report.words import length_unit, nothing_found, three_digits, whereabouts
+from ..engine.report.words import length_unit, nothing_found, sureness, three_digits, whereabouts
 from .blender_data import owned_object
 from .jobs import JobOperator, Work, running
 from .settings import read_config, read_prompts, read_words, result_folder, source_folder, stored_path
@@ -73,6 +73,7 @@ def keep_result(settings: Any, result: Any) -> None:
     shown.unit, scale = length_unit(result.scene.metres_per_unit)
     shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
     shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, result.config.count.threshold)
+    shown.sureness = sureness(fruit_count) if fruit_count.fruits else ""
     shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
     shown.notices = "; ".join(result.notices)
     shown.cameras, shown.points = len(result.scene.cameras), len(result.scene.points)

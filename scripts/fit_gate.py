@@ -10,6 +10,7 @@ how well each kind of scene is told by a gate that was fitted without that scene
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,30 +19,18 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
-import torch
-from encoder.lifted import trained, true_fruit, walks
+from fitting.cases import Case, check_seed, crown_cases, searched, walk_cases
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import StandardScaler
 
-from _terminal import import_tyro, run, terminal_progress
+from _terminal import import_tyro, run
 from fruitlangs.benchmarks.markdown import markdown
-from fruitlangs.benchmarks.rivals import surface_of
-from fruitlangs.benchmarks.simulated import SETTINGS, simulate
-from fruitlangs.engine.config import CountConfig, SceneConfig
-from fruitlangs.engine.counting.cluster import LIKELY, search
+from fruitlangs.benchmarks.simulated import SETTINGS
+from fruitlangs.engine.counting.cluster import LIKELY
 from fruitlangs.engine.counting.gate import STORED, WEIGHED, Gate, standardised, weighed
-from fruitlangs.engine.counting.visibility import draw
-from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.judgement import judge
-from fruitlangs.engine.evaluation.truth import Truth, read_truth
 from fruitlangs.engine.files import write_text
-from fruitlangs.engine.language.embedded import EmbeddedEncoder
-from fruitlangs.engine.language.lift import encode_photos, lift_features
-from fruitlangs.engine.language.relevancy import relevancy
-from fruitlangs.engine.scene.camera import Camera
-from fruitlangs.engine.scene.read import read_scene
-from fruitlangs.engine.splatting.gaussians import Gaussians
 from orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
@@ -79,64 +68,26 @@ class Example:
 
 
 def main(options: Options) -> None:
-    if options.first < FIRST_TRAINING_SEED:
-        raise ConfigError(f"seeds below {FIRST_TRAINING_SEED} are for tests and tables; give a larger --first")
-    examples = [*crown_examples(options), *(walk_examples(options.renders) if options.renders else ())]
+    check_seed(options.first)
+    crowns = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
+    cases = itertools.chain(crowns, walk_cases(options.renders) if options.renders else ())
+    examples = [found for case in cases for found in example(case)]
     print(table(examples))
     document = {**fit(examples).document(), "fitted on": sorted({example.family for example in examples})}
     write_text(options.out, json.dumps(document, indent=1) + "\n")
 
 
-def crown_examples(options: Options) -> Iterator[Example]:
-    """Candidates in simulated crowns of every setting."""
-    progress = terminal_progress()
-    todo = [(name, options.first + number) for number in range(options.crowns) for name in SETTINGS]
-    for place, (name, seed) in enumerate(todo):
-        progress(place / len(todo), f"{name}, seed {seed}")
-        crown = simulate(SETTINGS[name], seed)
-        yield from example(name, f"crown {seed}", crown.gaussians, crown.probability, crown.cameras, crown.truth)
-    progress(1.0, "crowns done")
-
-
-def walk_examples(renders: Path) -> Iterator[Example]:
-    """Candidates in Gaussians trained on rendered walks, by true masks and by the encoder of the package."""
-    progress, encoder, folders = terminal_progress(), EmbeddedEncoder.open(), walks(renders)
-    for place, folder in enumerate(folders):
-        progress(place / len(folders), f"walk {folder.name}")
-        scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
-        species = json.loads((folder / "orchard.json").read_text(encoding="utf-8"))["config"]["species"]
-        truth = read_truth(folder / "truth.json", {species})
-        features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
-        by_kind = {
-            "walk, true masks": true_fruit(folder, scene, gaussians),
-            "walk, encoder": relevancy(features, encoder, [species]),
-        }
-        for kind, probability in by_kind.items():
-            yield from example(kind, f"walk {folder.name}", gaussians, probability, scene.cameras, truth)
-    progress(1.0, "walks done")
-
-
-def example(
-    kind: str,
-    family: str,
-    gaussians: Gaussians,
-    probability: torch.Tensor,
-    cameras: Sequence[Camera],
-    truth: Truth,
-) -> Iterator[Example]:
+def example(case: Case) -> Iterator[Example]:
     """The candidates of a scene; none where nothing in it looks round."""
-    surface = surface_of(gaussians, probability, cameras)
-    if surface.sample is None:
+    result = searched(case)
+    if result is None:
         return
-    points, size = surface.sample
-    pictures = draw(gaussians, probability.double().numpy(), cameras)
-    found = search(points, size, pictures, CountConfig().threshold)
-    judged = judge(found.found.spheres.centers, 2.0 * found.found.spheres.radii, truth)
+    found, _ = result
+    judged = judge(found.found.spheres.centers, 2.0 * found.found.spheres.radii, case.truth)
     told = np.setdiff1d(np.arange(len(found.chances)), judged.ignored)  # on fruit that is not to be counted
-    fruit = np.isin(told, judged.pairs.predicted)
-    yield Example(
-        kind, family, weighed(found.features)[told], fruit, found.features["surest"][told], int(truth.visible.sum())
-    )
+    fruit, surest = np.isin(told, judged.pairs.predicted), found.features["surest"][told]
+    visible = int(case.truth.visible.sum())
+    yield Example(case.kind, case.family, weighed(found.features)[told], fruit, surest, visible)
 
 
 def fit(examples: Sequence[Example]) -> Gate:

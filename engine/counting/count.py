@@ -18,12 +18,13 @@ from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from ..splatting.viewpoints import find_subject
 from .account import account_for
-from .cluster import Clusters, find_fruit, search
+from .cluster import Clusters, Search, find_fruit, search
 from .describe import describe, place_fruit, point_colors
 from .fruit import AuditEntry, FruitCount
 from .fruitnerf import cluster_as_fruitnerf
 from .ground import lying_on_ground
 from .ids import NOBODY, KnownFruit, number
+from .interval import estimate, evidence_of
 from .region import REACH, Region, keep_inside, region_of, spaced
 from .row import trees_of_row
 from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
@@ -99,7 +100,7 @@ def count_fruit(
     if len(points) == 0:
         return nothing(f"all {len(own)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
-    found = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
+    found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
     if config.diameter is None:
         spheres = clusters.spheres
@@ -121,6 +122,10 @@ def count_fruit(
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
     )
     others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
+    if searched is not None:
+        within = region.contains(searched.found.spheres.centers)
+        sure = estimate(evidence_of(searched, within, pictures, seed=config.seed), counted.count)
+        counted = replace(counted, interval=sure.visible, total=sure.total, total_interval=sure.total_interval)
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
     return place_fruit(counted, lying, row)
@@ -224,13 +229,15 @@ def _find(
     pictures: Sequence[Picture],
     config: CountConfig,
     progress: Progress,
-) -> Clusters:
+) -> tuple[Clusters, Search | None]:
+    """What became of the points, and the weighed candidates that the published roads do not have."""
     if config.method != "voting":
         template = read_template(Path(config.template), seed=config.seed) if config.template else None
         road = split_by_template if config.method == "template" else cluster_as_fruitnerf
-        return road(points, size.diameter, template, progress=progress)
+        return road(points, size.diameter, template, progress=progress), None
     given = config.diameter is not None
-    return find_fruit(search(points, size, pictures, config.threshold, given=given, progress=progress))
+    found = search(points, size, pictures, config.threshold, given=given, progress=progress)
+    return find_fruit(found), found
 
 
 def _mean_top(cameras: Sequence[Camera]) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FruitKind = Literal["single", "small", "compound-part"]
-Verdict = Literal["kept", "split", "dropped"]
+Verdict = Literal["kept", "split", "merged", "dropped"]
 
 NO_TREE = 0
 """The number of a fruit that belongs to no tree of the row."""
@@ -69,7 +69,8 @@ class AuditEntry:
 class FruitCount:
     """The fruit of one prompt in one scene.
 
-    count: visible fruit = len(fruits); interval, total and total_interval are None until counting estimates them;
+    count: visible fruit = len(fruits); interval, total_interval: low and high of 90 % intervals of the visible fruit
+    and of all; total: likeliest number of all, those that nobody saw included; None where the method tells none;
     trees: those of the row, where they were asked for; mean_diameter: scene units, None when there is no fruit;
     last_id: the highest id that this and earlier counts of the scene gave; max_probability: the highest any Gaussian
     reached;

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import length_unit, nothing_found, place, three_digits, whereabouts
+from .words import length_unit, nothing_found, place, sureness, three_digits, whereabouts
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -50,7 +50,7 @@ def summary(
 
     threshold: the probability that was asked for, which explains a zero.
     """
-    lines = [f"{prompt}: {fruit_count.count} visible fruit"]
+    lines = [f"{prompt}: {sureness(fruit_count)}"]
     if fruit_count.fruits:
         lines += [f"  {where}" for where in whereabouts(fruit_count)]
         lines += _sizes(fruit_count, metres_per_unit)

@@ -18,6 +18,15 @@ def place(entry: AuditEntry) -> tuple[float, float, float] | None:
     return entry.center if any(entry.center) else None
 
 
+def sureness(fruit_count: FruitCount) -> str:
+    """The count with what it may be: '114 visible fruit (90 %: 105 to 122); all in all about 121 (108 to 140)'."""
+    told = f"{fruit_count.count} visible fruit"
+    if fruit_count.interval is None or fruit_count.total is None or fruit_count.total_interval is None:
+        return told
+    low, high, least, most = (round(value) for value in (*fruit_count.interval, *fruit_count.total_interval))
+    return f"{told} (90 %: {low} to {high}); with those nobody saw about {fruit_count.total:.0f} ({least} to {most})"
+
+
 def whereabouts(fruit_count: FruitCount) -> list[str]:
     """Where counted fruit are, a sentence each: hanging or on the ground, and on which tree of the row."""
     hanging, fallen = fruit_count.hanging, fruit_count.fallen

@@ -15,6 +15,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 import _checkout  # noqa: F401
 
 import fit_gate
+from fitting.cases import Case
 
 from fruitlangs.benchmarks.simulated import Setting, simulate
 from fruitlangs.engine.counting.gate import WEIGHED
@@ -64,7 +65,8 @@ def test_a_scene_is_never_judged_by_a_gate_that_was_fitted_to_it(monkeypatch: py
 
 def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
     crown = simulate(FEW, 1003)
-    (example,) = fit_gate.example("few", "crown 1003", crown.gaussians, crown.probability, crown.cameras, crown.truth)
+    given = (crown.gaussians, crown.probability, crown.cameras, crown.truth, crown.shown)
+    (example,) = fit_gate.example(Case("few", "crown 1003", *given))
     assert example.features.shape == (len(example.fruit), len(WEIGHED))
     assert example.fruit.sum() >= 0.9 * example.visible
     assert not example.fruit.all()

@@ -1,0 +1,146 @@
+"""How sure a count is: 90 % intervals of the visible fruit and of all, those that nobody saw included.
+
+Log ratios of true fruit to the sum of the candidates' probabilities are predicted from what the scene shows, with a
+normal error of its own size; fitted by `scripts/fit_interval.py`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, QhullError
+
+from .cluster import LIKELY, Search
+from .visibility import Picture, open_views
+
+FloatArray = NDArray[np.float64]
+
+STORED = Path(__file__).with_name("interval.json")
+TELLING = ("doubt", "few views", "hidden nearby", "hidden inside")
+"""What predicts a ratio, all 0 in a scene where every fruit is sure and well seen."""
+VIEWS = 3
+"""A fruit that fewer views show is not well seen."""
+PLACES = 2000
+"""Places about the fruit, and inside their hull, at which it is asked whether views would show a fruit."""
+LEAST_SHARE = 0.3
+"""Shares of places and of fruit that are well seen below this tell no more: nobody knows what hangs there."""
+QUANTILE = 1.645
+"""Standard deviations of a normal on either side of 90 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a scene shows of its count. expected, variance: sum and variance of the number of fruit by the candidates'
+    probabilities; telling: (4,) numbers in the order of TELLING."""
+
+    expected: float
+    variance: float
+    telling: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Ratio:
+    """log (fruit / expected) = bias + weights · telling, give or take `stretch` times the square root of
+    floor² + variance / expected² + (slope · t)², with t the sum of the last three of TELLING."""
+
+    bias: float
+    weights: FloatArray
+    floor: float
+    slope: float
+    stretch: float
+
+    @classmethod
+    def read(cls, document: dict[str, Any]) -> Ratio:
+        """What `document` made into JSON."""
+        return cls(**{**document, "weights": np.array(document["weights"], np.float64)})
+
+    def document(self) -> dict[str, Any]:
+        """The ratio as JSON has it."""
+        numbers = {name: round(float(getattr(self, name)), 5) for name in ("bias", "floor", "slope", "stretch")}
+        return {**numbers, "weights": [round(float(weight), 5) for weight in self.weights]}
+
+    def mean(self, evidence: Evidence) -> float:
+        """The predicted log ratio."""
+        return self.bias + float(self.weights @ evidence.telling)
+
+    def deviation(self, evidence: Evidence) -> float:
+        """Standard deviation of the log ratio."""
+        unseen = float(evidence.telling[1:].sum())
+        chance = evidence.variance / max(evidence.expected, 1.0) ** 2
+        return self.stretch * float(np.sqrt(self.floor**2 + chance + (self.slope * unseen) ** 2))
+
+    def likeliest(self, evidence: Evidence) -> float:
+        """The predicted number of fruit."""
+        return evidence.expected * float(np.exp(self.mean(evidence)))
+
+    def interval(self, evidence: Evidence) -> tuple[float, float]:
+        """Low and high number of fruit, whole ones."""
+        number, factor = self.likeliest(evidence), float(np.exp(QUANTILE * self.deviation(evidence)))
+        # Half a fruit either way: of a few fruit nothing is surer than that.
+        return max(float(np.ceil(number / factor - 0.5)), 0.0), float(np.floor(number * factor + 0.5))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """visible: 90 % interval of the fruit that views show; total, total_interval: of all, with those nobody saw."""
+
+    visible: tuple[float, float]
+    total: float
+    total_interval: tuple[float, float]
+
+
+def estimate(evidence: Evidence, count: int) -> Estimate:
+    """How many fruit there are where `count` were counted, which lie within both intervals' ends or below."""
+    of_visible, of_all = stored_ratios()
+    (low, high), (least, most) = of_visible.interval(evidence), of_all.interval(evidence)
+    low, high = min(low, float(count)), max(high, float(count))
+    total = max(of_all.likeliest(evidence), float(count))
+    return Estimate((low, high), round(total, 1), (max(least, low), max(most, high)))
+
+
+def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
+    """What the weighed candidates that lie `inside` (C,) the region, and the views, tell of a count."""
+    looks, radius = found.found.looks, found.size.diameter / 2.0
+    chances = np.where(inside, found.chances, 0.0)
+    expected = float(chances.sum())
+    if expected <= 0.0:
+        return Evidence(0.0, 0.0, np.zeros(len(TELLING)))
+    seen = float(chances[looks.views >= VIEWS].sum())
+    variance = float((chances * (1.0 - chances)).sum())
+    places = found.found.spheres.centers
+    rng = np.random.default_rng(seed)
+    around = places[rng.choice(len(places), PLACES, p=chances / expected)] + rng.normal(0.0, 2.0 * radius, (PLACES, 3))
+    amid = _within(places[chances > LIKELY], rng)
+    hidden = [-np.log(max(_shown(pictures, each, radius), LEAST_SHARE)) for each in (around, amid)]
+    telling = [variance / expected, np.log(expected / max(seen, LEAST_SHARE * expected)), *hidden]
+    return Evidence(expected, variance, np.array(telling))
+
+
+def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Places spread evenly over the hull of centers (F, 3); none where they have no hull."""
+    try:
+        hull = Delaunay(centers)
+    except (QhullError, ValueError):
+        return np.zeros((0, 3))
+    places = rng.uniform(centers.min(axis=0), centers.max(axis=0), (4 * PLACES, 3))
+    return places[hull.find_simplex(places) >= 0][:PLACES]
+
+
+def _shown(pictures: Sequence[Picture], places: FloatArray, radius: float) -> float:
+    """Share of places (K, 3) at which enough views would show a fruit; 1 of none."""
+    views = open_views(pictures, places, np.full(len(places), radius))
+    return float((views >= VIEWS).mean()) if len(places) else 1.0
+
+
+@cache
+def stored_ratios() -> tuple[Ratio, Ratio]:
+    """Of visible fruit, and of all fruit, as the package has them."""
+    document = json.loads(STORED.read_text(encoding="utf-8"))
+    return Ratio.read(document["visible"]), Ratio.read(document["total"])

@@ -1,0 +1,1 @@
+"""What fits the numbers that counting weighs with."""

@@ -1,0 +1,90 @@
+"""Scenes with truth that counting is fitted on: simulated crowns, and Gaussians trained on rendered walks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from encoder.lifted import trained, true_fruit, walks
+from numpy.typing import NDArray
+
+from _terminal import terminal_progress
+from fruitlangs.benchmarks.rivals import surface_of
+from fruitlangs.benchmarks.simulated import Setting, simulate
+from fruitlangs.engine.config import CountConfig, SceneConfig
+from fruitlangs.engine.counting.cluster import Search, search
+from fruitlangs.engine.counting.visibility import Picture, draw
+from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.evaluation.truth import Truth, read_truth
+from fruitlangs.engine.language.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.lift import encode_photos, lift_features
+from fruitlangs.engine.language.relevancy import relevancy
+from fruitlangs.engine.scene.camera import Camera
+from fruitlangs.engine.scene.read import read_scene
+from fruitlangs.engine.splatting.gaussians import Gaussians
+from orchard.config import FIRST_TRAINING_SEED
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Gaussians with a probability (N,) of being fruit, the cameras, and truth.
+
+    kind: of scene; family: cases of which none is judged by what was fitted to another; shown: (M,) the true fruit of
+    which three views show a tenth.
+    """
+
+    kind: str
+    family: str
+    gaussians: Gaussians
+    probability: torch.Tensor
+    cameras: Sequence[Camera]
+    truth: Truth
+    shown: NDArray[np.bool_]
+
+
+def check_seed(first: int) -> None:
+    """Refuse to learn from what tests and tables are made of."""
+    if first < FIRST_TRAINING_SEED:
+        raise ConfigError(f"seeds below {FIRST_TRAINING_SEED} are for tests and tables; give a larger --first")
+
+
+def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Case]:
+    """A crown of every setting and seed."""
+    progress, todo = terminal_progress(), [(name, seed) for seed in seeds for name in settings]
+    for place, (name, seed) in enumerate(todo):
+        progress(place / len(todo), f"{name}, seed {seed}")
+        crown = simulate(settings[name], seed)
+        yield Case(name, f"crown {seed}", crown.gaussians, crown.probability, crown.cameras, crown.truth, crown.shown)
+    progress(1.0, "crowns done")
+
+
+def walk_cases(renders: Path) -> Iterator[Case]:
+    """Gaussians trained on rendered walks, with true masks and with the encoder of the package."""
+    progress, encoder, folders = terminal_progress(), EmbeddedEncoder.open(), walks(renders)
+    for place, folder in enumerate(folders):
+        progress(place / len(folders), f"walk {folder.name}")
+        scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
+        species = json.loads((folder / "orchard.json").read_text(encoding="utf-8"))["config"]["species"]
+        truth = read_truth(folder / "truth.json", {species})
+        features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
+        by_kind = {
+            "walk, true masks": true_fruit(folder, scene, gaussians),
+            "walk, encoder": relevancy(features, encoder, [species]),
+        }
+        for kind, probability in by_kind.items():
+            yield Case(kind, f"walk {folder.name}", gaussians, probability, scene.cameras, truth, truth.visible)
+    progress(1.0, "walks done")
+
+
+def searched(case: Case) -> tuple[Search, list[Picture]] | None:
+    """The weighed candidates of a case and its views; None where nothing in it looks round."""
+    surface = surface_of(case.gaussians, case.probability, case.cameras)
+    if surface.sample is None:
+        return None
+    points, size = surface.sample
+    pictures = draw(case.gaussians, case.probability.double().numpy(), case.cameras)
+    return search(points, size, pictures, CountConfig().threshold), pictures

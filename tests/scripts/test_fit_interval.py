@@ -1,0 +1,76 @@
+"""Fitting how sure a count is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+import _checkout  # noqa: F401
+
+import fit_interval
+from fitting.cases import Case
+
+from fruitlangs.benchmarks.simulated import SETTINGS, Setting, any_setting, simulate
+from fruitlangs.engine.counting.interval import TELLING, Evidence
+
+
+def scene(seed: int, spread: float = 0.1, kind: str = "drawn") -> fit_interval.Example:
+    """A scene whose fruit are 1.2 times what is expected where it is in doubt by 0.2, give or take `spread`."""
+    rng = np.random.default_rng(seed)
+    telling = np.array([rng.uniform(0.0, 0.3), 0.0, 0.0, 0.0])
+    expected = float(rng.uniform(50.0, 500.0))
+    number = expected * np.exp(telling[0] * np.log(1.2) / 0.2 + rng.normal(0.0, spread))
+    return fit_interval.Example(
+        kind, f"crown {seed}", Evidence(expected, 0.0, telling), round(number), round(2 * number)
+    )
+
+
+SCENES = [scene(seed) for seed in range(1000, 1040)]
+
+
+def test_the_ratio_finds_what_tells_of_more_fruit_and_how_far_it_errs():
+    ratio, _ = fit_interval.fit(SCENES, fit_interval.TRUTHS["visible"])
+    assert ratio.weights[0] == pytest.approx(np.log(1.2) / 0.2, abs=0.35)
+    assert ratio.weights[1:] == pytest.approx(np.zeros(len(TELLING) - 1), abs=0.05)
+    assert ratio.floor * ratio.stretch == pytest.approx(0.1, rel=0.3)
+
+
+def test_nine_tenths_of_scenes_lie_within_by_ratios_that_never_saw_them():
+    truth = fit_interval.TRUTHS["total"]
+    ratio, without = fit_interval.fit(SCENES, truth)
+    assert set(without) == {example.family for example in SCENES}
+    assert np.mean([fit_interval.holds(without[e.family], e, truth(e)) for e in SCENES]) >= 0.9
+    unseen = [scene(seed) for seed in range(2000, 2200)]
+    assert 0.82 < np.mean([fit_interval.holds(ratio, e, truth(e)) for e in unseen]) < 0.97
+
+
+def test_a_crown_becomes_an_example_with_fruit_that_views_show_and_all():
+    crown = simulate(Setting(fruits=(25, 25), leaves=400, views=10), 1003)
+    case = Case("few", "crown 1003", crown.gaussians, crown.probability, crown.cameras, crown.truth, crown.shown)
+    (example,) = fit_interval.example(case)
+    assert example.total == 25
+    assert crown.shown.sum() <= example.visible <= 25
+    assert example.evidence.expected == pytest.approx(example.visible, rel=0.2)
+
+
+def test_settings_drawn_at_random_differ_and_span_the_named_ones():
+    drawn = [any_setting(seed) for seed in range(200)]
+    assert drawn[0] == any_setting(0) != drawn[1]
+    for setting in SETTINGS.values():
+        assert min(each.leaves for each in drawn) < setting.leaves <= max(each.leaves for each in drawn) * 1.1
+        assert min(each.fruits[0] for each in drawn) < setting.fruits[0]
+        assert max(each.clump for each in drawn) >= setting.clump
+
+
+def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
+    command = [sys.executable, str(ROOT / "scripts" / "fit_interval.py"), "--first", "3", "--out", str(tmp_path / "i")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("error: seeds below 1000 are for tests and tables")
+    assert not (tmp_path / "i").exists()
