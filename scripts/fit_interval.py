@@ -131,24 +131,29 @@ def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Rat
 
 def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
     n, weights = len(TELLING), _weights(examples)
-
-    def ratio(x: FloatArray) -> Ratio:
-        return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), float(np.exp(x[n + 2])), 1.0)
+    telling = np.array([e.evidence.telling for e in examples])
+    chance = np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples])
+    ratios = np.array([_log_ratio(e, truth(e)) for e in examples])
 
     def loss(x: FloatArray) -> float:
-        asked = ratio(x)
-        terms = [np.log(asked.deviation(e.evidence)) + 0.5 * _error(asked, e, truth(e)) ** 2 for e in examples]
-        return float(weights @ np.array(terms) + HELD * (asked.weights**2).sum())
+        errors = ratios - x[0] - telling @ x[1 : n + 1]
+        squares = np.exp(2.0 * x[n + 1]) + chance + (np.exp(x[n + 2]) * telling[:, 1:].sum(axis=1)) ** 2
+        terms = 0.5 * np.log(squares) + 0.5 * errors**2 / squares
+        return float(weights @ terms + HELD * (x[1 : n + 1] ** 2).sum())
 
     bounds = [(-0.5, 0.5), *[(0.0, 2.0)] * n, (-5.0, 0.0), (-6.0, 1.0)]
     starts = [np.array([0.0, *[0.1] * n, np.log(0.03), np.log(slope)]) for slope in (0.03, 0.2)]
-    return ratio(min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x)
+    x = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x
+    return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), float(np.exp(x[n + 2])), 1.0)
+
+
+def _log_ratio(example: Example, truth: int) -> float:
+    return float(np.log(max(truth, 0.5) / example.evidence.expected))
 
 
 def _error(ratio: Ratio, example: Example, truth: int) -> float:
     """Of the log ratio, in standard deviations."""
-    found = np.log(max(truth, 0.5) / example.evidence.expected)
-    return float((found - ratio.mean(example.evidence)) / ratio.deviation(example.evidence))
+    return (_log_ratio(example, truth) - ratio.mean(example.evidence)) / ratio.deviation(example.evidence)
 
 
 def _weights(examples: Sequence[Example]) -> FloatArray:

@@ -86,9 +86,9 @@ class FruitCount:
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     point_colors: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     point_fruit_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    interval: tuple[float, float] | None = None
+    interval: tuple[int, int] | None = None
     total: float | None = None
-    total_interval: tuple[float, float] | None = None
+    total_interval: tuple[int, int] | None = None
     trees: Sequence[Tree] = ()
 
     @property

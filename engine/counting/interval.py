@@ -80,27 +80,27 @@ class Ratio:
         """The predicted number of fruit."""
         return evidence.expected * float(np.exp(self.mean(evidence)))
 
-    def interval(self, evidence: Evidence) -> tuple[float, float]:
-        """Low and high number of fruit, whole ones."""
+    def interval(self, evidence: Evidence) -> tuple[int, int]:
+        """Low and high number of fruit."""
         number, factor = self.likeliest(evidence), float(np.exp(QUANTILE * self.deviation(evidence)))
         # Half a fruit either way: of a few fruit nothing is surer than that.
-        return max(float(np.ceil(number / factor - 0.5)), 0.0), float(np.floor(number * factor + 0.5))
+        return max(int(np.ceil(number / factor - 0.5)), 0), int(np.floor(number * factor + 0.5))
 
 
 @dataclass(frozen=True)
 class Estimate:
     """visible: 90 % interval of the fruit that views show; total, total_interval: of all, with those nobody saw."""
 
-    visible: tuple[float, float]
+    visible: tuple[int, int]
     total: float
-    total_interval: tuple[float, float]
+    total_interval: tuple[int, int]
 
 
 def estimate(evidence: Evidence, count: int) -> Estimate:
     """How many fruit there are where `count` were counted, which lie within both intervals' ends or below."""
     of_visible, of_all = stored_ratios()
     (low, high), (least, most) = of_visible.interval(evidence), of_all.interval(evidence)
-    low, high = min(low, float(count)), max(high, float(count))
+    low, high = min(low, count), max(high, count)
     total = max(of_all.likeliest(evidence), float(count))
     return Estimate((low, high), round(total, 1), (max(least, low), max(most, high)))
 

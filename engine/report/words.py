@@ -23,7 +23,7 @@ def sureness(fruit_count: FruitCount) -> str:
     told = f"{fruit_count.count} visible fruit"
     if fruit_count.interval is None or fruit_count.total is None or fruit_count.total_interval is None:
         return told
-    low, high, least, most = (round(value) for value in (*fruit_count.interval, *fruit_count.total_interval))
+    (low, high), (least, most) = fruit_count.interval, fruit_count.total_interval
     return f"{told} (90 %: {low} to {high}); with those nobody saw about {fruit_count.total:.0f} ({least} to {most})"
 
 
