@@ -17,6 +17,9 @@ import _checkout  # noqa: F401
 from fruitlangs.benchmarks.rivals import METHODS, surface_of
 from fruitlangs.benchmarks.simulated import SETTINGS, Setting, Simulation, simulate
 from fruitlangs.benchmarks.simulated_page import Trial, counting_table
+from fruitlangs.engine.config import CountConfig
+from fruitlangs.engine.counting.count import count_fruit
+from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
 
 FEW = Setting(fruits=(25, 25), leaves=60, views=10)
@@ -97,3 +100,22 @@ def test_an_unknown_setting_is_one_line():
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: there is no setting 'easy'")
+
+
+def test_how_much_of_a_fruit_is_visible_is_told_behind_leaves_as_in_front_of_them():
+    crown = simulate(replace(FEW, fruits=(40, 40), leaves=5000, views=16, wrong=0.0), 6)
+    counted = count_fruit(crown.gaussians, crown.probability, crown.cameras, CountConfig(), label="fruit")
+    everything = replace(crown.truth, visible=np.ones(len(crown.truth.visible), bool))
+    pairs = judge(counted.centers, counted.diameters, everything).pairs
+    told = np.array([counted.fruits[index].visible_fraction for index in pairs.predicted], float)
+    true = crown.truth.visible_fractions[pairs.true]
+    assert len(pairs) > 15
+    assert true.min() < 0.3
+    assert np.corrcoef(told, true)[0, 1] > 0.9
+    assert np.abs(told - true).mean() < 0.1
+
+
+def test_fruit_that_three_views_show_are_fewer_than_those_of_which_one_shows_a_twentieth():
+    crown = simulate(replace(FEW, fruits=(60, 60), leaves=6000, views=16), 7)
+    assert 0 < crown.shown.sum() < crown.truth.visible.sum()
+    assert not (crown.shown & ~crown.truth.visible).any()
