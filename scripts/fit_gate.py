@@ -28,7 +28,7 @@ from _terminal import import_tyro, run
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.simulated import SETTINGS
 from fruitlangs.engine.counting.cluster import LIKELY
-from fruitlangs.engine.counting.gate import STORED, WEIGHED, Gate, standardised, weighed
+from fruitlangs.engine.counting.gate import STORED, WEIGHED, Gate, weighed
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.files import write_text
 from orchard.config import FIRST_TRAINING_SEED
@@ -36,6 +36,8 @@ from orchard.config import FIRST_TRAINING_SEED
 tyro = import_tyro()
 FloatArray = NDArray[np.float64]
 
+EDGE = 0.01
+"""Share of the candidates at either end of a feature whose values are cut."""
 REGULARISATION = 0.1
 """Inverse strength of the penalty on the regression's weights."""
 
@@ -97,14 +99,16 @@ def fit(examples: Sequence[Example]) -> Gate:
     """
     features = np.concatenate([example.features for example in examples])
     fruit = np.concatenate([example.fruit for example in examples])
-    scaler, n = StandardScaler().fit(features), features.shape[1]
+    low, high = np.quantile(features, [EDGE, 1.0 - EDGE], axis=0)
+    cut = np.clip(features, low, high)
+    scaler, n = StandardScaler().fit(cut), features.shape[1]
     rows, columns = np.triu_indices(n)
-    x = standardised(features, scaler.mean_, scaler.scale_)
+    x = scaler.transform(cut)
     products = np.concatenate([x, x[:, rows] * x[:, columns]], axis=1)
     model = LogisticRegression(C=REGULARISATION, max_iter=5000).fit(products, fruit, sample_weight=_shares(examples))
     quadratic = np.zeros((n, n))
     quadratic[rows, columns] = model.coef_[0, n:]
-    return Gate(scaler.mean_, scaler.scale_, model.coef_[0, :n], quadratic, float(model.intercept_[0]))
+    return Gate(low, high, scaler.mean_, scaler.scale_, model.coef_[0, :n], quadratic, float(model.intercept_[0]))
 
 
 def _shares(examples: Sequence[Example]) -> FloatArray:

@@ -36,7 +36,7 @@ tyro = import_tyro()
 FloatArray = NDArray[np.float64]
 
 HELD = 0.5
-"""Weight of the squares of a ratio's weights beside the likelihood."""
+"""Weight of the squares of a ratio's weights and slopes beside the likelihood."""
 COVERAGE = 0.9
 
 
@@ -137,14 +137,14 @@ def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
 
     def loss(x: FloatArray) -> float:
         errors = ratios - x[0] - telling @ x[1 : n + 1]
-        squares = np.exp(2.0 * x[n + 1]) + chance + (np.exp(x[n + 2]) * telling[:, 1:].sum(axis=1)) ** 2
+        squares = np.exp(2.0 * x[n + 1]) + chance + ((x[n + 2 :] * telling) ** 2).sum(axis=1)
         terms = 0.5 * np.log(squares) + 0.5 * errors**2 / squares
-        return float(weights @ terms + HELD * (x[1 : n + 1] ** 2).sum())
+        return float(weights @ terms + HELD * ((x[1 : n + 1] ** 2).sum() + (x[n + 2 :] ** 2).sum()))
 
-    bounds = [(-0.5, 0.5), *[(0.0, 2.0)] * n, (-5.0, 0.0), (-6.0, 1.0)]
-    starts = [np.array([0.0, *[0.1] * n, np.log(0.03), np.log(slope)]) for slope in (0.03, 0.2)]
+    bounds = [(-0.5, 0.5), *[(0.0, 2.0)] * n, (-5.0, 0.0), *[(0.0, 3.0)] * n]
+    starts = [np.array([0.0, *[0.1] * n, np.log(0.03), *[slope] * n]) for slope in (0.03, 0.2)]
     x = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x
-    return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), float(np.exp(x[n + 2])), 1.0)
+    return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), x[n + 2 :], 1.0)
 
 
 def _log_ratio(example: Example, truth: int) -> float:

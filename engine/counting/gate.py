@@ -25,8 +25,6 @@ Features = Mapping[str, FloatArray]
 STORED = Path(__file__).with_name("gate.json")
 WEIGHED = ("coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown")
 """Features that the regression weighs."""
-FAR = 5.0
-"""Standard deviations at which a feature is cut."""
 HALF = 0.5
 """Probabilities are weighed as if this were the threshold that the user set."""
 SUREST = 0.25
@@ -37,11 +35,15 @@ WELL = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """score = bias + Σ linear_i x_i + Σ quadratic_ij x_i x_j of n features x, less `center` and by `scale`, cut at FAR.
+    """score = bias + Σ linear_i x_i + Σ quadratic_ij x_i x_j of n features x, cut at `low` and `high`, less `center`
+    and by `scale`.
 
-    center, scale, linear: (n,) in the order of WEIGHED; quadratic: (n, n), 0 below the diagonal.
+    low, high, center, scale, linear: (n,) in the order of WEIGHED; quadratic: (n, n), 0 below the diagonal. What lies
+    beyond all that the gate was fitted to weighs as the last that it was: a product knows nothing of what goes on.
     """
 
+    low: FloatArray
+    high: FloatArray
     center: FloatArray
     scale: FloatArray
     linear: FloatArray
@@ -52,17 +54,18 @@ class Gate:
     def read(cls, path: Path) -> Gate:
         """The gate that `document` made into JSON."""
         document = json.loads(path.read_text(encoding="utf-8"))
-        names = ("center", "scale", "linear", "quadratic")
+        names = ("low", "high", "center", "scale", "linear", "quadratic")
         return cls(**{name: np.array(document[name], np.float64) for name in names}, bias=float(document["bias"]))
 
     def document(self) -> dict[str, Any]:
         """The gate as JSON has it."""
-        parts = {name: getattr(self, name).round(5).tolist() for name in ("center", "scale", "linear", "quadratic")}
+        names = ("low", "high", "center", "scale", "linear", "quadratic")
+        parts = {name: getattr(self, name).round(5).tolist() for name in names}
         return {"features": list(WEIGHED), **parts, "bias": round(self.bias, 5)}
 
     def score(self, values: FloatArray) -> FloatArray:
         """(C,) logarithm of the odds of a fruit, from features (C, n) in the order of WEIGHED."""
-        x = standardised(values, self.center, self.scale)
+        x = (np.clip(values, self.low, self.high) - self.center) / self.scale
         scores: FloatArray = self.bias + x @ self.linear + ((x @ self.quadratic) * x).sum(axis=1)
         return scores
 
@@ -90,11 +93,6 @@ class Gate:
 def weighed(features: Features) -> FloatArray:
     """(C, n) features in the order of WEIGHED."""
     return np.stack([features[name] for name in WEIGHED], axis=1)
-
-
-def standardised(values: FloatArray, center: FloatArray, scale: FloatArray) -> FloatArray:
-    """Features (C, n) less (n,) `center` and by (n,) `scale`, cut at FAR, so that products of far ones do not rule."""
-    return np.clip((values - center) / scale, -FAR, FAR)
 
 
 _LOGS = frozenset({"coverage", "thinness", "share"})

@@ -23,14 +23,14 @@ from .visibility import Picture, open_views
 FloatArray = NDArray[np.float64]
 
 STORED = Path(__file__).with_name("interval.json")
-TELLING = ("doubt", "few views", "hidden nearby", "hidden inside")
-"""What predicts a ratio, all 0 in a scene where every fruit is sure and well seen."""
+TELLING = ("doubt", "faint", "hidden")
+"""What predicts a ratio and how far it errs; all 0 where every fruit is sure, of the prompt and well seen."""
 VIEWS = 3
-"""A fruit that fewer views show is not well seen."""
+"""Views that would show a fruit in a place that is seen."""
 PLACES = 2000
-"""Places about the fruit, and inside their hull, at which it is asked whether views would show a fruit."""
+"""Places inside the hull of the fruit that are asked."""
 LEAST_SHARE = 0.3
-"""Shares of places and of fruit that are well seen below this tell no more: nobody knows what hangs there."""
+"""A share of seen places below this tells no more: nobody knows what hangs there."""
 QUANTILE = 1.645
 """Standard deviations of a normal on either side of 90 %."""
 
@@ -38,7 +38,7 @@ QUANTILE = 1.645
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What a scene shows of its count. expected, variance: sum and variance of the number of fruit by the candidates'
-    probabilities; telling: (4,) numbers in the order of TELLING."""
+    probabilities; telling: (3,) numbers in the order of TELLING."""
 
     expected: float
     variance: float
@@ -48,23 +48,24 @@ class Evidence:
 @dataclass(frozen=True, eq=False)
 class Ratio:
     """log (fruit / expected) = bias + weights · telling, give or take `stretch` times the square root of
-    floor² + variance / expected² + (slope · t)², with t the sum of the last three of TELLING."""
+    floor² + variance / expected² + Σ (slopes · telling)²; weights, slopes: (3,) in the order of TELLING."""
 
     bias: float
     weights: FloatArray
     floor: float
-    slope: float
+    slopes: FloatArray
     stretch: float
 
     @classmethod
     def read(cls, document: dict[str, Any]) -> Ratio:
         """What `document` made into JSON."""
-        return cls(**{**document, "weights": np.array(document["weights"], np.float64)})
+        arrays = {name: np.array(document[name], np.float64) for name in ("weights", "slopes")}
+        return cls(**{**document, **arrays})
 
     def document(self) -> dict[str, Any]:
         """The ratio as JSON has it."""
-        numbers = {name: round(float(getattr(self, name)), 5) for name in ("bias", "floor", "slope", "stretch")}
-        return {**numbers, "weights": [round(float(weight), 5) for weight in self.weights]}
+        names = ("bias", "weights", "floor", "slopes", "stretch")
+        return {name: np.round(getattr(self, name), 5).tolist() for name in names}
 
     def mean(self, evidence: Evidence) -> float:
         """The predicted log ratio."""
@@ -72,9 +73,9 @@ class Ratio:
 
     def deviation(self, evidence: Evidence) -> float:
         """Standard deviation of the log ratio."""
-        unseen = float(evidence.telling[1:].sum())
         chance = evidence.variance / max(evidence.expected, 1.0) ** 2
-        return self.stretch * float(np.sqrt(self.floor**2 + chance + (self.slope * unseen) ** 2))
+        spread = ((self.slopes * evidence.telling) ** 2).sum()
+        return self.stretch * float(np.sqrt(self.floor**2 + chance + spread))
 
     def likeliest(self, evidence: Evidence) -> float:
         """The predicted number of fruit."""
@@ -107,20 +108,15 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
 
 def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
     """What the weighed candidates that lie `inside` (C,) the region, and the views, tell of a count."""
-    looks, radius = found.found.looks, found.size.diameter / 2.0
     chances = np.where(inside, found.chances, 0.0)
     expected = float(chances.sum())
     if expected <= 0.0:
         return Evidence(0.0, 0.0, np.zeros(len(TELLING)))
-    seen = float(chances[looks.views >= VIEWS].sum())
     variance = float((chances * (1.0 - chances)).sum())
-    places = found.found.spheres.centers
-    rng = np.random.default_rng(seed)
-    around = places[rng.choice(len(places), PLACES, p=chances / expected)] + rng.normal(0.0, 2.0 * radius, (PLACES, 3))
-    amid = _within(places[chances > LIKELY], rng)
-    hidden = [-np.log(max(_shown(pictures, each, radius), LEAST_SHARE)) for each in (around, amid)]
-    telling = [variance / expected, np.log(expected / max(seen, LEAST_SHARE * expected)), *hidden]
-    return Evidence(expected, variance, np.array(telling))
+    faint = 1.0 - float(chances @ found.features["mean"]) / expected
+    amid = _within(found.found.spheres.centers[chances > LIKELY], np.random.default_rng(seed))
+    hidden = -np.log(max(_shown(pictures, amid, found.size.diameter / 2.0), LEAST_SHARE))
+    return Evidence(expected, variance, np.array([variance / expected, faint, hidden]))
 
 
 def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -82,17 +82,29 @@ def test_a_lower_threshold_takes_fainter_points_as_seriously():
 
 def test_what_is_stored_is_the_gate_that_was_fitted(tmp_path: Path):
     rng, n = np.random.default_rng(0), len(WEIGHED)
-    fitted = Gate(rng.normal(size=n), np.ones(n), rng.normal(size=n), np.triu(rng.normal(size=(n, n))), 0.3)
+    fitted = Gate(
+        np.full(n, -2.0),
+        np.full(n, 2.0),
+        rng.normal(size=n),
+        np.ones(n),
+        rng.normal(size=n),
+        np.triu(rng.normal(size=(n, n))),
+        0.3,
+    )
     (tmp_path / "gate.json").write_text(json.dumps(fitted.document()))
     values = rng.normal(size=(50, n))
     np.testing.assert_allclose(Gate.read(tmp_path / "gate.json").score(values), fitted.score(values), atol=1e-2)
 
 
 def test_a_feature_farther_out_than_any_weighs_no_more_than_the_farthest():
-    gate, values = stored_gate(), np.repeat(stored_gate().center[None], 2, axis=0)
-    values[:, 0] += np.array([5.0, 500.0]) * gate.scale[0]
+    gate, values = stored_gate(), np.repeat(stored_gate().center[None], 3, axis=0)
+    values[:, 3] = [gate.low[3], gate.low[3] - 0.01, gate.low[3] - 10.0]
     scores = gate.score(values)
-    assert scores[0] == pytest.approx(scores[1])
+    assert scores[1:] == pytest.approx(scores[0])
+
+
+def test_a_sphere_that_is_more_even_than_any_it_was_fitted_to_is_surely_a_fruit():
+    assert weighed(residual=0.004)[0][1] > 0.95
 
 
 def test_what_is_stored_weighs_all_features_and_was_fitted_on_seeds_for_training():

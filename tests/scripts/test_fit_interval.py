@@ -23,7 +23,7 @@ from fruitlangs.engine.counting.interval import TELLING, Evidence
 def scene(seed: int, spread: float = 0.1, kind: str = "drawn") -> fit_interval.Example:
     """A scene whose fruit are 1.2 times what is expected where it is in doubt by 0.2, give or take `spread`."""
     rng = np.random.default_rng(seed)
-    telling = np.array([rng.uniform(0.0, 0.3), 0.0, 0.0, 0.0])
+    telling = np.array([rng.uniform(0.0, 0.3), 0.0, 0.0])
     expected = float(rng.uniform(50.0, 500.0))
     number = expected * np.exp(telling[0] * np.log(1.2) / 0.2 + rng.normal(0.0, spread))
     return fit_interval.Example(
