@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cells import Cells
+from .cells import Cells, apart
 from .claims import claim
 from .sample import SurfacePoints
 from .size import FruitSize
 from .sphere import REACH, Spheres, fit_spheres
 from .visibility import Looks, Picture, look_at
-from .vote_kernels import apart, middles, turn_normals
+from .vote_kernels import middles, turn_normals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -121,7 +121,7 @@ def vote(skin: Skin, radius: float) -> FloatArray:
     density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
     least = max(LEAST_VOTES, LEAST_VOTE_SHARE * float(np.quantile(density, 0.9)))
     order = np.argsort(-density, kind="stable")
-    peaks = apart(cells.table, order[density[order] >= least], 0.35 * radius)
+    peaks = apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
     centers = np.empty((len(peaks), 3))
     middles(cells.table, cells.positions[peaks], 0.3 * radius, centers)
     return centers

@@ -93,6 +93,25 @@ def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: 
     return written if total > 0 else seen
 
 
+@njit
+def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> IntArray:
+    """Of spheres in this order, each that differs by `share` of its radius or more, in centre or radius, from those
+    before it that are kept; table: of the centres, radii: (C,) in the order of the cells."""
+    centers = table[0]
+    taken, near = np.zeros(len(radii), np.bool_), np.empty(len(radii), np.int64)
+    kept = np.empty(len(order), np.int64)
+    count = 0
+    for c in order:
+        if taken[c]:
+            continue
+        kept[count] = c
+        count += 1
+        reach = share * radii[c]
+        for k in range(gather(table, centers[c], reach, near)):
+            taken[near[k]] |= abs(radii[near[k]] - radii[c]) < reach
+    return kept[:count]
+
+
 @kernel
 def _numbers(table: Table, centers: FloatArray, reaches: FloatArray, found: IntArray) -> None:
     nothing = np.empty(0, np.int64)

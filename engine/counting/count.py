@@ -121,11 +121,11 @@ def count_fruit(
         point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
     )
-    others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
     if searched is not None:
         within = region.contains(searched.found.spheres.centers)
         sure = estimate(evidence_of(searched, within, pictures, seed=config.seed), counted.count)
         counted = replace(counted, interval=sure.visible, total=sure.total, total_interval=sure.total_interval)
+    others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
     return place_fruit(counted, lying, row)

@@ -135,6 +135,8 @@ def keep_inside(clusters: Clusters, region: Region) -> Clusters:
         components=components.astype(np.int64),
         probabilities=clusters.probabilities[kept],
         refusals={new: told[old] for new, old in enumerate(names.tolist()) if old in told},
+        findings={new: clusters.findings[old] for new, old in enumerate(names.tolist()) if old in clusters.findings},
+        small=frozenset(int(numbers[index]) for index in clusters.small if kept[index]),
     )
 
 

@@ -104,8 +104,11 @@ def sample_skin(
     Gaussian i draws in a view that sees it: fruit that few views see have as many points as the others. Gaussians wider
     than `largest` give none.
     """
-    chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
-    pixels = chosen.weights / np.maximum(visibility.views[chosen.index], 1) * (chosen.opacities >= LEAST_OPACITY)
+    return _skin(_Chosen.of(gaussians, probability, visibility, selected, largest), budget, seed)
+
+
+def _skin(chosen: _Chosen, budget: int, seed: int) -> SurfacePoints:
+    pixels = chosen.weights / np.maximum(chosen.views, 1) * (chosen.opacities >= LEAST_OPACITY)
     owner = np.repeat(np.arange(len(chosen)), share_out(pixels, SPARE * budget))
     own = np.random.default_rng(seed).standard_normal((len(owner), 3))
     own /= np.linalg.norm(own, axis=1, keepdims=True)
@@ -132,12 +135,12 @@ def sample_enough(
 
     A first sample tells how dense its points lie on the fruit; density grows with the budget.
     """
-    largest, budget = LARGEST_SCALE * diameter, min(SURVEY, most)
-    points = sample_skin(gaussians, probability, visibility, selected, budget=budget, seed=seed, largest=largest)
+    chosen = _Chosen.of(gaussians, probability, visibility, selected, LARGEST_SCALE * diameter)
+    budget = min(SURVEY, most)
+    points = _skin(chosen, budget, seed)
     if len(points) == 0:
         return points
-    wanted = min(most, int(budget * ENOUGH / max(density(points.positions, diameter), 1.0)))
-    return sample_skin(gaussians, probability, visibility, selected, budget=wanted, seed=seed, largest=largest)
+    return _skin(chosen, min(most, int(budget * ENOUGH / max(density(points.positions, diameter), 1.0))), seed)
 
 
 def density(positions: FloatArray, diameter: float) -> float:
@@ -158,6 +161,7 @@ class _Chosen:
     opacities: FloatArray
     probabilities: FloatArray
     weights: FloatArray
+    views: IntArray
     directions: FloatArray
 
     def __len__(self) -> int:
@@ -179,6 +183,7 @@ class _Chosen:
             opacities=_array(part.opacities),
             probabilities=probability[index],
             weights=visibility.weights[index],
+            views=visibility.views[index],
             directions=visibility.directions[index],
         )
 

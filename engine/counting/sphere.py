@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .cells import Cells
-from .sphere_kernels import distinct, fit_all, weigh_all
+from .cells import Cells, apart
+from .sphere_kernels import fit_all, weigh_all
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -105,7 +105,7 @@ def _distinct(centers: FloatArray, radii: FloatArray, same: float) -> IntArray:
     """Which of C spheres differ by `same` radii or more, in centre or radius, from those before them that are kept."""
     places = Cells.of(centers, same * float(np.median(radii)))
     order = np.argsort(places.index, kind="stable")
-    return np.sort(places.index[distinct(places.table, radii[places.index], order, same)])
+    return np.sort(places.index[apart(places.table, radii[places.index], order, same)])
 
 
 def weighed(

@@ -94,24 +94,6 @@ def refine(
     return covariance[3, 3]
 
 
-@njit
-def distinct(table: Table, radii: FloatArray, order: IntArray, same: float) -> IntArray:
-    """Of spheres in this order, each that differs by `same` radii from those before it that are kept; radii: (C,)."""
-    centers = table[0]
-    taken, near = np.zeros(len(radii), np.bool_), np.empty(len(radii), np.int64)
-    kept = np.empty(len(order), np.int64)
-    count = 0
-    for c in order:
-        if taken[c]:
-            continue
-        kept[count] = c
-        count += 1
-        reach = same * radii[c]
-        for k in range(gather(table, centers[c], reach, near)):
-            taken[near[k]] |= abs(radii[near[k]] - radii[c]) < reach
-    return kept[:count]
-
-
 @kernel
 def weigh_all(
     table: Table,

@@ -120,15 +120,7 @@ def draw(
 
 def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray, threshold: float) -> Looks:
     """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
-    disc = np.stack(_disc(SPOTS), axis=1)
-    centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
-    best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
-    for picture in pictures:
-        camera = picture.camera
-        look(
-            picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
-            RIM, TOLERANCE, STOP, SHOWN * threshold, LEAST_SHARE, best, sums,
-        )  # fmt: skip
+    best, sums = _looked(pictures, centers, radii, tolerance=TOLERANCE, stop=STOP, shown=SHOWN * threshold)
     stopped, free, chance, views = sums.T
     unknown = free == 0
     return Looks(
@@ -142,6 +134,20 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray,
 def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
     """(C,) views that have nothing in front of at least LEAST_SHARE of the disc of each of C spheres, which need not be
     there: how many would show a fruit in that place."""
+    _, sums = _looked(pictures, centers, radii, tolerance=0.0, stop=float(NOTHING), shown=-1.0)
+    return sums[:, 3].astype(np.int64)
+
+
+def _looked(
+    pictures: Sequence[Picture],
+    centers: FloatArray,
+    radii: FloatArray,
+    *,
+    tolerance: float,
+    stop: float,
+    shown: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see `look_kernels.look`."""
     disc = np.stack(_disc(SPOTS), axis=1)
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
     best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
@@ -149,9 +155,9 @@ def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArr
         camera = picture.camera
         look(
             picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
-            RIM, 0.0, float(NOTHING), -1.0, LEAST_SHARE, best, sums,
+            RIM, tolerance, stop, shown, LEAST_SHARE, best, sums,
         )  # fmt: skip
-    return sums[:, 3].astype(np.int64)
+    return best, sums
 
 
 def _disc(count: int) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import kernel, njit, prange
+from ..compiled import kernel, prange
 from .cells import Table, gather
 
 FloatArray = NDArray[np.float64]
@@ -51,23 +51,6 @@ def turn_normals(
         for i in range(3):
             turned[p, i] += axes[i, 0] if to_camera >= 0.0 else -axes[i, 0]
         turned[p] /= max(np.sqrt((turned[p] ** 2).sum()), 1e-12)
-
-
-@njit
-def apart(table: Table, order: IntArray, distance: float) -> IntArray:
-    """Of points in this order, each that lies farther than `distance` from those before it that are kept."""
-    positions = table[0]
-    taken, near = np.zeros(len(positions), np.bool_), np.empty(len(positions), np.int64)
-    kept = np.empty(len(order), np.int64)
-    count = 0
-    for p in order:
-        if taken[p]:
-            continue
-        kept[count] = p
-        count += 1
-        for k in range(gather(table, positions[p], distance, near)):
-            taken[near[k]] = True
-    return kept[:count]
 
 
 @kernel

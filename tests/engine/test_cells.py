@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fruitlangs.engine.counting.cells import MOST_CELLS, Cells
-from fruitlangs.engine.counting.vote_kernels import apart, middles
+from fruitlangs.engine.counting.cells import MOST_CELLS, Cells, apart
+from fruitlangs.engine.counting.vote_kernels import middles
 
 
 def cloud(count: int, seed: int = 0) -> np.ndarray:
@@ -41,10 +41,16 @@ def test_a_point_astronomically_far_away_does_not_hide_the_others():
 def test_points_that_are_kept_apart_cover_all_others():
     points = cloud(400)
     cells = Cells.of(points, 0.8)
-    kept = apart(cells.table, np.arange(400), 0.8)
+    kept = apart(cells.table, np.full(400, 1.6), np.arange(400), 0.5)
     between = np.linalg.norm(cells.positions[kept][:, None] - cells.positions[kept], axis=2)
     assert between[~np.eye(len(kept), dtype=bool)].min() >= 0.8
     assert np.linalg.norm(cells.positions[:, None] - cells.positions[kept], axis=2).min(axis=1).max() < 0.8
+
+
+def test_spheres_of_other_radii_in_one_place_are_both_kept():
+    cells = Cells.of(np.zeros((4, 3)), 1.0)
+    radii = np.array([1.0, 1.3, 2.0, 2.2])
+    assert apart(cells.table, radii, np.arange(4), 0.5).tolist() == [0, 2]
 
 
 def test_the_middle_of_what_is_near_is_its_mean():

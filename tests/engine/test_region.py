@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import FruitCount
-from fruitlangs.engine.counting.region import Prism, region_of
+from fruitlangs.engine.counting.region import Box, Prism, keep_inside, region_of
+from fruitlangs.engine.counting.sample import SurfacePoints
+from fruitlangs.engine.counting.sphere import unit_directions
+from fruitlangs.engine.counting.template import split_by_template
 from fruitlangs.engine.errors import ConfigError, CountingError
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -100,6 +103,30 @@ def test_a_region_that_holds_everything_changes_nothing(tree: sim.Simulation, wh
     result = counted(tree, boxed(-FAR, FAR))
     np.testing.assert_array_equal(result.centers, whole.centers)
     assert result.audit == whole.audit
+
+
+def test_what_is_told_of_clusters_and_of_small_fruit_goes_with_them_into_a_region() -> None:
+    clusters = split_by_template(sampled(), 1.0)
+    clusters = dataclasses.replace(clusters, small=frozenset({2}))
+    assert [clusters.findings[number][:14] for number in range(3)] == ["a single fruit"] * 3
+    told = {tuple(center): number for number, center in enumerate(clusters.spheres.centers)}
+    box = Box(np.array([2.5, -9.0, -9.0]), np.array([9.0, 9.0, 9.0]))  # without the first of three in a row
+    kept = keep_inside(clusters, box)
+    before = [told[tuple(center)] for center in kept.spheres.centers]
+    assert len(before) == 2
+    assert [number in kept.small for number in range(2)] == [number == 2 for number in before]
+    homes = [int(kept.components[kept.owners == number][0]) for number in range(2)]
+    old = [int(clusters.components[clusters.owners == number][0]) for number in before]
+    assert [kept.findings[home] for home in homes] == [clusters.findings[home] for home in old]
+    assert set(kept.findings) == set(homes)
+
+
+def sampled() -> SurfacePoints:
+    """Three balls of diameter 1 in a row, 3 apart, each seen from all around."""
+    directions = unit_directions(1500)
+    places = np.concatenate([0.5 * directions + [3.0 * number, 0.0, 0.0] for number in range(3)])
+    normals = np.tile(directions, (3, 1))
+    return SurfacePoints(places, normals, np.arange(len(places)), np.ones(len(places)), normals)
 
 
 def test_a_region_without_gaussians_is_an_error_that_says_where_the_scene_is(tree: sim.Simulation) -> None:
