@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-import threading
-import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
-
-import psutil
+from typing import Any
 
 from ..engine.config import EmbedConfig, SceneConfig
 from ..engine.language.autoencoder import train_autoencoders
@@ -28,85 +23,9 @@ from ..engine.scene.camera import Scene
 from ..engine.scene.read import read_scene
 from ..engine.splatting.gaussians import Gaussians
 from ..engine.splatting.ply import read_ply
+from .stopwatch import Stage, Stopwatch
 
-T = TypeVar("T")
 PROMPT, NEGATIVES = "apple", ("leaf", "green pear", "branch")
-SAMPLING = 0.02
-"""Seconds between two looks at the memory."""
-
-
-@dataclass(frozen=True)
-class Stage:
-    """seconds in all; peak: the most memory, bytes, that the process held meanwhile; times: how often it ran."""
-
-    road: str
-    name: str
-    seconds: float
-    peak: int
-    times: int
-
-
-@dataclass
-class Stopwatch:
-    """Seconds and peak memory by stage; a stage inside another one stops the outer one's clock."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    peaks: dict[str, int] = field(default_factory=dict)
-    times: dict[str, int] = field(default_factory=dict)
-    _open: list[str] = field(default_factory=list)
-    _since: float = 0.0
-
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Look at the memory meanwhile."""
-        process, done = psutil.Process(), threading.Event()
-
-        def look() -> None:
-            while not done.wait(SAMPLING):
-                if stages := self._open[-1:]:
-                    self.peaks[stages[0]] = max(self.peaks.get(stages[0], 0), process.memory_info().rss)
-
-        thread = threading.Thread(target=look)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time what is done meanwhile."""
-        self._tick()
-        self._open.append(name)
-        self.times[name] = self.times.get(name, 0) + 1
-        self.peaks[name] = max(self.peaks.get(name, 0), psutil.Process().memory_info().rss)
-        try:
-            yield
-        finally:
-            self._tick()
-            self._open.pop()
-
-    def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Time how long each of them takes to come."""
-        iterator = iter(items)
-        while True:
-            with self.stage(name):
-                try:
-                    item = next(iterator)
-                except StopIteration:
-                    self.times[name] -= 1
-                    return
-            yield item
-
-    def rows(self, road: str) -> list[Stage]:
-        return [Stage(road, name, self.seconds[name], self.peaks[name], self.times[name]) for name in self.times]
-
-    def _tick(self) -> None:
-        now = time.perf_counter()
-        if self._open:
-            self.seconds[self._open[-1]] = self.seconds.get(self._open[-1], 0.0) + now - self._since
-        self._since = now
 
 
 def measure_language(

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from .ablation import Ablation
 from .curve import Curve
-from .language import Stage
 from .markdown import markdown
 from .published import Trained
 from .stages import FORWARD_AND_BACKWARD, STAGES, STEP, Row
+from .stopwatch import Stage
 
 
 def stage_table(rows: Sequence[Row]) -> str:
@@ -70,15 +70,15 @@ def published_table(rows: Sequence[Trained]) -> str:
     return _table("A tiny scene, as published and ours.", head, lines)
 
 
-def language_table(rows: Sequence[Stage]) -> str:
+def watched_table(title: str, rows: Sequence[Stage]) -> str:
     """Markdown: one line a stage of each road, in the order in which they are begun."""
-    head = ["road", "stage", "times", "seconds", "seconds each", "memory at most / MB"]
+    head = ["of", "stage", "times", "seconds", "seconds each", "memory at most / MB"]
     lines = []
     for row in rows:
         each = row.seconds / max(row.times, 1)
         cells = [row.road, row.name, str(row.times), f"{row.seconds:.2f}", f"{each:.3f}", f"{row.peak / 2**20:.0f}"]
         lines.append(cells)
-    return _table("From photos to probabilities.", head, lines)
+    return _table(title, head, lines)
 
 
 def _table(title: str, head: Sequence[str], lines: Sequence[Sequence[str]], *, named: bool = True) -> str:

@@ -1,4 +1,4 @@
-"""Measure the trainer and the language: seconds by stage, memory, curves, what each part gains.
+"""Measure the trainer, the language and the counting: seconds by stage, memory, curves, what each part gains.
 
     python scripts/benchmark.py --quick
     python scripts/benchmark.py --out results/benchmark --json results/benchmark/stages.json
@@ -6,6 +6,7 @@
     python scripts/benchmark.py --ablation examples/orchard_tree --steps 750
     python scripts/benchmark.py --memory 200000 100 800 600
     python scripts/benchmark.py --published examples/orchard_tree
+    python scripts/benchmark.py --counting 1000000 10000000
     python scripts/benchmark.py --language examples/orchard_tree results/tree/gaussians.ply --clip CHECKPOINT
 
 Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
@@ -23,6 +24,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import run, terminal_progress
 from fruitlangs.benchmarks.ablation import ablate
+from fruitlangs.benchmarks.counting_speed import measure_counting
 from fruitlangs.benchmarks.curve import training_curve
 from fruitlangs.benchmarks.language import measure_language
 from fruitlangs.benchmarks.memory import training_peak
@@ -31,9 +33,9 @@ from fruitlangs.benchmarks.pages import (
     curve_table,
     draw_curves,
     draw_stages,
-    language_table,
     published_table,
     stage_table,
+    watched_table,
 )
 from fruitlangs.benchmarks.published import beside_published
 from fruitlangs.benchmarks.stages import MOST_THREADS, Setting, measure
@@ -73,6 +75,9 @@ def main() -> None:
     parser.add_argument(
         "--language", type=Path, nargs=2, metavar=("SCENE", "PLY"), help="features for its Gaussians, and prompts"
     )
+    parser.add_argument(
+        "--counting", type=int, nargs="+", default=[], metavar="POINTS", help="count simulated crowns in so many points"
+    )
     parser.add_argument("--clip", metavar="CHECKPOINT", help="also by masks and this CLIP or SigLIP checkpoint")
     parser.add_argument("--sam", metavar="CHECKPOINT", help="with --clip: also by the masks of this SAM checkpoint")
     parser.add_argument("--views", type=int, default=0, help="photos that --language uses (default: all)")
@@ -87,7 +92,7 @@ def main() -> None:
         pages.append(f"Peak memory {peak / 2**20:.0f} MB, estimated {estimate / 2**20:.0f} MB.")
     rows = []
     if options.quick or not (
-        options.curve or options.ablation or options.memory or options.published or options.language
+        options.curve or options.ablation or options.memory or options.published or options.language or options.counting
     ):
         rows = measure(QUICK if options.quick else grid(options), repeats=options.repeats, progress=progress)
         pages.append(stage_table(rows))
@@ -101,7 +106,10 @@ def main() -> None:
     if options.language is not None:
         scene, ply = options.language
         language = measure_language(scene, ply, roads(options), views=options.views, progress=progress)
-        pages.append(language_table(language))
+        pages.append(watched_table("From photos to probabilities.", language))
+    if options.counting:
+        counting = measure_counting(options.counting, progress=progress)
+        pages.append(watched_table("Counting, views drawn already.", counting))
     progress(1.0, "done")
     print("\n\n".join(pages))
     if options.json is not None:

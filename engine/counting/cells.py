@@ -11,8 +11,8 @@ from ..compiled import kernel, njit, prange
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Table = tuple[FloatArray, IntArray, FloatArray, float, IntArray]
-"""What kernels look neighbours up in: positions, keys, corner, size and shape of `Cells`."""
+Table = tuple[FloatArray, IntArray, IntArray, FloatArray, float, IntArray]
+"""What kernels look neighbours up in: positions, keys, starts, corner, size and shape of `Cells`."""
 
 MOST_CELLS = 1 << 20
 """Cells along one axis; points that lie farther out share the outermost."""
@@ -22,13 +22,15 @@ MOST_CELLS = 1 << 20
 class Cells:
     """P points in the order of their cells.
 
-    positions: (P, 3) in that order; index: (P,) the number that each had before; keys: (P,) of its cell, rising;
-    corner: (3,) where the cells begin; size: their side, scene units; shape: (3,) cells along each axis.
+    positions: (P, 3) in that order; index: (P,) the number that each had before; keys: (K,) of the cells with points,
+    rising; starts: (K + 1,) where each cell's points begin; corner: (3,) where the cells begin; size: their side, scene
+    units; shape: (3,) cells along each axis.
     """
 
     positions: FloatArray
     index: IntArray
     keys: IntArray
+    starts: IntArray
     corner: FloatArray
     size: float
     shape: IntArray
@@ -41,11 +43,14 @@ class Cells:
         shape = places.max(axis=0, initial=0) + 1
         keys = (places[:, 0] * shape[1] + places[:, 1]) * shape[2] + places[:, 2]
         index = np.argsort(keys, kind="stable")
-        return cls(np.ascontiguousarray(positions[index]), index, keys[index], corner, size, shape)
+        keys = keys[index]
+        starts = np.flatnonzero(np.diff(keys, prepend=-1))
+        ends = np.append(starts, len(keys))
+        return cls(np.ascontiguousarray(positions[index]), index, keys[starts], ends, corner, size, shape)
 
     @property
     def table(self) -> Table:
-        return self.positions, self.keys, self.corner, self.size, self.shape
+        return self.positions, self.keys, self.starts, self.corner, self.size, self.shape
 
     def numbers(self, centers: FloatArray, reaches: FloatArray) -> IntArray:
         """(C,) how many points lie within reaches (C,) of the centers (C, 3)."""
@@ -57,7 +62,7 @@ class Cells:
 @njit
 def place(table: Table, along: float, axis: int) -> int:
     """The cell along an axis that holds a coordinate; the outermost for what lies outside."""
-    _, _, corner, size, shape = table
+    _, _, _, corner, size, shape = table
     return int(min(max(np.floor((along - corner[axis]) / size), 0.0), shape[axis] - 1.0))
 
 
@@ -72,13 +77,17 @@ def gather(table: Table, center: FloatArray, reach: float, near: IntArray) -> in
 @njit
 def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: int) -> int:
     """Without a `total`, count the points; with it, write them as `gather` does."""
-    positions, keys, _, _, shape = table
+    positions, keys, starts, _, _, shape = table
     limit, seen, written = len(near), 0, 0
     z0, z1 = place(table, center[2] - reach, 2), place(table, center[2] + reach, 2)
     for x in range(place(table, center[0] - reach, 0), place(table, center[0] + reach, 0) + 1):
         for y in range(place(table, center[1] - reach, 1), place(table, center[1] + reach, 1) + 1):
             row = (x * shape[1] + y) * shape[2]
-            for p in range(np.searchsorted(keys, row + z0), np.searchsorted(keys, row + z1 + 1)):
+            first = np.searchsorted(keys, row + z0)
+            last = first
+            while last < len(keys) and keys[last] <= row + z1:
+                last += 1
+            for p in range(starts[first], starts[last]):
                 dx, dy, dz = (
                     positions[p, 0] - center[0],
                     positions[p, 1] - center[1],
@@ -87,7 +96,7 @@ def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: 
                 if dx * dx + dy * dy + dz * dz > reach * reach:
                     continue
                 seen += 1
-                if total > 0 and (total <= limit or seen * limit // total > (seen - 1) * limit // total):
+                if total > 0 and (total <= limit or seen * limit >= (written + 1) * total):
                     near[written] = p
                     written += 1
     return written if total > 0 else seen
@@ -110,6 +119,51 @@ def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> Int
         for k in range(gather(table, centers[c], reach, near)):
             taken[near[k]] |= abs(radii[near[k]] - radii[c]) < reach
     return kept[:count]
+
+
+@njit
+def linked(table: Table, reach: float, near: float) -> IntArray:
+    """(P,) the first point of the cluster that each is in.
+
+    Points within `reach` of each other are linked; one within `near` of a point that asked for its neighbours does not
+    ask for its own.
+    """
+    positions, keys, starts, _, _, shape = table
+    parents, answered = np.arange(len(positions)), np.zeros(len(positions), np.bool_)
+    for p in range(len(positions)):
+        if answered[p]:
+            continue
+        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
+        z0, z1 = place(table, pz - reach, 2), place(table, pz + reach, 2)
+        for x in range(place(table, px - reach, 0), place(table, px + reach, 0) + 1):
+            for y in range(place(table, py - reach, 1), place(table, py + reach, 1) + 1):
+                row = (x * shape[1] + y) * shape[2]
+                cell = np.searchsorted(keys, row + z0)
+                while cell < len(keys) and keys[cell] <= row + z1:
+                    for q in range(starts[cell], starts[cell + 1]):
+                        dx, dy, dz = positions[q, 0] - px, positions[q, 1] - py, positions[q, 2] - pz
+                        square = dx * dx + dy * dy + dz * dz
+                        if square <= reach * reach:
+                            answered[q] |= square <= near * near
+                            _join(parents, p, q)
+                    cell += 1
+    for p in range(len(positions)):
+        parents[p] = _root(parents, p)
+    return parents
+
+
+@njit
+def _root(parents: IntArray, p: int) -> int:
+    while parents[p] != p:
+        parents[p] = parents[parents[p]]
+        p = parents[p]
+    return p
+
+
+@njit
+def _join(parents: IntArray, p: int, q: int) -> None:
+    first, second = _root(parents, p), _root(parents, q)
+    parents[max(first, second)] = min(first, second)
 
 
 @kernel

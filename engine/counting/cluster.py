@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
 from .candidates import Candidates, Skin, find_candidates
+from .cells import Cells, linked
 from .claims import members
 from .gate import Features, features_of, stored_gate
 from .sample import SurfacePoints
@@ -25,6 +23,8 @@ IntArray = NDArray[np.int64]
 
 LINK = 0.15
 """Points nearer to each other than this, in mean diameters, belong to one cluster."""
+LINKS = 5.0
+"""Points nearer than this part of a link ask for their neighbours but once."""
 LIKELY = 0.5
 """Least probability of a fruit that is counted."""
 SPREADS = (0.08, 0.5)
@@ -153,17 +153,14 @@ def refine(size: FruitSize, spheres: Spheres, chances: FloatArray) -> FruitSize:
 
 
 def connected(points: SurfacePoints, link: float) -> IntArray:
-    """(P,) index of the connected cluster of each point; points nearer than about `link` are linked.
+    """(P,) index of the connected cluster of each point; points nearer than `link` are linked.
 
-    Pairs among all points of a dense surface would fill any memory, so points share their cell of a grid of link / 5,
-    and the cells' first points are linked.
+    Of a dense surface, points LINKS times as close do for one another.
     """
-    cells = np.floor(points.positions / (link / 5.0)).astype(np.int64)
-    _, first, cell_of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    pairs = cKDTree(points.positions[first]).query_pairs(link, output_type="ndarray")
-    size = (len(first), len(first))
-    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=size)
-    return connected_components(graph, directed=False)[1].astype(np.int64)[cell_of.reshape(-1)]
+    cells = Cells.of(points.positions, link)
+    numbers = np.empty(len(points), np.int64)
+    numbers[cells.index] = np.unique(linked(cells.table, link, link / LINKS), return_inverse=True)[1]
+    return numbers
 
 
 def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> dict[int, str]:

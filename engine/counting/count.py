@@ -39,7 +39,8 @@ IntArray = NDArray[np.int64]
 LEAST_OPACITY = 0.05
 FAINT = 1.0 / 3.0
 """Share of the threshold from which a Gaussian may add to a fruit whose surer Gaussians come near the threshold."""
-SIZING_POINTS = 20_000
+SIZING_POINTS, SIZING_SHARE = 20_000, 0.5
+"""Points that tell the size, or so many of each Gaussian where that is more: ten to a fruit are too few."""
 VOLUME_POINTS = 60_000
 """Points of the paper's sampling."""
 DEFAULT_SPREAD = 0.2
@@ -194,7 +195,7 @@ def fruit_size(
         chances,
         visibility,
         seen,
-        budget=min(SIZING_POINTS, config.sample_budget),
+        budget=min(max(SIZING_POINTS, int(SIZING_SHARE * len(seen))), config.sample_budget),
         seed=config.seed,
         largest=8.0 * typical,
     )

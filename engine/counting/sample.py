@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..splatting.gaussians import Gaussians
 from .cells import Cells
+from .skin_kernels import cover
 from .visibility import Visibility
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +28,8 @@ LARGEST_SCALE = 0.5
 """Largest standard deviation, in mean fruit diameters, of a Gaussian that gives points."""
 ENOUGH = 50.0
 """Points within a quarter of a diameter of one that tell a fruit well."""
+BLOCK = 2_000_000
+"""Points that are tried at once: so much memory, whatever their number."""
 SURVEY, SURVEYED = 60_000, 5_000
 """Points of a first sample, and how many of them are asked how dense they lie."""
 
@@ -48,6 +51,12 @@ class SurfacePoints:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @staticmethod
+    def join(parts: Sequence[SurfacePoints]) -> SurfacePoints:
+        """The points of all parts, one after the other."""
+        names = [field.name for field in fields(SurfacePoints)]
+        return SurfacePoints(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def select(self, index: NDArray) -> SurfacePoints:
         """The points at `index` (bool mask (P,) or integer indices)."""
@@ -110,15 +119,23 @@ def sample_skin(
 def _skin(chosen: _Chosen, budget: int, seed: int) -> SurfacePoints:
     pixels = chosen.weights / np.maximum(chosen.views, 1) * (chosen.opacities >= LEAST_OPACITY)
     owner = np.repeat(np.arange(len(chosen)), share_out(pixels, SPARE * budget))
-    own = np.random.default_rng(seed).standard_normal((len(owner), 3))
+    rng = np.random.default_rng(seed)
+    blocks = range(0, max(len(owner), 1), BLOCK)
+    return SurfacePoints.join([_skin_of(chosen, owner[start : start + BLOCK], rng) for start in blocks])
+
+
+def _skin_of(chosen: _Chosen, owner: IntArray, rng: np.random.Generator) -> SurfacePoints:
+    """Of a point for each entry of `owner`, those that are seen."""
+    own = rng.standard_normal((len(owner), 3))
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     axes, scales = chosen.axes[owner], chosen.scales[owner]
-    positions = chosen.means[owner] + SKIN * np.einsum("pij,pj->pi", axes, own * scales)
     normals = np.einsum("pij,pj->pi", axes, own / scales)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    kept = np.flatnonzero(np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING)
-    kept = kept[~covered(positions[kept], chosen)]
-    return chosen.points(positions[kept], normals[kept], owner[kept])
+    faced = np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING
+    owner, normals = owner[faced], normals[faced]
+    positions = chosen.means[owner] + SKIN * np.einsum("pij,pj->pi", axes[faced], (own * scales)[faced])
+    free = ~covered(positions, chosen)
+    return chosen.points(positions[free], normals[free], owner[free])
 
 
 def sample_enough(
@@ -193,17 +210,15 @@ class _Chosen:
 
 
 def covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:
-    """(P,) whether one of the nearest Gaussians alone is more than half opaque at each position."""
+    """(P,) whether one of the Gaussians alone is more than half opaque at each position."""
     inside = np.zeros(len(positions), bool)
-    if len(chosen) == 0:
+    if len(positions) == 0:
         return inside
-    tree = cKDTree(chosen.means)
-    for rows in (slice(start, start + 8192) for start in range(0, len(positions), 8192)):
-        near = tree.query(positions[rows], k=np.arange(1, min(24, len(chosen)) + 1))[1]
-        offset = positions[rows][:, None] - chosen.means[near]
-        own = np.einsum("pkji,pkj->pki", chosen.axes[near], offset) / chosen.scales[near]
-        opacity = chosen.opacities[near] * np.exp(-0.5 * (own**2).sum(axis=2))
-        inside[rows] = (opacity > 0.5).any(axis=1)
+    squares = 2.0 * np.log(np.maximum(chosen.opacities / 0.5, 1.0))
+    reaches = np.sqrt(squares) * chosen.scales.max(axis=1)
+    cells = Cells.of(positions, max(float(reaches.mean()), 1e-12))
+    cover(cells.table, chosen.means, chosen.axes, chosen.scales, squares, inside)
+    inside[cells.index] = inside.copy()
     return inside
 
 

@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 SEEDS = 400
 GRID_STEP = 1.18
 NEIGHBORS = 96
+CROWDED = 6 * NEIGHBORS
+"""Points of a fit in the median, from which larger radii are tried on every other point."""
 BANDWIDTH = 0.08
 LEAST_PEAK = 0.5
 """Of two radii that the points reproduce, the smaller is the fruit's if it has at least this share of the larger's
@@ -60,23 +62,20 @@ def estimate_diameter(
     seeds = order[: min(SEEDS, len(points))]
     largest = 0.5 * float(np.linalg.norm(points.positions.max(axis=0) - points.positions.min(axis=0)))
     grid = smallest * GRID_STEP ** np.arange(max(1, int(np.log(max(largest / smallest, 1.0)) / np.log(GRID_STEP)) + 1))
+    starting, inward = points.positions[seeds], points.normals[seeds]
+    positions, normals = points.positions, points.normals
     logs, weights = [], []
     for step, radius in enumerate(grid[:40]):
         progress(step / min(len(grid), 40), f"trying fruit of radius {radius:.3g}")
-        starts = points.positions[seeds] - radius * points.normals[seeds]
-        cells = Cells.of(points.positions, radius)
+        starts = starting - radius * inward
+        cells = Cells.of(positions, radius)
         reaches, radii = np.full(len(seeds), REACH * radius), np.full(len(seeds), radius)
         spheres = fit_spheres(
-            cells,
-            points.normals[cells.index],
-            starts,
-            reaches,
-            radii,
-            prior=radius,
-            prior_sd=0.6,
-            rounds=8,
-            limit=NEIGHBORS,
-        )
+            cells, normals[cells.index], starts, reaches, radii,
+            prior=radius, prior_sd=0.6, rounds=8, limit=NEIGHBORS,
+        )  # fmt: skip
+        if np.median(cells.numbers(starts, reaches)) > CROWDED:
+            positions, normals = positions[::2], normals[::2]
         kept_radius = (spheres.radii > 0.6 * radius) & (spheres.radii < 1.6 * radius) & (spheres.support >= 8)
         round_enough = kept_radius & (spheres.thinness > LEAST_THINNESS)
         logs.append(np.log(spheres.radii))

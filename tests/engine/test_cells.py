@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
-from fruitlangs.engine.counting.cells import MOST_CELLS, Cells, apart
+from fruitlangs.engine.counting.cells import MOST_CELLS, Cells, apart, linked
 from fruitlangs.engine.counting.vote_kernels import middles
 
 
@@ -60,3 +61,17 @@ def test_the_middle_of_what_is_near_is_its_mean():
     for center, middle in zip(cells.positions[:20], found, strict=True):
         near = points[np.linalg.norm(points - center, axis=1) <= 1.2]
         assert middle == pytest.approx(near.mean(axis=0))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 200), st.floats(0.1, 5.0), st.floats(0.1, 2.0), st.integers(0, 5))
+def test_points_are_linked_as_brute_force_links_them(count: int, size: float, reach: float, seed: int):
+    cells = Cells.of(cloud(count, seed), size)
+    near = np.linalg.norm(cells.positions[:, None] - cells.positions, axis=2) <= reach
+    brute = connected_components(near, directed=False)[1]
+    clusters = linked(cells.table, reach, 0.0)
+    assert np.array_equal(clusters[:, None] == clusters, brute[:, None] == brute)
+    spared = linked(cells.table, reach, reach / 5.0)  # links no more, and all that are four fifths as near
+    assert (brute[spared] == brute).all()
+    close = np.linalg.norm(cells.positions[:, None] - cells.positions, axis=2) <= 0.6 * reach
+    assert (spared[close.nonzero()[0]] == spared[close.nonzero()[1]]).all()

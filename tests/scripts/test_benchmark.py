@@ -22,20 +22,24 @@ from checkpoints import write_clip
 
 from fruitlangs.benchmarks import peer_torch
 from fruitlangs.benchmarks.ablation import VARIANTS, ablate
+from fruitlangs.benchmarks.counting_speed import measure_counting, one_crown
 from fruitlangs.benchmarks.curve import training_curve
-from fruitlangs.benchmarks.language import Stopwatch, measure_language
+from fruitlangs.benchmarks.language import measure_language
 from fruitlangs.benchmarks.pages import (
     ablation_table,
     curve_table,
     draw_curves,
     draw_stages,
-    language_table,
     published_table,
     stage_table,
+    watched_table,
 )
 from fruitlangs.benchmarks.published import DENSIFY_EVERY, DENSIFY_FROM, beside_published
 from fruitlangs.benchmarks.stages import FORWARD_AND_BACKWARD, STAGES, STEP, Setting, ahead, measure, orchard_like
-from fruitlangs.engine.config import EmbedConfig, SceneConfig, TrainConfig
+from fruitlangs.benchmarks.stopwatch import Stopwatch
+from fruitlangs.engine.config import CountConfig, EmbedConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.counting.count import fruit_size
+from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS
 from fruitlangs.engine.splatting.initialise import first_gaussians
@@ -142,7 +146,7 @@ def test_both_roads_of_the_language_are_timed_stage_by_stage(tmp_path: Path) -> 
     assert by_name["embedded", "encode a photo"].times == 2
     assert by_name["clip, classical masks", "find a photo's masks"].times == 2
     assert all(row.seconds >= 0.0 < row.peak for row in rows)
-    assert language_table(rows).count("| ask a word |") == 2
+    assert watched_table("From photos to probabilities.", rows).count("| ask a word |") == 2
 
 
 def test_a_stage_inside_another_stops_its_clock() -> None:
@@ -180,3 +184,23 @@ def test_a_setting_below_one_is_one_line() -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: --threads")
+
+
+def test_counting_is_timed_from_the_size_to_the_fruit() -> None:
+    rows = measure_counting([100_000])
+    assert [row.name for row in rows] == ["size", "points", "fruit"]
+    points, fruit = (int(word.replace(",", "")) for word in rows[0].road.split() if word[0].isdigit())
+    assert 0.95 < points / 100_000 < 1.05
+    assert 650 < fruit < 800  # of 762 true ones
+    with pytest.raises(CountingError, match="numbers of points from 1 on"):
+        measure_counting([0])
+
+
+def test_of_six_thousand_fruit_the_size_is_told_as_of_one_crown() -> None:
+    crown = one_crown()
+    sizes = []
+    for stack in (crown, crown.repeated(8)):
+        size = fruit_size(stack.gaussians, stack.probability, stack.visibility, stack.seen, CountConfig())
+        assert size is not None
+        sizes.append(size.diameter)
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.05)
