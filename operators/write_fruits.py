@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import bmesh
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ..engine.report.words import object_name
 from .blender_data import OWNER, linear_from_srgb, new_object, owned_collection, owned_objects, remove_objects
@@ -27,6 +28,7 @@ LABEL_HUES = {
     "pear": 0.19,
     "plum": 0.80,
 }
+LENGTHS = ("length", "width", "thickness")
 GOLDEN = 0.6180339887
 """Steps of the golden ratio spread any number of neighbours evenly."""
 
@@ -41,9 +43,9 @@ def write_fruits(
     """Replace this Blender scene's fruit objects.
 
     Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
-    world) and carries the custom properties of its row in `fruits.json`: id, label, diameter (metres where
-    metres_per_unit is known, else scene units), probability, visible_fraction (absent where not measured), views, color
-    and kind, fallen and tree (absent where not known).
+    world), turned and scaled as it is long, and carries the custom properties of its row in `fruits.json`: id, label,
+    diameter, length, width and thickness (metres where metres_per_unit is known, else scene units), probability,
+    visible_fraction (absent where not measured), views, color and kind, fallen and tree (absent where not known).
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -53,7 +55,9 @@ def write_fruits(
         mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
         item = new_object(_name(fruit, bpy_scene), mesh, "fruit", collection, root)
         item.location = tuple(np.asarray(fruit.center, dtype=float))
-        item.scale = (float(fruit.diameter),) * 3
+        item.scale = tuple(fruit.lengths.tolist())
+        item.rotation_mode = "QUATERNION"
+        item.rotation_quaternion = Matrix((2.0 * fruit.axes / fruit.lengths[:, None]).T.tolist()).to_quaternion()
         item.color = fruit_color(fruit)
         _set_properties(item, fruit, metres_per_unit)
         objects.append(item)
@@ -80,6 +84,8 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
     item["id"] = int(fruit.id)
     item["label"] = fruit.label
     item["diameter"] = float(fruit.diameter) * (metres_per_unit or 1.0)
+    for key, length in zip(LENGTHS, fruit.lengths, strict=True):
+        item[key] = float(length) * (metres_per_unit or 1.0)
     item["probability"] = float(fruit.probability)
     if fruit.visible_fraction is not None:
         item["visible_fraction"] = float(fruit.visible_fraction)
@@ -97,11 +103,12 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
             item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
     item.id_properties_ui("views").update(min=0, description="Photos that show at least a tenth of it")
     item.id_properties_ui("color").update(subtype="COLOR", min=0.0, max=1.0, description="Mean colour of its surface")
-    item.id_properties_ui("diameter").update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
+    for key in ("diameter", *LENGTHS):
+        item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 
 
 def _unit_sphere(label: str) -> bpy.types.Mesh:
-    """A smooth sphere of diameter 1, so that an object's scale is its diameter."""
+    """A smooth sphere of diameter 1, so that an object's scale is its length, width and thickness."""
     mesh = bpy.data.meshes.new(label)
     shape = bmesh.new()
     bmesh.ops.create_icosphere(shape, subdivisions=3, radius=0.5)

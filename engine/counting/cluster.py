@@ -12,6 +12,7 @@ from ..progress import Progress, silent
 from .candidates import Candidates, Skin, find_candidates
 from .cells import Cells, linked
 from .claims import members
+from .ellipsoid import fit_ellipsoids
 from .gate import Features, features_of, stored_gate
 from .sample import SurfacePoints
 from .size import FruitSize
@@ -47,7 +48,8 @@ class Clusters:
     sphere each point belongs to, -1 none; components: (P,) index of the connected cluster a point is in; probabilities:
     (F,) that a sphere is a fruit of the prompt; refusals: why the likeliest candidate of a cluster without fruit was
     refused, by cluster; findings: why a cluster with fruit was kept, by cluster, where not by its spheres; small:
-    spheres of kind small, whatever their size.
+    spheres of kind small, whatever their size; axes: (F, 3, 3), rows are half axes in radii as `ellipsoid.Ellipsoids`
+    has them, None where fruit are spheres.
     """
 
     points: SurfacePoints
@@ -58,6 +60,7 @@ class Clusters:
     refusals: Mapping[int, str]
     findings: Mapping[int, str] = field(default_factory=dict)
     small: Collection[int] = ()
+    axes: FloatArray | None = None
 
     def refusal(self, component: int) -> str:
         """Why a cluster holds no fruit."""
@@ -114,14 +117,17 @@ def find_fruit(result: Search) -> Clusters:
     found, chances = result.found, result.chances
     components = connected(result.skin.points, LINK * result.size.diameter)
     kept = chances > LIKELY
-    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+    owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
+    skin, settled = result.skin, _settled(result, found.spheres.select(kept))
+    fitted = fit_ellipsoids(skin.cells, skin.normals, owners, settled)
     return Clusters(
-        result.skin.points,
-        _settled(result, found.spheres.select(kept)),
-        numbers[found.owners],
+        skin.points,
+        fitted.spheres,
+        owners,
         components,
         chances[kept],
         _refusals(result, kept, components),
+        axes=fitted.axes,
     )
 
 

@@ -31,7 +31,7 @@ from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sa
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .template import split_by_template
 from .template_shape import read_template
-from .visibility import Picture, Visibility, draw, edge_ratio, look_at, see
+from .visibility import Picture, Visibility, draw, look_at, see
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -103,10 +103,6 @@ def count_fruit(
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
-    if config.diameter is None:
-        spheres = clusters.spheres
-        grown = spheres.grown(edge_ratio(pictures, spheres.centers, spheres.radii))
-        clusters = replace(clusters, spheres=grown)
     spheres = clusters.spheres
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
     numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)

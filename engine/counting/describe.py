@@ -55,6 +55,7 @@ def describe(
                 diameter=diameter,
                 diameter_sd=float(2.0 * spheres.radius_sds[index]),
                 volume=float(np.pi / 6.0 * diameter**3),
+                axes=0.5 * diameter * (np.eye(3) if clusters.axes is None else clusters.axes[index]),
                 probability=float(clusters.probabilities[index]),
                 visible_fraction=None if np.isnan(shown) else shown,
                 views=int(looks.views[index]),

@@ -20,8 +20,9 @@ NO_TREE = 0
 class Fruit:
     """One counted fruit.
 
-    center: (3,) in the scene's frame; diameter, diameter_sd: scene units; volume: cubed scene units; probability that
-    it is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
+    center: (3,) in the scene's frame; diameter of the ball of its volume, diameter_sd: scene units; volume: cubed scene
+    units; axes: (3, 3), rows are its half axes in scene units, longest first, right-handed; probability that it is a
+    fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
     views: how many show at least a tenth of it; color: (3,) mean sRGB of its surface, which tells how ripe it is; kind:
     single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of; fallen: whether
     it lies on the ground, None where no ground is seen; tree: the number of its tree, from 1, None where no trees were
@@ -34,6 +35,7 @@ class Fruit:
     diameter: float
     diameter_sd: float
     volume: float
+    axes: NDArray[np.float64]
     probability: float
     visible_fraction: float | None
     views: int
@@ -42,6 +44,11 @@ class Fruit:
     members: NDArray[np.int64]
     fallen: bool | None = None
     tree: int | None = None
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        """(3,) length, width and thickness, scene units."""
+        return 2.0 * np.linalg.norm(self.axes, axis=1)
 
 
 @dataclass(frozen=True, eq=False)

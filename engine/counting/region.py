@@ -137,6 +137,7 @@ def keep_inside(clusters: Clusters, region: Region) -> Clusters:
         refusals={new: told[old] for new, old in enumerate(names.tolist()) if old in told},
         findings={new: clusters.findings[old] for new, old in enumerate(names.tolist()) if old in clusters.findings},
         small=frozenset(int(numbers[index]) for index in clusters.small if kept[index]),
+        axes=None if clusters.axes is None else clusters.axes[kept],
     )
 
 

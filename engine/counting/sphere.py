@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,10 +52,6 @@ class Spheres:
 
     def __len__(self) -> int:
         return len(self.radii)
-
-    def grown(self, factor: float) -> Spheres:
-        """The same spheres with all radii times `factor`."""
-        return replace(self, radii=factor * self.radii, radius_sds=factor * self.radius_sds)
 
     def select(self, index: NDArray) -> Spheres:
         """The spheres at `index` (bool mask (C,) or integer indices)."""

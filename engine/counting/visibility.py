@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..progress import Progress, silent
 from ..scene.camera import Camera
@@ -35,13 +34,6 @@ STOP = 0.3
 """A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
 SHOWN = 0.25
 """Blended probability, in thresholds, of a spot that shows a fruit; below it something lies on the fruit."""
-RINGS = np.linspace(0.4, 1.8, 29)
-"""Radii, in those of a sphere, of the rings on which its outline is sought."""
-EDGE_VIEWS = 20
-LEAST_RING_SPOTS = 200
-LEAST_EDGE_PIXELS = 4.0
-"""Spheres of a smaller projected radius do not show their outline."""
-EDGE_LIMITS = (0.8, 1.35)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,52 +172,3 @@ def shrunk(camera: Camera, factor: float) -> Camera:
     width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
     K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
     return replace(camera, K=K, width=width, height=height)
-
-
-def edge_ratio(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> float:
-    """By how much the fruit's outlines in the views are wider than their spheres, one factor for all; 1 if unknown.
-
-    Averages the blended probability over rings about the F projected centres, where nothing is in front and no other
-    sphere is near; the outline is where it has fallen half way. What blending, blur and the choice of skin do to fitted
-    radii is alike for all fruit of a scene.
-    """
-    summed, counted = np.zeros(len(RINGS)), np.zeros(len(RINGS))
-    for picture in pictures[:: max(1, len(pictures) // EDGE_VIEWS)]:
-        found, used = _ring_sums(picture, centers, radii)
-        summed += found
-        counted += used
-    if len(centers) == 0 or counted.min() < LEAST_RING_SPOTS:
-        return 1.0
-    profile = summed / counted
-    middle = 0.5 * (profile[RINGS < 0.65].mean() + profile[RINGS > 1.55].mean())
-    outside = np.flatnonzero(profile < middle)
-    if len(outside) == 0 or outside[0] == 0:
-        return 1.0
-    after = int(outside[0])
-    fall = profile[after - 1] - profile[after]
-    crossing = RINGS[after - 1] + (RINGS[after] - RINGS[after - 1]) * (profile[after - 1] - middle) / max(fall, 1e-9)
-    return float(np.clip(crossing, *EDGE_LIMITS))
-
-
-def _ring_sums(picture: Picture, centers: FloatArray, radii: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Summed probability and number of the usable spots on each ring, over all F spheres of one view."""
-    camera = picture.camera
-    x, y, z = (centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
-    ahead = z > 2.0 * radii
-    z = np.where(ahead, z, 1.0)
-    middle = np.stack([camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]], axis=1)
-    reach = camera.K[0, 0] * radii / z
-    angles = 2.0 * np.pi * (np.arange(16) + 0.5) / 16
-    rings = RINGS[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    spots = middle[:, None, None] + reach[:, None, None, None] * rings
-    columns, rows = np.floor(spots[..., 0]), np.floor(spots[..., 1])
-    used = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
-    used &= (ahead & (reach > LEAST_EDGE_PIXELS))[:, None, None]
-    where = (np.where(used, rows, 0).astype(int), np.where(used, columns, 0).astype(int))
-    chord = np.sqrt(np.maximum(1.0 - RINGS**2, 0.0))[:, None]
-    used &= (picture.depth[where] - z[:, None, None]) / radii[:, None, None] > -chord - TOLERANCE
-    near = cKDTree(middle).query(middle, k=np.arange(2, min(8, len(middle)) + 1))[1] if len(middle) > 1 else None
-    for other in () if near is None else near.T:
-        gap = np.linalg.norm(spots - middle[other][:, None, None], axis=3)
-        used &= (gap > 1.3 * reach[other][:, None, None]) | ~ahead[other][:, None, None]
-    return (picture.fruit[where] * used).sum(axis=(0, 2)), used.sum(axis=(0, 2)).astype(float)

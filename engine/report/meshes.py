@@ -28,11 +28,12 @@ def id_color(fruit_id: int) -> tuple[int, int, int]:
 
 
 def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> None:
-    """One named sphere a fruit, its properties as glTF extras; glTF's y axis is the scene's up; scene units."""
+    """One named ellipsoid a fruit, its properties as glTF extras; glTF's y axis is the scene's up; scene units."""
     scene = trimesh.Scene()
     rotation = trimesh.geometry.align_vectors(up, [0.0, 1.0, 0.0])
     for fruit in fruit_count.fruits:
-        mesh = trimesh.creation.icosphere(subdivisions=2, radius=fruit.diameter / 2)
+        mesh = trimesh.creation.icosphere(subdivisions=2)
+        mesh.vertices = mesh.vertices @ fruit.axes
         mesh.visual = trimesh.visual.TextureVisuals(
             material=trimesh.visual.material.PBRMaterial(
                 baseColorFactor=[*id_color(fruit.id), 255], roughnessFactor=0.6
@@ -42,6 +43,7 @@ def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> N
             "id": fruit.id,
             "label": fruit.label,
             "diameter": fruit.diameter,
+            "axes": fruit.axes.tolist(),
             "probability": fruit.probability,
             "visible_fraction": fruit.visible_fraction,
             "views": fruit.views,

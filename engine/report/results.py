@@ -90,6 +90,7 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
         "diameter": round(fruit.diameter * unit, 6),
         "diameter_sd": round(fruit.diameter_sd * unit, 6),
         "volume": float(f"{fruit.volume * unit**3:.6g}"),
+        "axes": [[round(float(value) * unit, 6) for value in axis] for axis in fruit.axes],
         "probability": round(fruit.probability, 4),
         "visible_fraction": None if fruit.visible_fraction is None else round(fruit.visible_fraction, 4),
         "views": fruit.views,

@@ -22,6 +22,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["id", "label", "x_units", "y_units", "z_units", f"diameter_{unit}", f"diameter_sd_{unit}"]
+        + [f"length_{unit}", f"width_{unit}", f"thickness_{unit}"]
         + [f"volume_{volume_unit}", "probability", "visible_fraction", "views", "red", "green", "blue", "kind"]
         + ["fallen", "tree"]
     )
@@ -29,7 +30,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
         visible = "" if fruit.visible_fraction is None else f"{fruit.visible_fraction:.4f}"
         writer.writerow(
             [fruit.id, fruit.label, *(f"{value:.6f}" for value in fruit.center)]
-            + [f"{value * scale:.{decimals}f}" for value in (fruit.diameter, fruit.diameter_sd)]
+            + [f"{value * scale:.{decimals}f}" for value in (fruit.diameter, fruit.diameter_sd, *fruit.lengths)]
             + [f"{fruit.volume * volume_scale:.6g}"]
             + [f"{fruit.probability:.4f}", visible, fruit.views, *fruit.color.tolist(), fruit.kind]
             + ["" if fruit.fallen is None else str(fruit.fallen).lower(), "" if fruit.tree is None else fruit.tree]

@@ -71,6 +71,7 @@ def make_counted(metres_per_unit: float | None = None, label: str = "apple", fru
             diameter=0.1 * (index + 1),
             diameter_sd=0.01,
             volume=0.001,
+            axes=0.05 * (index + 1) * np.array([[0.0, 2.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.0, 0.0]]),
             probability=0.9,
             visible_fraction=None if index == 0 else 0.25,
             views=7,

@@ -103,7 +103,10 @@ def test_fruit_keep_the_input_frame_below_the_root(counted):
     fruit = counted.fruit_count.fruits[1]
     item = bpy.data.objects["apple.002"]
     np.testing.assert_allclose(item.location, fruit.center, atol=1e-6)
-    np.testing.assert_allclose(item.dimensions, [fruit.diameter] * 3, rtol=1e-3)
+    np.testing.assert_allclose(item.dimensions, fruit.lengths, rtol=1e-3)
+    corners = np.array([item.matrix_local @ vertex.co for vertex in item.data.vertices])
+    half = np.abs(fruit.axes).max(axis=0)  # the test's axes lie along the frame's
+    np.testing.assert_allclose(corners.max(axis=0), fruit.center + half, rtol=1e-2)
 
 
 def test_fruit_carry_their_properties(counted):
@@ -111,6 +114,7 @@ def test_fruit_carry_their_properties(counted):
     item = bpy.data.objects["apple.002"]
     assert (item["id"], item["label"], item["kind"]) == (2, "apple", "single")
     assert item["diameter"] == pytest.approx(0.2)
+    assert [item[name] for name in ("length", "width", "thickness")] == pytest.approx([0.4, 0.2, 0.1])
     assert item["probability"] == pytest.approx(0.9)
     assert item["visible_fraction"] == pytest.approx(0.25)
     assert "visible_fraction" not in bpy.data.objects["apple.001"]

@@ -30,6 +30,7 @@ def fruit(number: int, x: float) -> Fruit:
         diameter=0.08,
         diameter_sd=0.004,
         volume=0.08**3 * np.pi / 6,
+        axes=np.array([[0.0, 0.0, 0.08], [0.04, 0.0, 0.0], [0.0, 0.02, 0.0]]),
         probability=0.9,
         visible_fraction=0.75,
         views=12,
@@ -102,6 +103,7 @@ def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> Non
         "label",
         "center",
         "diameter",
+        "axes",
         "probability",
         "visible_fraction",
         "views",
@@ -227,6 +229,9 @@ def test_lengths_become_metres_when_the_scale_is_known() -> None:
     assert document["fruits"][0]["center"] == [0.0, 0.5, -1.0]
     row = next(csv.DictReader(io.StringIO(fruits_csv(two_fruit(), metres_per_unit=2.0))))
     assert float(row["diameter_mm"]) == pytest.approx(160.0)
+    lengths = [float(row[f"{name}_mm"]) for name in ("length", "width", "thickness")]
+    assert lengths == pytest.approx([320.0, 160.0, 80.0])
+    assert np.array(document["fruits"][0]["axes"]) == pytest.approx(2.0 * two_fruit().fruits[0].axes)
     assert float(row["volume_cm3"]) == pytest.approx(two_fruit().fruits[0].volume * 8e6, rel=1e-5)
 
 
@@ -243,7 +248,8 @@ def test_the_glb_holds_one_named_mesh_a_fruit_with_up_along_y(tmp_path: Path) ->
     low, high = scene.bounds
     # z = -1 in the scene is y = -1 in glTF
     assert (low[1] + high[1]) / 2 == pytest.approx(-1.0, abs=1e-3)
-    assert high[1] - low[1] == pytest.approx(0.08, rel=0.02)
+    first = scene.geometry["red apple.001"].bounds  # 0.08 thick each way along its longest axis, the scene's z
+    assert first[1] - first[0] == pytest.approx([0.08, 0.04, 0.16], rel=0.02)
     header = (tmp_path / "fruits.glb").read_bytes()
     length = int.from_bytes(header[12:16], "little")
     extras = json.loads(header[20 : 20 + length])["meshes"][0]["extras"]
