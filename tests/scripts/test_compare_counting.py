@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import ball_scene
 import numpy as np
 import pytest
 
@@ -17,17 +18,20 @@ import _checkout  # noqa: F401
 
 import compare_counting
 
-from fruitlangs.benchmarks.rivals import METHODS, NONE, Found, Surface, surface_of
+from fruitlangs.benchmarks.crowns import scene_crown
+from fruitlangs.benchmarks.rivals import METHODS, NONE, Found, Surface, ours, surface_of
+from fruitlangs.benchmarks.rungs import COUNTING_ONLY, TRUE_MASKS, Rungs
 from fruitlangs.benchmarks.simulated import AXES, SETTINGS, Setting, Simulation, simulate
 from fruitlangs.benchmarks.simulated_page import counting_table, figures_table, visibility_table
 from fruitlangs.benchmarks.touching import Touching, told_apart
 from fruitlangs.benchmarks.trials import Trial, read_trials, trials_csv, tried
-from fruitlangs.engine.config import CountConfig
+from fruitlangs.engine.config import Config, CountConfig
 from fruitlangs.engine.counting.count import count_fruit
-from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.errors import ConfigError, FormatError
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
-from fruitlangs.engine.evaluation.truth import Truth
+from fruitlangs.engine.evaluation.truth import Truth, read_truth
+from fruitlangs.engine.progress import silent
 
 FEW = Setting(fruits=(25, 25), leaves=60, views=10)
 
@@ -70,6 +74,21 @@ def test_drift_doubles_surfaces():
         return float(apart.min(axis=1).std())
 
     assert thickness(0.15) > 3.0 * thickness(0.0)
+
+
+def test_scenes_need_a_folder_for_what_is_trained():
+    with pytest.raises(ConfigError, match="--scenes needs --out"):
+        compare_counting.main(compare_counting.Options(scenes=("apple-small:101",)))
+
+
+def test_ours_on_a_scene_counts_what_its_rung_counts(tmp_path: Path):
+    scene, config = ball_scene.write_scene(tmp_path / "balls", views=10), Config()
+    crown = scene_crown(scene, tmp_path / "out", COUNTING_ONLY, config)
+    truth = read_truth(scene / "truth.json")
+    rung = Rungs(scene, tmp_path / "out", truth, [], ["apple"], config).run(COUNTING_ONLY, silent)
+    assert (crown.setting, crown.seed) == ("apple", 7)
+    assert crown.key != scene_crown(scene, tmp_path / "out", TRUE_MASKS, config).key
+    assert crown.counted({"ours": ours})[0].metrics == count_metrics(rung.centers, rung.diameters, truth)
 
 
 @pytest.mark.parametrize(
