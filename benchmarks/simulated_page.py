@@ -13,6 +13,7 @@ from .trials import Trial
 
 NONE = "–"
 """Stands where there is nothing to measure."""
+_PER_FRUIT = ("doubles", "merges")
 
 
 def counting_page(trials: Sequence[Trial]) -> str:
@@ -48,23 +49,20 @@ def counting_table(trials: Sequence[Trial]) -> str:
 def figures_table(trials: Sequence[Trial], *, by_setting: bool = False) -> str:
     """Markdown: means over crowns by method, or by setting and method."""
     head = ["precision", "recall", "F1", "doubles", "merges", "MAPE", "centre error", "diameter error"]
-    lines = [[*(["setting"] if by_setting else []), "method", *head]]
+    lines = [["setting, method" if by_setting else "method", *head]]
     for setting in _names(trials, "setting") if by_setting else [""]:
         for method in _names(trials, "method"):
             own = [t.metrics for t in trials if t.method == method and setting in ("", t.setting)]
             if not own:
                 continue
             mean = summarise(own)
-            per_fruit = [100.0 * _mean([getattr(m, name) / max(m.visible, 1) for m in own]) for name in _EXTRA]
+            per_fruit = [100.0 * _mean([getattr(m, name) / max(m.visible, 1) for m in own]) for name in _PER_FRUIT]
             errors = [_mean([getattr(m, name) for m in own]) for name in ("center_error", "diameter_error")]
             cells = [_cell(value) for value in (mean.precision, mean.recall, mean.f1)]
             cells += [*(_cell(value, ".1f") for value in per_fruit), _cell(mean.mape, ".1%")]
             cells += [_cell(errors[0]), _cell(errors[1], ".1%")]
-            lines.append([*([setting] if by_setting else []), method, *cells])
+            lines.append([f"{setting}, {method}" if setting else method, *cells])
     return markdown(lines)
-
-
-_EXTRA = ("doubles", "merges")
 
 
 def visibility_table(trials: Sequence[Trial]) -> str:

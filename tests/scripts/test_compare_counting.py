@@ -136,7 +136,7 @@ def test_the_table_says_where_no_other_method_was_better():
 def test_figures_are_means_over_crowns_and_what_nobody_measured_is_a_dash():
     trials = [_trial(0, "a", doubles=1, precision=0.5), _trial(1, "a", doubles=2, precision=1.0)]
     assert figures_table(trials).splitlines()[2] == "| a | 0.750 | 0.000 | 0.000 | 15.0 | 0.0 | 100.0% | – | – |"
-    assert figures_table(trials, by_setting=True).splitlines()[2].startswith("| sparse | a | 0.750 |")
+    assert figures_table(trials, by_setting=True).splitlines()[2].startswith("| sparse, a | 0.750 |")
 
 
 def test_what_a_class_of_visibility_has_is_told_over_all_fruit():
