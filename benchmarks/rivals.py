@@ -21,7 +21,6 @@ from ..engine.counting.sphere import REACH, fit_spheres
 from ..engine.counting.visibility import Visibility, see
 from ..engine.scene.camera import Camera
 from ..engine.splatting.gaussians import Gaussians
-from .simulated import Simulation
 
 FloatArray = NDArray[np.float64]
 Found = tuple[FloatArray, FloatArray]
@@ -40,10 +39,13 @@ WEAKEST = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What every method starts from: how the cameras see the Gaussians, and of the skin of all that is taken for fruit
-    points and the size, None where nothing looks round.
+    """What every method starts from: N Gaussians with probability (N,) of being fruit, the cameras and how they see
+    them, and of the skin of all that is taken for fruit points and the size, None where nothing looks round.
     """
 
+    gaussians: Gaussians
+    probability: torch.Tensor
+    cameras: Sequence[Camera]
     visibility: Visibility
     sample: tuple[SurfacePoints, FruitSize] | None
 
@@ -56,19 +58,19 @@ def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequenc
     seen = selected[visibility.weights[selected] > 0]
     size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
     if size is None:
-        return Surface(visibility, None)
+        return Surface(gaussians, probability, cameras, visibility, None)
     points = sample_enough(
         gaussians, chances, visibility, seen, diameter=size.diameter, most=config.sample_budget, seed=config.seed
     )
-    return Surface(visibility, (points, size))
+    return Surface(gaussians, probability, cameras, visibility, (points, size))
 
 
-def ours(simulation: Simulation, surface: Surface) -> Found:
+def ours(surface: Surface) -> Found:
     """Centres (F, 3) and diameters (F,) by the product's default."""
     counted = count_fruit(
-        simulation.gaussians,
-        simulation.probability,
-        simulation.cameras,
+        surface.gaussians,
+        surface.probability,
+        surface.cameras,
         CountConfig(),
         label="fruit",
         visibility=surface.visibility,
@@ -76,14 +78,14 @@ def ours(simulation: Simulation, surface: Surface) -> Found:
     return counted.centers, counted.diameters
 
 
-def by_road(method: Literal["template", "fruitnerf"], simulation: Simulation, surface: Surface) -> Found:
+def by_road(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
     """A published road of the product's, given the same size; it samples points of its own (the paper's eq. 12)."""
     if surface.sample is None:
         return NONE
     counted = count_fruit(
-        simulation.gaussians,
-        simulation.probability,
-        simulation.cameras,
+        surface.gaussians,
+        surface.probability,
+        surface.cameras,
         CountConfig(method=method, diameter=surface.sample[1].diameter),
         label="fruit",
         visibility=surface.visibility,
@@ -91,7 +93,7 @@ def by_road(method: Literal["template", "fruitnerf"], simulation: Simulation, su
     return counted.centers, counted.diameters
 
 
-def by_mass(simulation: Simulation, surface: Surface) -> Found:
+def by_mass(surface: Surface) -> Found:
     """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
     if surface.sample is None:
         return NONE
@@ -112,7 +114,7 @@ def by_mass(simulation: Simulation, surface: Surface) -> Found:
     return found, np.full(len(found), diameter)
 
 
-def by_votes(simulation: Simulation, surface: Surface) -> Found:
+def by_votes(surface: Surface) -> Found:
     """Votes for centres along the normals, sphere fits, non-maximum suppression; nothing is rejected for its form."""
     if surface.sample is None:
         return NONE
@@ -131,7 +133,7 @@ def by_votes(simulation: Simulation, surface: Surface) -> Found:
     return spheres.centers[chosen], 2.0 * spheres.radii[chosen]
 
 
-METHODS: Mapping[str, Callable[[Simulation, Surface], Found]] = {
+METHODS: Mapping[str, Callable[[Surface], Found]] = {
     "DBSCAN + mass ratio": by_mass,
     "plain centre voting": by_votes,
     "FruitNeRF's clustering": partial(by_road, "fruitnerf"),

@@ -28,7 +28,7 @@ from ..engine.language.embedder import Embedder
 from ..engine.language.relevancy import MIN_WEIGHT
 from ..engine.language.selection import select
 from ..engine.pipeline import Result, count_scene
-from ..engine.progress import Progress, part
+from ..engine.progress import Progress, part, silent
 from ..engine.scene.camera import Camera, Scene
 from ..engine.scene.photo import FilePhoto
 from ..engine.scene.read import read_scene
@@ -69,6 +69,15 @@ class Counted:
     ssim: float | None = None
     views: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a rung counts: N Gaussians with probability (N,) of being fruit, and the cameras that saw them."""
+
+    gaussians: Gaussians
+    probability: torch.Tensor
+    cameras: Sequence[Camera]
 
 
 SAME_POSE = 1e-6
@@ -130,10 +139,25 @@ class Rungs:
             self._instances = read
         return self._instances
 
+    def given(self, name: str, progress: Progress = silent) -> Given:
+        """What is counted on one of the rungs with true masks.
+
+        Raises:
+            FruitLangsError: it cannot be had.
+        """
+        if name == COUNTING_ONLY:
+            surface = self._true_surface(progress)
+            probability = torch.from_numpy(np.isin(surface.fruit, self._ids()).astype(np.float64))
+            return Given(surface.gaussians, probability, self.scene.cameras)
+        assert name == TRUE_MASKS
+        trained = self._trained(progress)
+        cameras = trained.scene.cameras
+        probability = masked_probability(trained.gaussians, cameras, self.instances, self._ids())
+        return Given(trained.gaussians, probability, cameras)
+
     def _counting_only(self, progress: Progress) -> Counted:
-        surface = self._true_surface(part(progress, 0.0, 0.3))
-        probability = np.isin(surface.fruit, self._ids()).astype(np.float64)
-        return self._count(surface.gaussians, torch.from_numpy(probability), part(progress, 0.3, 1.0))
+        given = self.given(COUNTING_ONLY, part(progress, 0.0, 0.3))
+        return self._count(given.gaussians, given.probability, part(progress, 0.3, 1.0))
 
     def _true_geometry(self, progress: Progress) -> Counted:
         surface = self._true_surface(part(progress, 0.0, 0.2))
@@ -143,10 +167,9 @@ class Rungs:
         return self._count(surface.gaussians, probability, part(progress, 0.6, 1.0))
 
     def _true_masks(self, progress: Progress) -> Counted:
-        trained = self._trained(part(progress, 0.0, 0.7))
-        cameras = trained.scene.cameras
-        probability = masked_probability(trained.gaussians, cameras, self.instances, self._ids())
-        counted = self._count(trained.gaussians, probability, part(progress, 0.7, 1.0), cameras)
+        given = self.given(TRUE_MASKS, part(progress, 0.0, 0.7))
+        counted = self._count(given.gaussians, given.probability, part(progress, 0.7, 1.0), given.cameras)
+        trained = self._trained(silent)
         quality = _counted_by(trained)
         counted = dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
         return self._moved(trained, counted) if self.config.train.refine_poses else counted

@@ -7,7 +7,7 @@ The six settings are hard cases of counting. A crown's surfaces as cameras see t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -46,13 +46,14 @@ TILT = 15.0
 class Setting:
     """What makes a simulated crown hard. Lengths are in mean fruit diameters.
 
-    fruits: fewest and most; clump: most fruit that touch; size_cv: standard deviation of log diameter; long: most that
-    one axis is longer than the others; leaves; wrong: share of the leaves that are taken for fruit; floaters: share of
-    the Gaussians; noise: least and most standard deviation of positions; views; arc: degrees that they go around;
-    drift: how far what one half of the views saw is off.
+    fruits: fewest and most; least_clump, clump: fewest and most fruit that touch; size_cv: standard deviation of log
+    diameter; long: most that one axis is longer than the others; leaves; wrong: share of the leaves that are taken for
+    fruit; floaters: share of the Gaussians; noise: least and most standard deviation of positions; views; arc: degrees
+    that they go around; drift: how far what one half of the views saw is off.
     """
 
     fruits: tuple[int, int] = (200, 400)
+    least_clump: int = 1
     clump: int = 1
     size_cv: float = 0.08
     long: float = 1.1
@@ -74,6 +75,14 @@ SETTINGS: Mapping[str, Setting] = {
     "drift between sides": Setting(clump=4, views=48, drift=0.15),
 }
 """By name."""
+_EVEN = Setting(fruits=(240, 240))
+"""240 fruit are whole clumps of any size below."""
+AXES: Mapping[str, Mapping[str, Setting]] = {
+    "clump": {f"{size} touch": replace(_EVEN, least_clump=size, clump=size) for size in (2, 3, 4, 6, 8, 12)},
+    "spread": {f"spread {cv:g}": replace(_EVEN, clump=4, size_cv=cv) for cv in (0.05, 0.1, 0.2, 0.3, 0.4)},
+    "pairs": {"pairs": Setting(fruits=(480, 480), least_clump=2, clump=2, leaves=2000)},
+}
+"""Settings along which one thing alone changes, by what changes and by name."""
 
 
 def any_setting(seed: int) -> Setting:
@@ -167,7 +176,7 @@ def _fruit(setting: Setting, rng: np.random.Generator) -> _Bodies:
     centers = np.zeros((count, 3))
     placed = 0
     while placed < count:
-        size = int(rng.integers(1, setting.clump + 1))
+        size = int(rng.integers(setting.least_clump, setting.clump + 1))
         for member in range(min(size, count - placed)):
             centers[placed] = _free_place(centers[:placed], radii, placed, member, rng)
             placed += 1

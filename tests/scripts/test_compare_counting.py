@@ -5,8 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import ball_scene
 import numpy as np
 import pytest
 
@@ -14,13 +16,22 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 import _checkout  # noqa: F401
 
-from fruitlangs.benchmarks.rivals import METHODS, surface_of
-from fruitlangs.benchmarks.simulated import SETTINGS, Setting, Simulation, simulate
-from fruitlangs.benchmarks.simulated_page import Trial, counting_table
-from fruitlangs.engine.config import CountConfig
+import compare_counting
+
+from fruitlangs.benchmarks.crowns import scene_crown
+from fruitlangs.benchmarks.rivals import METHODS, NONE, Found, Surface, ours, surface_of
+from fruitlangs.benchmarks.rungs import COUNTING_ONLY, TRUE_MASKS, Rungs
+from fruitlangs.benchmarks.simulated import AXES, SETTINGS, Setting, Simulation, simulate
+from fruitlangs.benchmarks.simulated_page import counting_table, figures_table, visibility_table
+from fruitlangs.benchmarks.touching import Touching, told_apart
+from fruitlangs.benchmarks.trials import Trial, read_trials, trials_csv, tried
+from fruitlangs.engine.config import Config, CountConfig
 from fruitlangs.engine.counting.count import count_fruit
+from fruitlangs.engine.errors import ConfigError, FormatError
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
+from fruitlangs.engine.evaluation.truth import Truth, read_truth
+from fruitlangs.engine.progress import silent
 
 FEW = Setting(fruits=(25, 25), leaves=60, views=10)
 
@@ -65,6 +76,21 @@ def test_drift_doubles_surfaces():
     assert thickness(0.15) > 3.0 * thickness(0.0)
 
 
+def test_scenes_need_a_folder_for_what_is_trained():
+    with pytest.raises(ConfigError, match="--scenes needs --out"):
+        compare_counting.main(compare_counting.Options(scenes=("apple-small:101",)))
+
+
+def test_ours_on_a_scene_counts_what_its_rung_counts(tmp_path: Path):
+    scene, config = ball_scene.write_scene(tmp_path / "balls", views=10), Config()
+    crown = scene_crown(scene, tmp_path / "out", COUNTING_ONLY, config)
+    truth = read_truth(scene / "truth.json")
+    rung = Rungs(scene, tmp_path / "out", truth, [], ["apple"], config).run(COUNTING_ONLY, silent)
+    assert (crown.setting, crown.seed) == ("apple", 7)
+    assert crown.key != scene_crown(scene, tmp_path / "out", TRUE_MASKS, config).key
+    assert crown.counted({"ours": ours})[0].metrics == count_metrics(rung.centers, rung.diameters, truth)
+
+
 @pytest.mark.parametrize(
     ("method", "least"),
     [
@@ -77,7 +103,7 @@ def test_drift_doubles_surfaces():
 )
 def test_fruit_that_hang_apart_are_found(crown: Simulation, method: str, least: float):
     surface = surface_of(crown.gaussians, crown.probability, crown.cameras)
-    assert count_metrics(*METHODS[method](crown, surface), crown.truth).f1 > least
+    assert count_metrics(*METHODS[method](surface), crown.truth).f1 > least
 
 
 def test_the_settings_are_those_of_the_first_experiment():
@@ -88,11 +114,107 @@ def test_the_settings_are_those_of_the_first_experiment():
     assert all(24 <= setting.views <= 48 for setting in SETTINGS.values())
 
 
+def _trial(seed: int, method: str, **figures: float) -> Trial:
+    """Nothing found of ten fruit, with other `figures`."""
+    truth = Truth(
+        centers=np.arange(30.0).reshape(10, 3),
+        diameters=np.ones(10),
+        visible=np.ones(10, bool),
+        visible_fractions=np.linspace(0.1, 1.0, 10),
+    )
+    trial = tried("sparse", seed, method, "key", NONE, truth)
+    return replace(trial, metrics=replace(trial.metrics, **figures))
+
+
 def test_the_table_says_where_no_other_method_was_better():
-    trials = [Trial("sparse", s, m, f) for s, m, f in ((0, "a", 0.5), (0, "b", 0.9), (1, "a", 0.8), (1, "b", 0.8))]
+    trials = [_trial(s, m, f1=f) for s, m, f in ((0, "a", 0.5), (0, "b", 0.9), (1, "a", 0.8), (1, "b", 0.8))]
     lines = counting_table(trials).splitlines()
     assert lines[2] == "| a | 0.650 | 1 of 2 |"
     assert lines[3] == "| b | 0.850 | 2 of 2 |"
+
+
+def test_figures_are_means_over_crowns_and_what_nobody_measured_is_a_dash():
+    trials = [_trial(0, "a", doubles=1, precision=0.5), _trial(1, "a", doubles=2, precision=1.0)]
+    assert figures_table(trials).splitlines()[2] == "| a | 0.750 | 0.000 | 0.000 | 15.0 | 0.0 | 100.0% | – | – |"
+    assert figures_table(trials, by_setting=True).splitlines()[2].startswith("| sparse, a | 0.750 |")
+
+
+def test_what_a_class_of_visibility_has_is_told_over_all_fruit():
+    few, many = (_trial(seed, "a") for seed in (0, 1))
+    few = replace(few, classes=(replace(few.classes[0], visible=1, recall=1.0, center_error=0.1, diameter_error=0.1),))
+    many = replace(many, classes=(replace(few.classes[0], visible=9, recall=1.0, center_error=0.2),))
+    lines = visibility_table([few, many]).splitlines()
+    assert lines[2] == "| a | 1.000, 0.190, 10.0% |"
+    assert lines[3] == "| fruit | 10 |"
+
+
+def test_a_pair_is_told_apart_where_each_fruit_is_counted_once():
+    truth = Truth(
+        centers=np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 0, 0], [9.0, 0, 0], [10.0, 0, 0]]),
+        diameters=np.ones(5),
+        visible=np.ones(5, bool),
+        visible_fractions=np.array([0.6, 0.55, 0.6, 0.6, 0.9]),
+    )
+
+    def apart(*places: float) -> Touching:
+        return told_apart(np.array([[x, 0.0, 0.0] for x in places]).reshape(-1, 3), truth)
+
+    assert apart() == Touching(1, 0)  # the third has no neighbour, and the last is seen too well
+    assert apart(0.1, 1.1) == Touching(1, 1)
+    assert apart(0.5) == Touching(1, 0)
+    assert apart(0.1, 1.1, 1.4) == Touching(1, 0)  # one is counted twice
+    assert apart(0.1, 1.1, -0.7) == Touching(1, 0)  # what is left over lies beside it
+    assert apart(0.1, 1.1, 5.0, -3.0) == Touching(1, 1)
+    assert apart(0.1, 1.7) == Touching(1, 0)
+
+
+def test_trials_come_back_as_they_were_written(tmp_path: Path, crown: Simulation):
+    found = crown.truth.centers[:9] + 0.1, crown.truth.diameters[:9]
+    trials = [tried("few", 3, "some", "key", found, crown.truth), tried("few", 3, "none", "key", NONE, crown.truth)]
+    assert read_trials(tmp_path / "trials.csv") == []
+    (tmp_path / "trials.csv").write_text(trials_csv(trials))
+    assert trials_csv(read_trials(tmp_path / "trials.csv")) == trials_csv(trials)
+    assert read_trials(tmp_path / "trials.csv")[0].metrics == trials[0].metrics
+    (tmp_path / "trials.csv").write_text("setting,seed\nsparse,0\n")
+    with pytest.raises(FormatError, match="move it away"):
+        read_trials(tmp_path / "trials.csv")
+
+
+def test_a_second_run_goes_on_with_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    counted = list[str]()
+
+    def counting(name: str, surface: Surface) -> Found:
+        counted.append(name)
+        return NONE
+
+    monkeypatch.setitem(compare_counting.SETTINGS, "few", FEW)
+    monkeypatch.setattr(compare_counting, "METHODS", {name: partial(counting, name) for name in ("a", "b")})
+    options = compare_counting.Options(seeds=1, settings=("few",), out=tmp_path)
+    compare_counting.main(options)
+    first = (tmp_path / "counting.md").read_text()
+    compare_counting.main(options)
+    assert counted == ["a", "b"]
+    assert (tmp_path / "counting.md").read_text() == first
+    compare_counting.main(replace(options, seeds=2))
+    assert counted == ["a", "b"] * 2
+    monkeypatch.setitem(compare_counting.SETTINGS, "few", replace(FEW, leaves=50))
+    compare_counting.main(options)
+    assert counted == ["a", "b"] * 3
+
+
+def test_along_an_axis_one_thing_changes():
+    for levels in AXES.values():
+        first = next(iter(levels.values()))
+        for setting in levels.values():
+            changed = {name for name, value in vars(setting).items() if value != getattr(first, name)}
+            assert changed <= {"least_clump", "clump"} or changed <= {"size_cv"}
+    assert all(setting.least_clump == setting.clump for setting in AXES["clump"].values())
+
+
+def test_clumps_of_one_size_touch():
+    centers = simulate(replace(FEW, fruits=(24, 24), least_clump=4, clump=4), 8).truth.centers.reshape(6, 4, 3)
+    nearest = np.linalg.norm(centers[:, :, None] - centers[:, None], axis=3) + 9.0 * np.eye(4)
+    assert nearest.min(axis=2).max() < 1.5
 
 
 def test_an_unknown_setting_is_one_line():
