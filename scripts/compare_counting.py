@@ -23,7 +23,7 @@ from typing import Literal
 import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import import_tyro, report, run, terminal_progress
-from fruitlangs.benchmarks.crowns import Crown, scene_crown, simulated_crowns
+from fruitlangs.benchmarks.crowns import Crown, Methods, scene_crown, simulated_crowns
 from fruitlangs.benchmarks.orchards import scene_folder
 from fruitlangs.benchmarks.rivals import METHODS
 from fruitlangs.benchmarks.rungs import COUNTING_ONLY, TRUE_MASKS
@@ -49,6 +49,8 @@ class Options:
     """What alone changes; without it, the six settings."""
     settings: tuple[str, ...] = ()
     """Names of settings; without any, all."""
+    methods: tuple[str, ...] = ()
+    """Names of methods; without any, all."""
     scenes: tuple[str, ...] = ()
     """In place of simulated crowns: folders of generated scenes, or presets with seeds such as apple-small:101."""
     out: Path | None = None
@@ -63,6 +65,8 @@ def main(options: Options) -> None:
     all_settings = AXES[options.along] if options.along else SETTINGS
     if unknown := [name for name in options.settings if name not in all_settings]:
         raise ConfigError(f"there is no setting '{unknown[0]}'; there are {', '.join(all_settings)}")
+    if unknown := [name for name in options.methods if name not in METHODS]:
+        raise ConfigError(f"there is no method '{unknown[0]}'; there are {', '.join(METHODS)}")
     if options.out is not None:
         require_writable(options.out)
     if options.scenes:
@@ -70,7 +74,7 @@ def main(options: Options) -> None:
         return
     chosen = {name: all_settings[name] for name in options.settings or all_settings}
     crowns = list(simulated_crowns(chosen, range(options.first, options.first + options.seeds)))
-    print(compared(crowns, options.out, options.along or "counting"))
+    print(compared(crowns, chosen_methods(options), options.out, options.along or "counting"))
 
 
 def compare_on_scenes(options: Options) -> None:
@@ -79,19 +83,24 @@ def compare_on_scenes(options: Options) -> None:
     folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
     for rung in (COUNTING_ONLY, TRUE_MASKS):
         crowns = [scene_crown(folder, options.out / folder.name, rung, Config()) for folder in folders]
-        print(f"{rung}\n\n{compared(crowns, options.out, rung)}\n")
+        print(f"{rung}\n\n{compared(crowns, chosen_methods(options), options.out, rung)}\n")
 
 
-def compared(crowns: Sequence[Crown], out: Path | None, name: str) -> str:
-    """The page of all methods on the crowns; OUT/NAME.csv and OUT/NAME.md are written after each."""
+def chosen_methods(options: Options) -> Methods:
+    """Those that are named, in the order of all."""
+    return {name: count for name, count in METHODS.items() if name in options.methods or not options.methods}
+
+
+def compared(crowns: Sequence[Crown], methods: Methods, out: Path | None, name: str) -> str:
+    """The page of the methods on the crowns; OUT/NAME.csv and OUT/NAME.md are written after each."""
     kept = {_place(trial): trial for trial in (read_trials(out / f"{name}.csv") if out else ())}
     progress, trials = terminal_progress(), list[Trial]()
     for number, crown in enumerate(crowns):
-        own = [kept.get((crown.setting, crown.seed, method)) for method in METHODS]
+        own = [kept.get((crown.setting, crown.seed, method)) for method in methods]
         known = [trial for trial in own if trial is not None and trial.key == crown.key]
-        if len(known) < len(METHODS):
+        if len(known) < len(methods):
             progress(number / len(crowns), f"{crown.setting}, seed {crown.seed}")
-            known = crown.counted(METHODS)
+            known = crown.counted(methods)
             kept |= {_place(trial): trial for trial in known}
         trials += known
         if out is not None:

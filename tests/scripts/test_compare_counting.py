@@ -200,6 +200,11 @@ def test_a_second_run_goes_on_with_the_first(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setitem(compare_counting.SETTINGS, "few", replace(FEW, leaves=50))
     compare_counting.main(options)
     assert counted == ["a", "b"] * 3
+    compare_counting.main(replace(options, first=5, methods=("b",)))
+    assert counted == ["a", "b"] * 3 + ["b"]
+    assert "| a |" not in (tmp_path / "counting.md").read_text()
+    with pytest.raises(ConfigError, match="there is no method 'c'; there are a, b"):
+        compare_counting.main(replace(options, methods=("c",)))
 
 
 def test_along_an_axis_one_thing_changes():
