@@ -15,7 +15,7 @@ from .counting.count import count_fruit
 from .counting.ids import NOBODY, KnownFruit
 from .counting.template_shape import read_template
 from .errors import OutputError, VocabularyError
-from .files import require_writable
+from .files import file_hash, require_writable
 from .language.embedder import Embedder
 from .language.relevancy import check_prompts
 from .language.selection import select
@@ -60,8 +60,10 @@ def count_scene(
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
     if config.units.object is not None:
         check_prompts(encoder, [config.units.object])
+    given: dict[str, str] = {}
     if config.count.template:
         read_template(Path(config.count.template))  # nor must a file that is no template
+        given["template_sha256"] = file_hash(Path(config.count.template))
     stages = Stages()
     if foreign is not None:
         check_foreign(source, foreign, out)
@@ -93,7 +95,7 @@ def count_scene(
         features=made.features,
         probability=probability,
         fruit_count=fruit_count,
-        origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives)},
+        origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives), **given},
         config=made.config,
         seconds=stages.seconds,
         reused=stages.reused,

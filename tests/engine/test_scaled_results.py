@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -64,6 +65,15 @@ def test_the_provenance_says_how_the_scale_was_found(counted: Result) -> None:
     scale = document(counted)["provenance"]["scale"]
     assert (scale["measure"], scale["standard_error"]) == ("cameras", None)
     assert all(name in scale["of"] for name in PAIR)
+
+
+def test_the_provenance_names_the_template_that_was_counted_with(counted: Result, tmp_path: Path) -> None:
+    path = tmp_path / "ball.ply"
+    trimesh.creation.icosphere().export(path)
+    method = CountConfig(method="template", template=str(path))
+    again = count_scene(counted.out, ["fruit"], tmp_path / "again", config=Config(count=method))
+    assert document(again)["provenance"]["template_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert "template_sha256" not in document(counted)["provenance"]
 
 
 def test_another_prompt_of_the_result_keeps_its_scale(counted: Result, tmp_path: Path) -> None:
