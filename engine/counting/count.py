@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..config import CountConfig
 from ..errors import CountingError
@@ -20,7 +22,7 @@ from ..splatting.viewpoints import find_subject
 from .account import account_for
 from .cluster import Clusters, Search, find_fruit, search
 from .describe import describe, place_fruit, point_colors
-from .fruit import AuditEntry, FruitCount
+from .fruit import NO_TREE, AuditEntry, FruitCount
 from .fruitnerf import cluster_as_fruitnerf
 from .ground import lying_on_ground
 from .ids import NOBODY, KnownFruit, number
@@ -118,14 +120,28 @@ def count_fruit(
         point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
     )
-    if searched is not None:
-        within = region.contains(searched.found.spheres.centers)
-        sure = estimate(evidence_of(searched, within, pictures, seed=config.seed), counted.count)
-        counted = replace(counted, interval=sure.visible, total=sure.total, total_interval=sure.total_interval)
     others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
-    return place_fruit(counted, lying, row)
+    placed = place_fruit(counted, lying, row)
+    return placed if searched is None else _with_intervals(placed, searched, region, pictures, config.seed)
+
+
+def _with_intervals(
+    counted: FruitCount, searched: Search, region: Region, pictures: Sequence[Picture], seed: int
+) -> FruitCount:
+    """The count and its trees with intervals; a candidate speaks of the tree of the fruit that is nearest to it."""
+    centers = searched.found.spheres.centers
+    inside = region.contains(centers)
+    numbers = np.array([NO_TREE if fruit.tree is None else fruit.tree for fruit in counted.fruits])
+    own = numbers[cKDTree(counted.centers).query(centers)[1]] if counted.trees else np.full(len(centers), NO_TREE)
+
+    def sure(of: NDArray[np.bool_], count: int) -> dict[str, Any]:
+        told = estimate(evidence_of(searched, of, pictures, seed=seed), count)
+        return {"interval": told.visible, "total": told.total, "total_interval": told.total_interval}
+
+    trees = [replace(tree, **sure(inside & (own == tree.number), tree.count)) for tree in counted.trees]
+    return replace(counted, trees=trees, **sure(inside, counted.count))
 
 
 def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:

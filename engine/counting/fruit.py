@@ -53,11 +53,15 @@ class Fruit:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One tree of a row. number: from 1 along the row; position: (3,) in the scene's frame; count: of its fruit."""
+    """One tree of a row. number: from 1 along the row; position: (3,) in the scene's frame; count: of its fruit;
+    interval, total, total_interval: as `FruitCount` has them, of this tree's fruit."""
 
     number: int
     position: NDArray[np.float64]
     count: int
+    interval: tuple[int, int] | None = None
+    total: float | None = None
+    total_interval: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,7 @@ def fruits_document(
         "schema": SCHEMA,
         "set_id": set_id(files),
         "count": fruit_count.count,
-        "interval": fruit_count.interval,
-        "total": fruit_count.total,
-        "total_interval": fruit_count.total_interval,
+        **_sure(fruit_count),
         "last_id": fruit_count.last_id,
         "unit": "scene units" if metres_per_unit is None else "m",
         "metres_per_unit": metres_per_unit,
@@ -103,7 +101,11 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
 
 def _tree_entry(tree: Tree) -> dict[str, Any]:
     position = [round(float(value), 6) for value in tree.position]
-    return {"number": tree.number, "position": position, "count": tree.count, "interval": None}
+    return {"number": tree.number, "position": position, "count": tree.count, **_sure(tree)}
+
+
+def _sure(counted: FruitCount | Tree) -> dict[str, Any]:
+    return {"interval": counted.interval, "total": counted.total, "total_interval": counted.total_interval}
 
 
 def _audit_entry(entry: AuditEntry) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..counting.fruit import AuditEntry, Fruit, FruitCount
+from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 
 
 def object_name(fruit: Fruit) -> str:
@@ -36,10 +36,17 @@ def whereabouts(fruit_count: FruitCount) -> list[str]:
         unknown = fruit_count.count - hanging - fallen
         told = [f"{hanging} hanging, {fallen} on the ground" + (f", {unknown} not known" if unknown else "")]
     if fruit_count.trees:
-        counts = ", ".join(f"{tree.count} on tree {tree.number}" for tree in fruit_count.trees)
+        counts = ", ".join(f"{tree.count} on tree {tree.number}{_tree_sureness(tree)}" for tree in fruit_count.trees)
         elsewhere = sum(fruit.tree is None for fruit in fruit_count.fruits)
         told.append(counts + (f", {elsewhere} on none of them" if elsewhere else ""))
     return told
+
+
+def _tree_sureness(tree: Tree) -> str:
+    if tree.interval is None or tree.total_interval is None:
+        return ""
+    (low, high), (least, most) = tree.interval, tree.total_interval
+    return f" (90 %: {low} to {high}, with those nobody saw {least} to {most})"
 
 
 def nothing_found(fruit_count: FruitCount, threshold: float) -> str:

@@ -17,7 +17,7 @@ from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
 from fruitlangs.engine.counting.interval import STORED, TELLING, Evidence, Ratio, estimate, stored_ratios
 from fruitlangs.engine.report.audit import audit_text
-from fruitlangs.engine.report.words import sureness
+from fruitlangs.engine.report.words import sureness, whereabouts
 
 sys.path.insert(0, str(Path(__file__).parent))
 import simulated_fruit as sim
@@ -93,6 +93,23 @@ def test_of_a_region_only_its_own_fruit_are_expected(tree: sim.Simulation):
     part = counted(tree, CountConfig(box=(low[0], low[1], middle + 0.01, high[0], high[1], high[2])))
     assert part.interval is not None
     assert part.interval[1] < whole.interval[0]
+
+
+def test_every_tree_of_a_row_says_how_sure_its_count_is(tree: sim.Simulation):
+    whole, row = counted(tree, CountConfig()), counted(tree, CountConfig(trees=2))
+    assert row.interval == whole.interval
+    assert sum(each.count for each in row.trees) == row.count
+    for each in row.trees:
+        assert each.interval is not None
+        assert each.total is not None
+        assert each.total_interval is not None
+        assert each.interval[0] <= each.count <= each.interval[1] < row.count
+        assert each.total_interval[0] <= each.total <= each.total_interval[1]
+        assert (
+            f"{each.count} on tree {each.number} (90 %: {each.interval[0]} to {each.interval[1]}"
+            in whereabouts(row)[-1]
+        )
+    assert sum(each.total or 0.0 for each in row.trees) == pytest.approx(whole.total, rel=0.2)
 
 
 def test_a_published_road_tells_no_interval_and_claims_none(tree: sim.Simulation):
