@@ -34,6 +34,8 @@ SETTLED = 0.03
 """A size that changes the logarithms of diameter and spread by less needs no further round."""
 FEWEST = 3
 """Fruit from which a size can be told."""
+USUAL, USUALLY = 0.15, 5.0
+"""Deviation of log diameter before a fruit is found, and as many fruit as that counts for: a few tell no spread."""
 ROUNDS, COARSE = 3, 3
 """Of looking for fruit of the size that the round before found, and of how many points one tells the size."""
 STEADY = 0.25
@@ -147,14 +149,16 @@ def _settled(result: Search, spheres: Spheres) -> Spheres:
 def refine(size: FruitSize, spheres: Spheres, chances: FloatArray) -> FruitSize:
     """The mean and spread of log diameter of the likely fruit (C,), a step of expectation maximisation.
 
-    A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean.
+    A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Of a few
+    fruit that are alike by chance, another one would be refused for its size: the spread is held near the usual one.
     """
     weights = np.where(chances > LIKELY, chances, 0.0)
     if np.count_nonzero(weights) < FEWEST:
         return size
     logs, variances = np.log(2.0 * spheres.radii), (spheres.radius_sds / spheres.radii) ** 2
     mean = float((weights * logs).sum() / weights.sum())
-    variance = float((weights * ((logs - mean) ** 2 + variances)).sum() / weights.sum())
+    squares = float((weights * ((logs - mean) ** 2 + variances)).sum()) + USUALLY * USUAL**2
+    variance = squares / (float(weights.sum()) + USUALLY)
     return FruitSize(float(np.exp(mean)), float(np.clip(np.sqrt(variance), *SPREADS)))
 
 

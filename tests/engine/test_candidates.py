@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.counting.candidates import FruitSize
-from fruitlangs.engine.counting.cluster import Clusters, find_fruit, refine, search
+from fruitlangs.engine.counting.cluster import USUAL, USUALLY, Clusters, find_fruit, refine, search
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import Spheres
 
@@ -72,6 +72,18 @@ def test_touching_pairs_seen_from_one_side_are_two_fruit_each(seed: int):
     assert np.median(off(clusters, pairs.reshape(-1, 3))) < 0.1
 
 
+def test_of_five_fruit_four_that_are_alike_do_not_make_the_fifth_unlikely():
+    places, diameters = 4.0 * np.arange(5)[:, None] * [1.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0, 0.82]
+    balls = [
+        seen_from(place[None], towards, diameter=diameter, seed=number)
+        for number, (place, diameter) in enumerate(zip(places, diameters, strict=True))
+        for towards in np.vstack([np.eye(3), -np.eye(3)])
+    ]
+    chances = search(joined(*balls), FruitSize(1.0, 0.15), [], 0.5).chances
+    assert len(chances) == 5
+    assert chances.min() > 0.9
+
+
 def test_doubling_every_point_changes_no_fruit():
     points = seen_from(3.0 * directions(np.random.default_rng(1), 12), np.array([0.0, 1.0, 0.0]))
     once, twice = found(points), found(joined(points, points))
@@ -110,5 +122,6 @@ def test_the_size_is_refined_by_the_fruit_that_are_found_and_by_no_others():
     spheres = Spheres(np.zeros((4, 3)), radii, 0.05 * radii, *(np.ones(4) for _ in range(6)))
     size = refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.9, 0.1]))
     assert size.diameter == pytest.approx(2.0 * (1.0 * 1.2 * 0.8) ** (1 / 3))
-    assert size.spread == pytest.approx(np.sqrt(np.log(radii[:3]).var() + 0.05**2))
+    own, held = 3 * 0.9 * (np.log(radii[:3]).var() + 0.05**2), USUALLY * USUAL**2
+    assert size.spread == pytest.approx(np.sqrt((own + held) / (3 * 0.9 + USUALLY)))
     assert refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.1, 0.1])).diameter == 3.0
