@@ -38,6 +38,12 @@ USUAL, USUALLY = 0.15, 5.0
 """Deviation of log diameter before a fruit is found, and as many fruit as that counts for: a few tell no spread."""
 ROUNDS, COARSE = 3, 3
 """Of looking for fruit of the size that the round before found, and of how many points one tells the size."""
+LOOSE, FAR = 0.6, 0.5
+"""Deviation of log radius to which loose fits are held, and radii that they may move."""
+COVERED, ENOUGH = 0.3, 10
+"""Coverage of a loose fit that tells its size, and how many of them tell a spread."""
+NOISE, CUT = 0.07, 0.88
+"""Deviation of their log radii that noise alone makes, and that of a normal distribution cut at two deviations."""
 STEADY = 0.25
 """Radii by which a fruit may move when it is fitted from its own place."""
 
@@ -100,7 +106,7 @@ def search(
         for step in range(ROUNDS):
             progress(0.1 + 0.1 * step, f"looking for fruit of diameter {size.diameter:.3g}")
             coarse = _searched(skin, size, pictures, threshold)
-            before, size = size, refine(size, coarse.found.spheres, coarse.chances)
+            before, size = size, refine(size, coarse.found.spheres, coarse.chances, _loose(coarse))
             change = np.log([size.diameter / before.diameter, size.spread / before.spread])
             if (np.abs(change) < SETTLED).all():
                 break
@@ -146,20 +152,46 @@ def _settled(result: Search, spheres: Spheres) -> Spheres:
     return fitted.where(moved < STEADY * spheres.radii, spheres)
 
 
-def refine(size: FruitSize, spheres: Spheres, chances: FloatArray) -> FruitSize:
+def _loose(result: Search) -> Spheres:
+    """The candidates, fitted with hardly any hold on their size: held ones are as alike as they were held to be."""
+    skin, spheres = result.skin, result.found.spheres
+    if len(spheres) == 0:
+        return spheres
+    fitted = fit_spheres(
+        skin.cells, skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
+        prior=result.size.diameter / 2.0, prior_sd=LOOSE,
+    )  # fmt: skip
+    moved = np.linalg.norm(fitted.centers - spheres.centers, axis=1) + np.abs(fitted.radii - spheres.radii)
+    return fitted.where(moved < FAR * spheres.radii, spheres)
+
+
+def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Spheres | None = None) -> FruitSize:
     """The mean and spread of log diameter of the likely fruit (C,), a step of expectation maximisation.
 
-    A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Of a few
-    fruit that are alike by chance, another one would be refused for its size: the spread is held near the usual one.
+    A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Where the
+    well covered ones among the `loose` fits differ by more than noise makes them, that is the spread, of which the
+    choice of likely fruit has cut the ends off. Of a few fruit that are alike by chance, another one would be refused
+    for its size: the spread is held near the usual one.
     """
     weights = np.where(chances > LIKELY, chances, 0.0)
     if np.count_nonzero(weights) < FEWEST:
         return size
-    logs, variances = np.log(2.0 * spheres.radii), (spheres.radius_sds / spheres.radii) ** 2
-    mean = float((weights * logs).sum() / weights.sum())
-    squares = float((weights * ((logs - mean) ** 2 + variances)).sum()) + USUALLY * USUAL**2
-    variance = squares / (float(weights.sum()) + USUALLY)
+    mean, variance = _moments(spheres, weights)
+    variance += float((weights * (spheres.radius_sds / spheres.radii) ** 2).sum() / weights.sum())
+    if loose is not None:
+        covered = np.where(loose.coverage > COVERED, weights, 0.0)
+        if np.count_nonzero(covered) >= ENOUGH:
+            variance = max(variance, (_moments(loose, covered)[1] - NOISE**2) / CUT**2)
+    known = float(weights.sum())
+    variance = (known * variance + USUALLY * USUAL**2) / (known + USUALLY)
     return FruitSize(float(np.exp(mean)), float(np.clip(np.sqrt(variance), *SPREADS)))
+
+
+def _moments(spheres: Spheres, weights: FloatArray) -> tuple[float, float]:
+    """Weighted mean and variance of log diameter."""
+    logs = np.log(2.0 * spheres.radii)
+    mean = float((weights * logs).sum() / weights.sum())
+    return mean, float((weights * (logs - mean) ** 2).sum() / weights.sum())
 
 
 def connected(points: SurfacePoints, link: float) -> IntArray:

@@ -125,3 +125,14 @@ def test_the_size_is_refined_by_the_fruit_that_are_found_and_by_no_others():
     own, held = 3 * 0.9 * (np.log(radii[:3]).var() + 0.05**2), USUALLY * USUAL**2
     assert size.spread == pytest.approx(np.sqrt((own + held) / (3 * 0.9 + USUALLY)))
     assert refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.1, 0.1])).diameter == 3.0
+
+
+def test_fruit_that_were_held_alike_are_as_different_as_loose_fits_of_them_say():
+    def alike(spread: float) -> Spheres:
+        radii = np.exp(spread * np.linspace(-1.7, 1.7, 41))
+        return Spheres(np.zeros((41, 3)), radii, 0.02 * radii, *(np.ones(41) for _ in range(6)))
+
+    held, sure = alike(0.1), np.full(41, 0.9)
+    assert refine(FruitSize(2.0, 0.2), held, sure).spread == pytest.approx(0.11, abs=0.02)
+    assert refine(FruitSize(2.0, 0.2), held, sure, alike(0.3)).spread == pytest.approx(0.31, abs=0.03)
+    assert refine(FruitSize(2.0, 0.2), held, sure, alike(0.12)).spread == pytest.approx(0.12, abs=0.02)
