@@ -39,13 +39,15 @@ USUAL, USUALLY = 0.15, 5.0
 ROUNDS, COARSE = 3, 3
 """Of looking for fruit of the size that the round before found, and of how many points one tells the size."""
 LOOSE, FAR = 0.6, 0.5
-"""Deviation of log radius to which loose fits are held, and radii that they may move."""
+"""Deviation of log radius to which loose fits are held, and radii that they may move: fruit that are held to the mean
+are as alike as they are held to be."""
 COVERED, ENOUGH = 0.3, 10
 """Coverage of a loose fit that tells its size, and how many of them tell a spread."""
 NOISE, CUT = 0.07, 0.88
 """Deviation of their log radii that noise alone makes, and that of a normal distribution cut at two deviations."""
 STEADY = 0.25
-"""Radii by which a fruit may move when it is fitted from its own place."""
+"""Radii by which a fruit may move when it is fitted from its own place, so that it does not tell from which start it
+came."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,8 @@ def search(
         for step in range(ROUNDS):
             progress(0.1 + 0.1 * step, f"looking for fruit of diameter {size.diameter:.3g}")
             coarse = _searched(skin, size, pictures, threshold)
-            before, size = size, refine(size, coarse.found.spheres, coarse.chances, _loose(coarse))
+            loose = _refitted(coarse, coarse.found.spheres, LOOSE, FAR)
+            before, size = size, refine(size, coarse.found.spheres, coarse.chances, loose)
             change = np.log([size.diameter / before.diameter, size.spread / before.spread])
             if (np.abs(change) < SETTLED).all():
                 break
@@ -126,7 +129,8 @@ def find_fruit(result: Search) -> Clusters:
     components = connected(result.skin.points, LINK * result.size.diameter)
     kept = chances > LIKELY
     owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
-    skin, settled = result.skin, _settled(result, found.spheres.select(kept))
+    skin = result.skin
+    settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
     fitted = fit_ellipsoids(skin.cells, skin.normals, owners, settled)
     return Clusters(
         skin.points,
@@ -139,33 +143,20 @@ def find_fruit(result: Search) -> Clusters:
     )
 
 
-def _settled(result: Search, spheres: Spheres) -> Spheres:
-    """The spheres, each fitted from its own place, so that it does not tell from which start it came."""
-    if len(spheres) == 0:
-        return spheres
-    skin, size = result.skin, result.size
-    fitted = fit_spheres(
-        skin.cells, skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
-        prior=size.diameter / 2.0, prior_sd=size.spread,
-    )  # fmt: skip
-    moved = np.linalg.norm(fitted.centers - spheres.centers, axis=1) + np.abs(fitted.radii - spheres.radii)
-    return fitted.where(moved < STEADY * spheres.radii, spheres)
-
-
-def _loose(result: Search) -> Spheres:
-    """The candidates, fitted with hardly any hold on their size: held ones are as alike as they were held to be."""
-    skin, spheres = result.skin, result.found.spheres
+def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
+    """The spheres, each fitted from its own place, held to the size by a deviation `spread` of log radius; one that
+    moves by `farthest` of its radius or more stays as it was."""
     if len(spheres) == 0:
         return spheres
     fitted = fit_spheres(
-        skin.cells, skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
-        prior=result.size.diameter / 2.0, prior_sd=LOOSE,
+        result.skin.cells, result.skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
+        prior=result.size.diameter / 2.0, prior_sd=spread,
     )  # fmt: skip
     moved = np.linalg.norm(fitted.centers - spheres.centers, axis=1) + np.abs(fitted.radii - spheres.radii)
-    return fitted.where(moved < FAR * spheres.radii, spheres)
+    return fitted.where(moved < farthest * spheres.radii, spheres)
 
 
-def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Spheres | None = None) -> FruitSize:
+def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Spheres) -> FruitSize:
     """The mean and spread of log diameter of the likely fruit (C,), a step of expectation maximisation.
 
     A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Where the
@@ -178,10 +169,9 @@ def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Sphere
         return size
     mean, variance = _moments(spheres, weights)
     variance += float((weights * (spheres.radius_sds / spheres.radii) ** 2).sum() / weights.sum())
-    if loose is not None:
-        covered = np.where(loose.coverage > COVERED, weights, 0.0)
-        if np.count_nonzero(covered) >= ENOUGH:
-            variance = max(variance, (_moments(loose, covered)[1] - NOISE**2) / CUT**2)
+    covered = np.where(loose.coverage > COVERED, weights, 0.0)
+    if np.count_nonzero(covered) >= ENOUGH:
+        variance = max(variance, (_moments(loose, covered)[1] - NOISE**2) / CUT**2)
     known = float(weights.sum())
     variance = (known * variance + USUALLY * USUAL**2) / (known + USUALLY)
     return FruitSize(float(np.exp(mean)), float(np.clip(np.sqrt(variance), *SPREADS)))

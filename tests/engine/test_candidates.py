@@ -120,11 +120,11 @@ def test_points_that_are_all_alike_hold_no_fruit():
 def test_the_size_is_refined_by_the_fruit_that_are_found_and_by_no_others():
     radii = np.array([1.0, 1.2, 0.8, 9.0])
     spheres = Spheres(np.zeros((4, 3)), radii, 0.05 * radii, *(np.ones(4) for _ in range(6)))
-    size = refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.9, 0.1]))
+    size = refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.9, 0.1]), spheres)
     assert size.diameter == pytest.approx(2.0 * (1.0 * 1.2 * 0.8) ** (1 / 3))
     own, held = 3 * 0.9 * (np.log(radii[:3]).var() + 0.05**2), USUALLY * USUAL**2
     assert size.spread == pytest.approx(np.sqrt((own + held) / (3 * 0.9 + USUALLY)))
-    assert refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.1, 0.1])).diameter == 3.0
+    assert refine(FruitSize(3.0, 0.3), spheres, np.array([0.9, 0.9, 0.1, 0.1]), spheres).diameter == 3.0
 
 
 def test_fruit_that_were_held_alike_are_as_different_as_loose_fits_of_them_say():
@@ -133,6 +133,6 @@ def test_fruit_that_were_held_alike_are_as_different_as_loose_fits_of_them_say()
         return Spheres(np.zeros((41, 3)), radii, 0.02 * radii, *(np.ones(41) for _ in range(6)))
 
     held, sure = alike(0.1), np.full(41, 0.9)
-    assert refine(FruitSize(2.0, 0.2), held, sure).spread == pytest.approx(0.11, abs=0.02)
+    assert refine(FruitSize(2.0, 0.2), held, sure, held).spread == pytest.approx(0.11, abs=0.02)
     assert refine(FruitSize(2.0, 0.2), held, sure, alike(0.3)).spread == pytest.approx(0.31, abs=0.03)
     assert refine(FruitSize(2.0, 0.2), held, sure, alike(0.12)).spread == pytest.approx(0.12, abs=0.02)
