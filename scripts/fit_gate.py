@@ -2,10 +2,11 @@
 
     python scripts/fit_gate.py --renders RENDERS
 
-Candidates are taken from simulated crowns of all settings and, with RENDERS, from Gaussians trained on its rendered
-walks, once with true masks and once with the embedded encoder's probabilities of the walk's fruit. A candidate is a
-fruit when it is matched one to one with a true one within half a mean diameter. Crowns and walks weigh alike. Prints
-how well each kind of scene is told by a gate that was fitted without that scene.
+Candidates are taken from simulated crowns of all settings and, with RENDERS, from its rendered walks: from Gaussians
+trained on them, once with true masks and once with the embedded encoder's probabilities of the walk's fruit, and from
+their true surfaces with true masks. A candidate is a fruit when it is matched one to one with a true one within half a
+mean diameter. Crowns and walks weigh alike. Prints how well each kind of scene is told by a gate that was fitted
+without that scene.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
-from fitting.cases import Case, check_seed, crown_cases, searched, walk_cases
+from fitting.cases import Case, check_seed, crown_cases, searched, surface_cases, walk_cases
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import StandardScaler
@@ -46,7 +47,7 @@ REGULARISATION = 0.1
 class Options:
     """What to fit on."""
 
-    crowns: int = 3
+    crowns: int = 13
     """Simulated crowns of each setting."""
     first: int = FIRST_TRAINING_SEED
     """Seed of the first one; seeds below 1000 are for tests and tables."""
@@ -72,7 +73,8 @@ class Example:
 def main(options: Options) -> None:
     check_seed(options.first)
     crowns = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
-    cases = itertools.chain(crowns, walk_cases(options.renders) if options.renders else ())
+    rendered = (walk_cases(options.renders), surface_cases(options.renders)) if options.renders else ()
+    cases = itertools.chain(crowns, *rendered)
     examples = [found for case in cases for found in example(case)]
     print(table(examples))
     document = {**fit(examples).document(), "fitted on": sorted({example.family for example in examples})}

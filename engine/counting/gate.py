@@ -23,12 +23,18 @@ Features = Mapping[str, FloatArray]
 """(C,) numbers by name, one a candidate."""
 
 STORED = Path(__file__).with_name("gate.json")
-WEIGHED = ("coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown")
-"""Features that the regression weighs."""
+WEIGHED = (
+    *("coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown"),
+    *("looked", "shell", "spread"),
+)
+"""Features that the regression weighs. The last three tell how much the others do: how many free looks, and how many
+points, are behind them, and how much sizes differ in the scene."""
 HALF = 0.5
 """Probabilities are weighed as if this were the threshold that the user set."""
 SUREST = 0.25
 """What the surest tenth of a fruit's points exceed, as weighed; its other points may be fainter."""
+LOOKS = 120.0
+"""Free looks of which a candidate is taken to have so many where no view tells."""
 WELL = 0.5
 """Spheres covered on more than this share tell how solid a fruit looks in a scene."""
 
@@ -130,6 +136,9 @@ def features_of(found: Candidates, points: SurfacePoints, size: FruitSize, thres
         "free": found.free,
         "off": (np.log(2.0 * spheres.radii / size.diameter) / size.spread) ** 2,
         "shown": np.log(np.maximum(np.nan_to_num(looks.visible_fractions, nan=1.0), 0.02)),
+        "looked": np.log1p(np.where(looks.free > 0, looks.free, LOOKS)),
+        "shell": spheres.shell,
+        "spread": np.full(len(found), size.spread),
         "mean": np.array([each.mean() for each in owned]),
         "surest": np.array([np.quantile(each, 0.9) for each in owned]),
     }

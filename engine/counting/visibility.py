@@ -65,12 +65,13 @@ class Looks:
     """How C spheres look in the views.
 
     visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
-    of it; solidity: of all the disc's spots with nothing in front, the share that does not show what is behind the
-    sphere; probabilities: mean blended probability on the spots that show the sphere, both 1 where no view has a free
-    look; views: how many show at least LEAST_SHARE of the disc.
+    of it; free: the disc's spots with nothing in front, over all views; solidity: the share of these that does not show
+    what is behind the sphere; probabilities: mean blended probability on those that show the sphere, both 1 where no
+    view has a free look; views: how many show at least LEAST_SHARE of the disc.
     """
 
     visible_fractions: FloatArray
+    free: FloatArray
     solidity: FloatArray
     probabilities: FloatArray
     views: NDArray[np.int64]
@@ -117,6 +118,7 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray,
     unknown = free == 0
     return Looks(
         visible_fractions=np.where(best < 0.0, np.nan, best),
+        free=free,
         solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
         probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
         views=views.astype(np.int64),

@@ -1,4 +1,4 @@
-"""Scenes with truth that counting is fitted on: simulated crowns, and Gaussians trained on rendered walks."""
+"""Scenes with truth that counting is fitted on: simulated crowns, and rendered walks, trained and as they are."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from fruitlangs.engine.config import CountConfig, SceneConfig
 from fruitlangs.engine.counting.cluster import Search, search
 from fruitlangs.engine.counting.visibility import Picture, draw
 from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.evaluation.renders import read_depths, read_instances
+from fruitlangs.engine.evaluation.true_surface import true_surface
 from fruitlangs.engine.evaluation.truth import Truth, read_truth
 from fruitlangs.engine.language.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.lift import encode_photos, lift_features
 from fruitlangs.engine.language.relevancy import relevancy
-from fruitlangs.engine.scene.camera import Camera
+from fruitlangs.engine.scene.camera import Camera, Scene
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
 from orchard.config import FIRST_TRAINING_SEED
@@ -64,12 +66,9 @@ def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterat
 
 def walk_cases(renders: Path) -> Iterator[Case]:
     """Gaussians trained on rendered walks, with true masks and with the encoder of the package."""
-    progress, encoder, folders = terminal_progress(), EmbeddedEncoder.open(), walks(renders)
-    for place, folder in enumerate(folders):
-        progress(place / len(folders), f"walk {folder.name}")
-        scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
-        species = json.loads((folder / "orchard.json").read_text(encoding="utf-8"))["config"]["species"]
-        truth = read_truth(folder / "truth.json", {species})
+    encoder = EmbeddedEncoder.open()
+    for folder, scene, species, truth in _walks(renders):
+        gaussians = trained(folder)
         features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
         by_kind = {
             "walk, true masks": true_fruit(folder, scene, gaussians),
@@ -77,6 +76,24 @@ def walk_cases(renders: Path) -> Iterator[Case]:
         }
         for kind, probability in by_kind.items():
             yield Case(kind, f"walk {folder.name}", gaussians, probability, scene.cameras, truth, truth.visible)
+
+
+def surface_cases(renders: Path) -> Iterator[Case]:
+    """The true surfaces of rendered walks as their views see them, with true masks."""
+    for folder, scene, _, truth in _walks(renders):
+        surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
+        probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
+        kind = "walk, true surfaces"
+        yield Case(kind, f"walk {folder.name}", surface.gaussians, probability, scene.cameras, truth, truth.visible)
+
+
+def _walks(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
+    """Folder, scene, species and truth of each walk."""
+    progress, folders = terminal_progress(), walks(renders)
+    for place, folder in enumerate(folders):
+        progress(place / len(folders), f"walk {folder.name}")
+        species = json.loads((folder / "orchard.json").read_text(encoding="utf-8"))["config"]["species"]
+        yield folder, read_scene(folder, SceneConfig()), species, read_truth(folder / "truth.json", {species})
     progress(1.0, "walks done")
 
 

@@ -17,7 +17,7 @@ from fruitlangs.engine.counting.visibility import Looks
 
 WHOLE = {
     "coverage": 0.6, "solidity": 1.0, "thinness": 0.3, "residual": 0.05, "agreement": 0.75, "share": 1.0, "free": 1.0,
-    "off": 0.0, "mean": 1.0,
+    "off": 0.0, "mean": 1.0, "looked": 400.0, "shell": 1.0,
 }  # fmt: skip
 
 
@@ -30,13 +30,13 @@ def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, 
         radii=0.5 * np.exp(0.1 * np.sqrt(column["off"])),
         radius_sds=np.full(3, 0.02),
         support=np.full(3, 50.0),
-        shell=np.ones(3),
+        shell=column["shell"],
         coverage=column["coverage"],
         thinness=column["thinness"],
         residual=column["residual"],
         agreement=column["agreement"],
     )
-    looks = Looks(np.ones(3), column["solidity"], np.ones(3), np.full(3, 9))
+    looks = Looks(np.ones(3), column["looked"], column["solidity"], np.ones(3), np.full(3, 9))
     owners = np.repeat([0, 1, 2], 50)
     up = np.tile([0.0, 0.0, 1.0], (150, 1))
     points = SurfacePoints(up, up, np.arange(150), np.where(owners == 1, probability, 1.0), up)
@@ -68,6 +68,13 @@ def test_what_speaks_against_a_fruit_lowers_its_chance_and_is_named(changes: dic
     chances, features = weighed(**changes)
     assert chances[1] < chances[0]
     assert stored_gate().reason(features, 1).startswith(told)
+
+
+def test_the_gate_is_told_how_much_is_behind_what_speaks_for_a_fruit():
+    _, features = weighed(looked=19.0, shell=0.7)
+    assert features["looked"] == pytest.approx(np.log([401.0, 20.0, 401.0]))
+    assert features["shell"] == pytest.approx([1.0, 0.7, 1.0])
+    assert features["spread"] == pytest.approx([0.1, 0.1, 0.1])
 
 
 def test_a_faint_candidate_is_refused_whatever_its_form():

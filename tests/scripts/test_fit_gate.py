@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import ball_scene
 import numpy as np
 import pytest
 
@@ -15,7 +16,8 @@ sys.path.insert(0, str(ROOT / "scripts"))
 import _checkout  # noqa: F401
 
 import fit_gate
-from fitting.cases import Case
+from encoder.pictures import LEAST_WALK
+from fitting.cases import Case, surface_cases
 
 from fruitlangs.benchmarks.simulated import Setting, simulate
 from fruitlangs.engine.counting.gate import WEIGHED
@@ -73,6 +75,15 @@ def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
     precision, recall, f1, promised = fit_gate.judged(example, fit_gate.fit([example]))
     assert min(precision, recall, f1) > 0.9
     assert promised == pytest.approx(1.0, abs=0.1)
+
+
+def test_true_surfaces_of_a_rendered_walk_are_fitted_to_beside_what_was_trained_there(tmp_path: Path):
+    ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK)
+    ball_scene.write_scene(tmp_path / "1004", views=LEAST_WALK - 1)
+    (case,) = surface_cases(tmp_path)
+    assert (case.kind, case.family, len(case.cameras)) == ("walk, true surfaces", "walk 1003", LEAST_WALK)
+    (example,) = fit_gate.example(case)
+    assert (example.fruit.sum(), example.visible) == (len(ball_scene.BALLS), len(ball_scene.BALLS))
 
 
 def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
