@@ -98,12 +98,14 @@ class Estimate:
 
 
 def estimate(evidence: Evidence, count: int) -> Estimate:
-    """How many fruit there are where `count` were counted, which lie within both intervals' ends or below."""
+    """How many fruit there are where `count` were counted, which lie within both intervals' ends or below; `total` lies
+    within its own."""
     of_visible, of_all = stored_ratios()
     (low, high), (least, most) = of_visible.interval(evidence), of_all.interval(evidence)
     low, high = min(low, count), max(high, count)
     total = max(of_all.likeliest(evidence), float(count))
-    return Estimate((low, high), round(total, 1), (max(least, low), max(most, high)))
+    bounds = min(max(least, low), int(total)), max(most, high, int(np.ceil(total)))
+    return Estimate((low, high), round(total, 1), bounds)
 
 
 def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
