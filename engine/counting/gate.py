@@ -24,17 +24,16 @@ Features = Mapping[str, FloatArray]
 
 STORED = Path(__file__).with_name("gate.json")
 WEIGHED = (
-    *("coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown"),
-    *("looked", "shell", "spread"),
-)
-"""Features that the regression weighs. The last three tell how much the others do: how many free looks, and how many
-points, are behind them, and how much sizes differ in the scene."""
+    "coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown",
+    "looked", "shell", "spread",
+)  # fmt: skip
+"""Features that the regression weighs. `looked` tells how much solidity is worth, `spread` how much size is."""
 HALF = 0.5
 """Probabilities are weighed as if this were the threshold that the user set."""
 SUREST = 0.25
 """What the surest tenth of a fruit's points exceed, as weighed; its other points may be fainter."""
 LOOKS = 120.0
-"""Free looks of which a candidate is taken to have so many where no view tells."""
+"""Free looks that a candidate is taken to have where no view has any: neither few nor many."""
 WELL = 0.5
 """Spheres covered on more than this share tell how solid a fruit looks in a scene."""
 
