@@ -129,11 +129,10 @@ def find_fruit(result: Search) -> Clusters:
     components = connected(result.skin.points, LINK * result.size.diameter)
     kept = chances > LIKELY
     owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
-    skin = result.skin
     settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
-    fitted = fit_ellipsoids(skin.cells, skin.normals, owners, settled)
+    fitted = fit_ellipsoids(result.skin.cells, result.skin.normals, owners, settled)
     return Clusters(
-        skin.points,
+        result.skin.points,
         fitted.spheres,
         owners,
         components,
@@ -146,8 +145,6 @@ def find_fruit(result: Search) -> Clusters:
 def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
     """The spheres, each fitted from its own place, held to the size by a deviation `spread` of log radius; one that
     moves by `farthest` of its radius or more stays as it was."""
-    if len(spheres) == 0:
-        return spheres
     fitted = fit_spheres(
         result.skin.cells, result.skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
         prior=result.size.diameter / 2.0, prior_sd=spread,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from encoder.lifted import trained, true_fruit, walks
 from numpy.typing import NDArray
 
 from _terminal import terminal_progress
+from fruitlangs.benchmarks.orchards import TRUTH, read_origin
 from fruitlangs.benchmarks.rivals import surface_of
 from fruitlangs.benchmarks.simulated import Setting, simulate
 from fruitlangs.engine.config import CountConfig, SceneConfig
@@ -21,7 +21,7 @@ from fruitlangs.engine.counting.visibility import Picture, draw
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.renders import read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import true_surface
-from fruitlangs.engine.evaluation.truth import Truth, read_truth
+from fruitlangs.engine.evaluation.truth import Truth, read_truth, true_labels
 from fruitlangs.engine.language.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.lift import encode_photos, lift_features
 from fruitlangs.engine.language.relevancy import relevancy
@@ -92,8 +92,8 @@ def _walks(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
     progress, folders = terminal_progress(), walks(renders)
     for place, folder in enumerate(folders):
         progress(place / len(folders), f"walk {folder.name}")
-        species = json.loads((folder / "orchard.json").read_text(encoding="utf-8"))["config"]["species"]
-        yield folder, read_scene(folder, SceneConfig()), species, read_truth(folder / "truth.json", {species})
+        species = read_origin(folder).species
+        yield folder, read_scene(folder, SceneConfig()), species, read_truth(folder / TRUTH, true_labels([species]))
     progress(1.0, "walks done")
 
 
