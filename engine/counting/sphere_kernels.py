@@ -11,6 +11,9 @@ from .cells import Table, gather
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+WIDE, NARROW, NARROWING = 0.3, 0.1, 6
+"""Radii off the surface at which a point's weight falls, at first and after so many rounds."""
+
 
 @kernel
 def fit_all(
@@ -31,51 +34,48 @@ def fit_all(
     for c in prange(len(starts)):
         near = np.empty(limit, np.int64)
         found = gather(table, starts[c], reaches[c], near)
-        sphere = np.empty(4)
+        points, sphere = np.empty((6, found)), np.empty(4)
+        for k in range(found):
+            for axis in range(3):
+                points[axis, k], points[3 + axis, k] = table[0][near[k], axis], normals[near[k], axis]
         sphere[:3], sphere[3] = starts[c], start_radii[c]
-        variance = refine(table[0], normals, near[:found], sphere, prior, prior_sd, rounds)
+        variance = refine(points, sphere, prior, prior_sd, rounds)
         centers[c], radii[c], radius_sds[c] = sphere[:3], sphere[3], np.sqrt(variance)
 
 
 @njit
-def refine(
-    positions: FloatArray,
-    normals: FloatArray,
-    near: IntArray,
-    sphere: FloatArray,
-    prior: float,
-    prior_sd: float,
-    rounds: int,
-) -> float:
+def refine(near: FloatArray, sphere: FloatArray, prior: float, prior_sd: float, rounds: int) -> float:
     """Move a sphere (4,), centre and radius, by Gauss-Newton with redescending weights.
 
-    Returns the variance of its radius.
+    near: (6, K) coordinates of the points, then of their normals. Returns the variance of the radius.
     """
-    normal, gradient, row = np.empty((4, 4)), np.empty(4), np.empty(4)
+    x, y, z, nx, ny, nz = near[0], near[1], near[2], near[3], near[4], near[5]
+    normal, gradient = np.empty((4, 4)), np.empty(4)
     for step in range(rounds):
-        radius = sphere[3]
-        width = (0.3 - 0.2 * min(step / 6.0, 1.0)) * radius
-        normal[:], gradient[:] = 0.0, 0.0
-        total = 0.0
-        for p in near:
-            for axis in range(3):
-                row[axis] = positions[p, axis] - sphere[axis]
-            distance = max(np.sqrt(row[0] ** 2 + row[1] ** 2 + row[2] ** 2), 1e-12)
-            for axis in range(3):
-                row[axis] /= distance
-            row[3] = 1.0
+        cx, cy, cz, radius = sphere[0], sphere[1], sphere[2], sphere[3]
+        width = (WIDE - (WIDE - NARROW) * min(step / NARROWING, 1.0)) * radius
+        total, ex, ey, ez, e = 0.0, 0.0, 0.0, 0.0, 0.0
+        xx, yx, yy, zx, zy, zz, rx, ry, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(len(x)):  # without branches or arrays of its own: several points a turn
+            dx, dy, dz = x[k] - cx, y[k] - cy, z[k] - cz
+            distance = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
+            dx, dy, dz = dx / distance, dy / distance, dz / distance
+            facing = dx * nx[k] + dy * ny[k] + dz * nz[k]
             error = distance - radius
-            facing = row[0] * normals[p, 0] + row[1] * normals[p, 1] + row[2] * normals[p, 2]
-            if facing <= 0.0:
-                continue
-            weight = min(facing, 1.0) / (1.0 + (error / width) ** 2) ** 2
+            fall = 1.0 + (error / width) ** 2
+            weight = min(max(facing, 0.0), 1.0) / (fall * fall)
+            wx, wy, wz = weight * dx, weight * dy, weight * dz
             total += weight
-            for i in range(4):
-                gradient[i] += weight * row[i] * error
-                for j in range(i + 1):
-                    normal[i, j] += weight * row[i] * row[j]
+            ex, ey, ez, e = ex + wx * error, ey + wy * error, ez + wz * error, e + weight * error
+            xx, yx, yy = xx + wx * dx, yx + wy * dx, yy + wy * dy
+            zx, zy, zz = zx + wz * dx, zy + wz * dy, zz + wz * dz
+            rx, ry, rz = rx + wx, ry + wy, rz + wz
+        gradient[0], gradient[1], gradient[2], gradient[3] = ex, ey, ez, e
+        normal[0, 0], normal[1, 0], normal[1, 1] = xx, yx, yy
+        normal[2, 0], normal[2, 1], normal[2, 2] = zx, zy, zz
+        normal[3, 0], normal[3, 1], normal[3, 2], normal[3, 3] = rx, ry, rz, total
         # Points of one Gaussian move together, so a neighbourhood tells no more than some tens of free points would.
-        share = min(len(near), 40.0) / max(total, 1e-9) / width**2
+        share = min(len(x), 40.0) / max(total, 1e-9) / width**2
         for i in range(4):
             gradient[i] *= share
             for j in range(i + 1):
