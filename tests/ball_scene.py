@@ -56,7 +56,7 @@ def look(pose: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint16], Float
     return color.astype(np.uint8), ids, np.where(np.isfinite(depth), depth, 0.0)
 
 
-def write_scene(folder: Path, views: int = 16) -> Path:
+def write_scene(folder: Path, views: int = 16, seed: int = 7) -> Path:
     """Write images/, instances/, depth/, transforms.json with points, truth.json and orchard.json."""
     for name in ("images", "instances", "depth"):
         (folder / name).mkdir(parents=True)
@@ -81,7 +81,7 @@ def write_scene(folder: Path, views: int = 16) -> Path:
     scene = {**lens, "frames": frames, "ply_file_path": "points.ply"}
     (folder / "transforms.json").write_text(json.dumps(scene))
     write_truth(folder)
-    config = {"species": "apple", "seed": 7}
+    config = {"species": "apple", "seed": seed}
     (folder / "orchard.json").write_text(json.dumps({"complete": True, "config": config}))
     return folder
 

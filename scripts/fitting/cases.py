@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from encoder.lifted import trained, true_fruit, walks
+from encoder.pictures import training_seeds
 from numpy.typing import NDArray
 
 from _terminal import terminal_progress
@@ -88,8 +89,13 @@ def surface_cases(renders: Path) -> Iterator[Case]:
 
 
 def _walks(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
-    """Folder, scene, species and truth of each walk."""
+    """Folder, scene, species and truth of each walk.
+
+    Raises:
+        FormatError: a walk's seed is not recorded, or is kept for tests.
+    """
     progress, folders = terminal_progress(), walks(renders)
+    training_seeds(folders)
     for place, folder in enumerate(folders):
         progress(place / len(folders), f"walk {folder.name}")
         species = read_origin(folder).species

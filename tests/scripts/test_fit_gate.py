@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import ball_scene
@@ -17,10 +18,11 @@ import _checkout  # noqa: F401
 
 import fit_gate
 from encoder.pictures import LEAST_WALK
-from fitting.cases import Case, surface_cases
+from fitting.cases import Case, surface_cases, walk_cases
 
 from fruitlangs.benchmarks.simulated import Setting, simulate
 from fruitlangs.engine.counting.gate import WEIGHED
+from fruitlangs.engine.errors import FormatError
 
 FEW = Setting(fruits=(25, 25), leaves=400, wrong=0.1, views=10)
 
@@ -78,12 +80,22 @@ def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
 
 
 def test_true_surfaces_of_a_rendered_walk_are_fitted_to_beside_what_was_trained_there(tmp_path: Path):
-    ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK)
-    ball_scene.write_scene(tmp_path / "1004", views=LEAST_WALK - 1)
+    ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK, seed=1003)
+    ball_scene.write_scene(tmp_path / "1004", views=LEAST_WALK - 1, seed=1004)
     (case,) = surface_cases(tmp_path)
     assert (case.kind, case.family, len(case.cameras)) == ("walk, true surfaces", "walk 1003", LEAST_WALK)
     (example,) = fit_gate.example(case)
     assert (example.fruit.sum(), example.visible) == (len(ball_scene.BALLS), len(ball_scene.BALLS))
+
+
+@pytest.mark.parametrize("cases", [walk_cases, surface_cases])
+def test_rendered_walks_of_seeds_for_tests_are_refused_before_anything_is_trained(
+    tmp_path: Path, cases: Callable[[Path], Iterator[Case]]
+):
+    ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK, seed=1003)
+    ball_scene.write_scene(tmp_path / "7", views=LEAST_WALK, seed=7)
+    with pytest.raises(FormatError, match="has seed 7, and seeds below 1000 are for tests alone; take it out"):
+        next(cases(tmp_path))
 
 
 def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
