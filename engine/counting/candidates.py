@@ -28,7 +28,7 @@ VOTE_STEP = 0.3
 """Logarithm of the ratio between the radii at which points vote."""
 VOTED = 2.2
 """Radii vote within this many deviations of log radius about the mean one."""
-LEAST_VOTES, LEAST_VOTE_SHARE = 2.0, 0.02
+LEAST_VOTES, LEAST_VOTE_SHARE = 2.0, 0.01
 """A centre has at least so many votes, and this share of those of the densest tenth."""
 LEAST_THINNESS, LEAST_COVERAGE, LEAST_SHELL, LEAST_SUPPORT = 0.03, 0.05, 0.4, 0.015
 LEAST_AGREEMENT, LEAST_SOLIDITY, LEAST_PROBABILITY = 0.2, 0.08, 0.03

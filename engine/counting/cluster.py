@@ -119,7 +119,7 @@ def search(
 
 def _searched(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
     found = find_candidates(skin, size, pictures, threshold)
-    features = features_of(found, skin.points, size, threshold)
+    features = features_of(found, skin, size, threshold)
     return Search(skin, size, found, features, stored_gate().chances(features))
 
 

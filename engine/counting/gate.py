@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .candidates import Candidates
+from .candidates import Candidates, Skin
 from .claims import members
-from .sample import SurfacePoints
 from .size import FruitSize
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +24,7 @@ Features = Mapping[str, FloatArray]
 STORED = Path(__file__).with_name("gate.json")
 WEIGHED = (
     "coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown",
-    "looked", "shell", "spread",
+    "looked", "shell", "spread", "curvature",
 )  # fmt: skip
 """Features that the regression weighs. `looked` tells how much solidity is worth, `spread` how much size is."""
 HALF = 0.5
@@ -35,7 +34,11 @@ SUREST = 0.25
 LOOKS = 120.0
 """Free looks that a candidate is taken to have where no view has any: neither few nor many."""
 WELL = 0.5
-"""Spheres covered on more than this share tell how solid a fruit looks in a scene."""
+"""Spheres covered on more than this share tell how solid a fruit looks in a scene, and how curved."""
+SPOT = 0.03
+"""Radii: points that lie closer together than this tell no curvature."""
+LEAST_USUAL = 0.1
+"""What the usual solidity and curvature of a scene are at least taken for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,26 +111,27 @@ _TOLD = {
     "thinness": (np.log(0.3), "flat ({:.2f} radii thick)"),
     "residual": (0.06, "uneven ({:.2f} radii off a sphere)"),
     "agreement": (0.7, "not round (its points face outwards by {:.2f} of 1)"),
+    "curvature": (1.0, "hardly curved (its points' normals turn {:.0%} as fast as on other fruit)"),
     "free": (1.0, "on points of better fruit ({:.0%} are its own)"),
     "mean": (0.9, "hardly of the prompt (its points are {:.2f} probable)"),
 }
 """Each feature of a fruit that is well seen, and what is said of a candidate that lacks it."""
 
 
-def features_of(found: Candidates, points: SurfacePoints, size: FruitSize, threshold: float) -> Features:
+def features_of(found: Candidates, skin: Skin, size: FruitSize, threshold: float) -> Features:
     """What speaks for and against the candidates.
 
-    Solidity is relative to that of the scene's well covered spheres, because it depends on how opaque training made the
-    Gaussians. points: in the order of `found.owners`; threshold: of the Gaussians' probability.
+    Solidity and curvature are relative to those of the scene's well covered spheres, because they depend on how opaque
+    and how even training made the Gaussians. skin: of the points that `found.owners` tells of; threshold: of the
+    Gaussians' probability.
     """
     spheres, looks = found.spheres, found.looks
-    well = looks.solidity[spheres.coverage > WELL]
-    usual = float(np.median(well)) if len(well) else 1.0
-    scaled = np.minimum(points.probabilities * (HALF / threshold), 1.0)
+    well = spheres.coverage > WELL
+    scaled = np.minimum(skin.points.probabilities * (HALF / threshold), 1.0)
     owned = [scaled[own] for own in members(found.owners, len(found))]
     return {
         "coverage": np.log(np.maximum(spheres.coverage, 0.01)),
-        "solidity": np.minimum(looks.solidity / max(usual, 0.1), 1.2),
+        "solidity": np.minimum(_beside(looks.solidity, well), 1.2),
         "thinness": np.log(np.maximum(spheres.thinness, 0.02)),
         "residual": spheres.residual,
         "agreement": spheres.agreement,
@@ -138,9 +142,38 @@ def features_of(found: Candidates, points: SurfacePoints, size: FruitSize, thres
         "looked": np.log1p(np.where(looks.free > 0, looks.free, LOOKS)),
         "shell": spheres.shell,
         "spread": np.full(len(found), size.spread),
+        "curvature": _beside(curvatures(found, skin), well),
         "mean": np.array([each.mean() for each in owned]),
         "surest": np.array([np.quantile(each, 0.9) for each in owned]),
     }
+
+
+def curvatures(found: Candidates, skin: Skin) -> FloatArray:
+    """(C,) how fast the normals n turn along each candidate's own points x, in radii of it: 1 on a sphere, 0 on a leaf.
+
+    The slope Σ (x - x̄)·(n - n̄) / Σ |x - x̄|² tells a piece of a sphere from a flat one however small it is.
+    """
+    owned = found.owners >= 0
+    owner, count = found.owners[owned], len(found)
+    number = np.bincount(owner, minlength=count)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(owner, weights=column, minlength=count) for column in values.T]
+        means: FloatArray = np.stack(sums, axis=1) / np.maximum(number, 1)[:, None]
+        return means
+
+    x = (skin.points.positions[owned] - found.spheres.centers[owner]) / found.spheres.radii[owner, None]
+    n = skin.normals[owned]
+    turned = mean(x * n).sum(axis=1) - (mean(x) * mean(n)).sum(axis=1)
+    spread = mean(x**2).sum(axis=1) - (mean(x) ** 2).sum(axis=1)
+    slopes: FloatArray = np.where(spread > SPOT**2, turned / np.maximum(spread, SPOT**2), 1.0)
+    return slopes
+
+
+def _beside(values: FloatArray, well: NDArray[np.bool_]) -> FloatArray:
+    """(C,) values in those that are usual of the `well` covered spheres (C,); as they are where there are none."""
+    usual = float(np.median(values[well])) if well.any() else 1.0
+    return values / max(usual, LEAST_USUAL)
 
 
 @cache

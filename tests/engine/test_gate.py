@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fruitlangs.engine.counting.candidates import Candidates
-from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, Gate, features_of, stored_gate
+from fruitlangs.engine.counting.candidates import Candidates, Skin
+from fruitlangs.engine.counting.cells import Cells
+from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, Gate, curvatures, features_of, stored_gate
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.size import FruitSize
-from fruitlangs.engine.counting.sphere import Spheres
+from fruitlangs.engine.counting.sphere import Spheres, unit_directions
 from fruitlangs.engine.counting.visibility import Looks
 
 WHOLE = {
     "coverage": 0.6, "solidity": 1.0, "thinness": 0.3, "residual": 0.05, "agreement": 0.75, "share": 1.0, "free": 1.0,
-    "off": 0.0, "mean": 1.0, "looked": 400.0, "shell": 1.0,
+    "off": 0.0, "mean": 1.0, "looked": 400.0, "shell": 1.0, "curvature": 1.0,
 }  # fmt: skip
+UP = np.array([0.0, 0.0, 1.0])
 
 
-def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, SurfacePoints]:
-    """Three candidates of 50 points each: a whole fruit, one that is changed, and another whole fruit."""
+def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, Skin]:
+    """Three candidates of 50 points each: a whole fruit, one that is changed, and another whole fruit.
+
+    The normals of one whose curvature is 0 all point up, as a leaf's do.
+    """
     values = [WHOLE, WHOLE | changes, WHOLE]
     column = {name: np.array([each[name] for each in values]) for name in WHOLE}
     spheres = Spheres(
@@ -38,14 +44,18 @@ def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, 
     )
     looks = Looks(np.ones(3), column["looked"], column["solidity"], np.ones(3), np.full(3, 9))
     owners = np.repeat([0, 1, 2], 50)
-    up = np.tile([0.0, 0.0, 1.0], (150, 1))
-    points = SurfacePoints(up, up, np.arange(150), np.where(owners == 1, probability, 1.0), up)
-    return Candidates(spheres, looks, column["share"], column["free"], owners), points
+    outwards = np.tile(unit_directions(50), (3, 1))
+    normals = UP + column["curvature"][owners, None] * (outwards - UP)
+    positions = spheres.radii[owners, None] * outwards
+    chances = np.where(owners == 1, probability, 1.0)
+    points = SurfacePoints(positions, normals, np.arange(150), chances, outwards)
+    found = Candidates(spheres, looks, column["share"], column["free"], owners)
+    return found, Skin(points, Cells.of(positions, 1.0), normals)
 
 
 def weighed(threshold: float = 0.5, probability: float = 1.0, **changes: float) -> tuple[np.ndarray, Features]:
-    found, points = candidates(probability, **changes)
-    features = features_of(found, points, FruitSize(1.0, 0.1), threshold)
+    found, skin = candidates(probability, **changes)
+    features = features_of(found, skin, FruitSize(1.0, 0.1), threshold)
     return stored_gate().chances(features), features
 
 
@@ -61,6 +71,7 @@ def test_a_whole_fruit_is_almost_surely_one():
         ({"thinness": 0.04}, "flat (0.04 radii thick)"),
         ({"residual": 0.2}, "uneven (0.20 radii off a sphere)"),
         ({"agreement": 0.2}, "not round (its points face outwards by 0.20 of 1)"),
+        ({"curvature": 0.2}, "hardly curved (its points' normals turn 20% as fast as on other fruit)"),
         ({"free": 0.5}, "on points of better fruit (50% are its own)"),
     ],
 )
@@ -75,6 +86,33 @@ def test_the_gate_is_told_how_much_is_behind_what_speaks_for_a_fruit():
     assert features["looked"] == pytest.approx(np.log([401.0, 20.0, 401.0]))
     assert features["shell"] == pytest.approx([1.0, 0.7, 1.0])
     assert features["spread"] == pytest.approx([0.1, 0.1, 0.1])
+
+
+def test_the_normals_of_a_sphere_turn_once_on_each_radius_and_those_of_a_leaf_do_not():
+    found, skin = candidates(curvature=0.0)
+    assert curvatures(found, skin) == pytest.approx([1.0, 0.0, 1.0])
+
+
+def test_a_piece_of_a_sphere_is_as_curved_as_the_whole():
+    found, skin = candidates()
+    cap = skin.points.positions[:, 2] > 0.8 * found.spheres.radii[0]
+    piece = replace(found, owners=np.where(cap | (found.owners != 1), found.owners, -1))
+    assert 3 <= (piece.owners == 1).sum() < 10
+    assert curvatures(piece, skin) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_points_of_which_each_is_there_twice_are_as_curved():
+    found, skin = candidates(curvature=0.4)
+    twice = np.tile(np.arange(150), 2)
+    doubled = Skin(skin.points.select(twice), skin.cells, skin.normals[twice])
+    assert curvatures(replace(found, owners=found.owners[twice]), doubled) == pytest.approx(curvatures(found, skin))
+
+
+def test_one_point_tells_no_curvature():
+    found, skin = candidates()
+    alone = found.owners.copy()
+    alone[51:100] = -1
+    assert curvatures(replace(found, owners=alone), skin)[1] == 1.0
 
 
 def test_a_faint_candidate_is_refused_whatever_its_form():
