@@ -27,7 +27,7 @@ from _terminal import import_tyro, run
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.simulated import SETTINGS, any_setting
 from fruitlangs.engine.counting.cluster import LIKELY
-from fruitlangs.engine.counting.interval import QUANTILE, STORED, TELLING, Evidence, Ratio, evidence_of
+from fruitlangs.engine.counting.interval import QUANTILE, STORED, TELLING, TRAINED, Evidence, Ratio, evidence_of
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.files import write_text
 from orchard.config import FIRST_TRAINING_SEED
@@ -116,17 +116,17 @@ def example(case: Case) -> list[Example]:
 def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Ratio]]:
     """The ratio of greatest likelihood, and by family those that were fitted without it; crowns and walks weigh alike.
 
-    All are stretched until nine tenths of the scenes lie within, each by a ratio that was fitted without its family.
+    All are stretched until nine tenths of the scenes lie within, each by a ratio that was fitted without its family:
+    true surfaces and trained scenes by stretches of their own.
     """
     families = sorted({example.family for example in examples})
     without = {family: _fit([e for e in examples if e.family != family], truth) for family in families}
-    errors = np.array([abs(_error(without[e.family], e, truth(e))) for e in examples])
-    order, weights = np.argsort(errors), _weights(examples)
-    reached = np.cumsum(weights[order]) / weights.sum()
-    last = min(int(np.searchsorted(reached, COVERAGE)), len(errors) - 1)
-    stretch = float(errors[order[last]]) / QUANTILE
-    stretched = {family: replace(ratio, stretch=stretch) for family, ratio in without.items()}
-    return replace(_fit(examples, truth), stretch=stretch), stretched
+    needed = np.array([_needed(without[e.family], e, truth(e)) for e in examples])
+    trained = np.array([e.evidence.faint > TRAINED / 2.0 for e in examples])
+    parts = [needed[part] if part.any() else needed for part in (~trained, trained)]
+    stretches = np.array([np.quantile(part, COVERAGE, method="higher") for part in parts])
+    stretched = {family: replace(ratio, stretches=stretches) for family, ratio in without.items()}
+    return replace(_fit(examples, truth), stretches=stretches), stretched
 
 
 def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
@@ -144,16 +144,18 @@ def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
     bounds = [(-0.5, 0.5), *[(0.0, 2.0)] * n, (-5.0, 0.0), *[(0.0, 3.0)] * n]
     starts = [np.array([0.0, *[0.1] * n, np.log(0.03), *[slope] * n]) for slope in (0.03, 0.2)]
     x = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x
-    return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), x[n + 2 :], 1.0)
+    return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), x[n + 2 :], np.ones(2))
 
 
 def _log_ratio(example: Example, truth: int) -> float:
     return float(np.log(max(truth, 0.5) / example.evidence.expected))
 
 
-def _error(ratio: Ratio, example: Example, truth: int) -> float:
-    """Of the log ratio, in standard deviations."""
-    return (_log_ratio(example, truth) - ratio.mean(example.evidence)) / ratio.deviation(example.evidence)
+def _needed(ratio: Ratio, example: Example, truth: int) -> float:
+    """The stretch at which the interval, half a fruit wider at either end, just holds the truth."""
+    number = ratio.likeliest(example.evidence)
+    beyond = max(number / (truth + 0.5), (truth - 0.5) / number, 1.0)
+    return float(np.log(beyond)) / (QUANTILE * ratio.deviation(example.evidence))
 
 
 def _weights(examples: Sequence[Example]) -> FloatArray:

@@ -115,8 +115,9 @@ def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture], th
     return Candidates(spheres.select(index), looks.select(index), shares[index], free, owners)
 
 
-def vote(skin: Skin, radius: float) -> FloatArray:
-    """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart."""
+def vote(skin: Skin, radius: float, least_share: float = LEAST_VOTE_SHARE) -> FloatArray:
+    """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart; least_share:
+    of the votes of the densest tenth."""
     cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius)
     density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
     least = max(LEAST_VOTES, LEAST_VOTE_SHARE * float(np.quantile(density, 0.9)))

@@ -31,6 +31,8 @@ PLACES = 2000
 """Places inside the hull of the fruit that are asked."""
 LEAST_SHARE = 0.3
 """A share of seen places below this tells no more: nobody knows what hangs there."""
+TRAINED = 0.1
+"""What is told of the faintness of trained scenes; that of true surfaces is 0."""
 QUANTILE = 1.645
 """Standard deviations of a normal on either side of 90 %."""
 
@@ -44,27 +46,33 @@ class Evidence:
     variance: float
     telling: FloatArray
 
+    @property
+    def faint(self) -> float:
+        """How far the fruit's points are from sure of the prompt, 0…1."""
+        return float(self.telling[TELLING.index("faint")])
+
 
 @dataclass(frozen=True, eq=False)
 class Ratio:
-    """log (fruit / expected) = bias + weights · telling, give or take `stretch` times the square root of
-    floor² + variance / expected² + Σ (slopes · telling)²; weights, slopes: (3,) in the order of TELLING."""
+    """log (fruit / expected) = bias + weights · telling, give or take a stretch times the square root of
+    floor² + variance / expected² + Σ (slopes · telling)²; weights, slopes: (3,) in the order of TELLING; stretches:
+    (2,) of scenes that are not faint and of trained ones, in proportion between them."""
 
     bias: float
     weights: FloatArray
     floor: float
     slopes: FloatArray
-    stretch: float
+    stretches: FloatArray
 
     @classmethod
     def read(cls, document: dict[str, Any]) -> Ratio:
         """What `document` made into JSON."""
-        arrays = {name: np.array(document[name], np.float64) for name in ("weights", "slopes")}
+        arrays = {name: np.array(document[name], np.float64) for name in ("weights", "slopes", "stretches")}
         return cls(**{**document, **arrays})
 
     def document(self) -> dict[str, Any]:
         """The ratio as JSON has it."""
-        names = ("bias", "weights", "floor", "slopes", "stretch")
+        names = ("bias", "weights", "floor", "slopes", "stretches")
         return {name: np.round(getattr(self, name), 5).tolist() for name in names}
 
     def mean(self, evidence: Evidence) -> float:
@@ -75,7 +83,8 @@ class Ratio:
         """Standard deviation of the log ratio."""
         chance = evidence.variance / max(evidence.expected, 1.0) ** 2
         spread = ((self.slopes * evidence.telling) ** 2).sum()
-        return self.stretch * float(np.sqrt(self.floor**2 + chance + spread))
+        stretch = float(np.interp(evidence.faint, [0.0, TRAINED], self.stretches))
+        return stretch * float(np.sqrt(self.floor**2 + chance + spread))
 
     def likeliest(self, evidence: Evidence) -> float:
         """The predicted number of fruit."""

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
-from fruitlangs.engine.counting.interval import STORED, TELLING, Evidence, Ratio, estimate, stored_ratios
+from fruitlangs.engine.counting.interval import STORED, TELLING, TRAINED, Evidence, Ratio, estimate, stored_ratios
 from fruitlangs.engine.report.audit import audit_text
 from fruitlangs.engine.report.words import sureness, whereabouts
 
@@ -38,7 +38,7 @@ def test_what_is_stored_was_fitted_on_seeds_for_training_to_every_number():
 
 
 def test_a_ratio_is_read_as_it_was_written():
-    ratio = Ratio(0.1, np.array([0.2, 0.0, 0.3]), 0.05, np.array([0.1, 0.0, 0.2]), 1.2)
+    ratio = Ratio(0.1, np.array([0.2, 0.0, 0.3]), 0.05, np.array([0.1, 0.0, 0.2]), np.array([1.2, 1.5]))
     again = Ratio.read(json.loads(json.dumps(ratio.document())))
     assert again.interval(SURE) == ratio.interval(SURE)
 
@@ -49,6 +49,15 @@ def test_a_ratio_is_read_as_it_was_written():
 )
 def test_doubtful_candidates_and_hidden_places_widen_the_interval(doubtful: Evidence):
     assert width(doubtful) > 1.1 * width(SURE)
+
+
+def test_trained_scenes_have_a_stretch_of_their_own_and_half_as_faint_ones_half_of_each():
+    ratio = Ratio(0.0, np.zeros(len(TELLING)), 0.1, np.zeros(len(TELLING)), np.array([1.0, 2.0]))
+    faint = np.array(TELLING) == "faint"
+    parts = (0.0, 0.5 * TRAINED, TRAINED, 3.0 * TRAINED)
+    assert [ratio.deviation(replace(SURE, telling=part * faint)) for part in parts] == pytest.approx(
+        [0.1, 0.15, 0.2, 0.2]
+    )
 
 
 @given(st.floats(0.5, 3000.0), st.floats(0.0, 1.0), st.integers(0, 4000))

@@ -17,18 +17,17 @@ import fit_interval
 from fitting.cases import Case
 
 from fruitlangs.benchmarks.simulated import SETTINGS, Setting, any_setting, simulate
-from fruitlangs.engine.counting.interval import TELLING, Evidence
+from fruitlangs.engine.counting.interval import TELLING, TRAINED, Evidence
 
 
-def scene(seed: int, spread: float = 0.1, kind: str = "drawn") -> fit_interval.Example:
+def scene(seed: int, spread: float = 0.1, faint: float = 0.0) -> fit_interval.Example:
     """A scene whose fruit are 1.2 times what is expected where it is in doubt by 0.2, give or take `spread`."""
     rng = np.random.default_rng(seed)
-    telling = np.array([rng.uniform(0.0, 0.3), 0.0, 0.0])
+    telling = np.array([rng.uniform(0.0, 0.3), faint, 0.0])
     expected = float(rng.uniform(50.0, 500.0))
     number = expected * np.exp(telling[0] * np.log(1.2) / 0.2 + rng.normal(0.0, spread))
-    return fit_interval.Example(
-        kind, f"crown {seed}", Evidence(expected, 0.0, telling), round(number), round(2 * number)
-    )
+    evidence = Evidence(expected, 0.0, telling)
+    return fit_interval.Example("drawn", f"crown {seed}", evidence, round(number), round(2 * number))
 
 
 SCENES = [scene(seed) for seed in range(1000, 1040)]
@@ -38,7 +37,7 @@ def test_the_ratio_finds_what_tells_of_more_fruit_and_how_far_it_errs():
     ratio, _ = fit_interval.fit(SCENES, fit_interval.TRUTHS["visible"])
     assert ratio.weights[0] == pytest.approx(np.log(1.2) / 0.2, abs=0.35)
     assert ratio.weights[1:] == pytest.approx(np.zeros(len(TELLING) - 1), abs=0.05)
-    assert ratio.floor * ratio.stretch == pytest.approx(0.1, rel=0.3)
+    assert ratio.floor * ratio.stretches == pytest.approx([0.1, 0.1], rel=0.3)
 
 
 def test_nine_tenths_of_scenes_lie_within_by_ratios_that_never_saw_them():
@@ -48,6 +47,16 @@ def test_nine_tenths_of_scenes_lie_within_by_ratios_that_never_saw_them():
     assert np.mean([fit_interval.holds(without[e.family], e, truth(e)) for e in SCENES]) >= 0.9
     unseen = [scene(seed) for seed in range(2000, 2200)]
     assert 0.82 < np.mean([fit_interval.holds(ratio, e, truth(e)) for e in unseen]) < 0.97
+
+
+def test_trained_scenes_that_err_more_do_not_widen_the_intervals_of_others():
+    truth = fit_interval.TRUTHS["visible"]
+    trained = [scene(seed, spread=0.8, faint=TRAINED) for seed in range(1100, 1140)]
+    ratio, _ = fit_interval.fit([*SCENES, *trained], truth)
+    unseen = [scene(seed) for seed in range(2000, 2200)]
+    faint = [scene(seed, spread=0.8, faint=TRAINED) for seed in range(3000, 3200)]
+    for scenes in (unseen, faint):
+        assert 0.85 < np.mean([fit_interval.holds(ratio, e, truth(e)) for e in scenes]) < 0.985
 
 
 def test_a_crown_becomes_an_example_with_fruit_that_views_show_and_all():
