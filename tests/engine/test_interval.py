@@ -11,11 +11,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
-from fruitlangs.engine.counting.interval import STORED, TELLING, TRAINED, Evidence, Ratio, estimate, stored_ratios
+from fruitlangs.engine.counting.interval import (
+    STORED,
+    TELLING,
+    TRAINED,
+    Evidence,
+    Ratio,
+    estimate,
+    hull_share,
+    stored_ratios,
+)
 from fruitlangs.engine.report.audit import audit_text
 from fruitlangs.engine.report.words import sureness, whereabouts
 
@@ -49,6 +59,16 @@ def test_a_ratio_is_read_as_it_was_written():
 )
 def test_doubtful_candidates_and_hidden_places_widen_the_interval(doubtful: Evidence):
     assert width(doubtful) > 1.1 * width(SURE)
+
+
+@pytest.mark.parametrize("count", [10, 50, 500])
+def test_the_hull_of_fruit_that_hang_evenly_in_a_ball_holds_the_share_that_is_reckoned_with(count: int):
+    rng = np.random.default_rng(count)
+    directions = rng.normal(size=(40, count, 3))
+    places = directions / np.linalg.norm(directions, axis=2, keepdims=True) * np.cbrt(rng.random((40, count, 1)))
+    shares = [ConvexHull(each).volume / (4.0 / 3.0 * np.pi) for each in places]
+    assert hull_share(count) == pytest.approx(np.mean(shares), abs=0.05)
+    assert hull_share(3) == 0.0
 
 
 def test_trained_scenes_have_a_stretch_of_their_own_and_half_as_faint_ones_half_of_each():
