@@ -120,7 +120,7 @@ def vote(skin: Skin, radius: float, least_share: float = LEAST_VOTE_SHARE) -> Fl
     of the votes of the densest tenth."""
     cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius)
     density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
-    least = max(LEAST_VOTES, LEAST_VOTE_SHARE * float(np.quantile(density, 0.9)))
+    least = max(LEAST_VOTES, least_share * float(np.quantile(density, 0.9)))
     order = np.argsort(-density, kind="stable")
     peaks = apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
     centers = np.empty((len(peaks), 3))

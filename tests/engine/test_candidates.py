@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fruitlangs.engine.counting.candidates import FruitSize
+from fruitlangs.engine.counting.candidates import FruitSize, Skin, vote
 from fruitlangs.engine.counting.cluster import USUAL, USUALLY, Clusters, find_fruit, refine, search
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import Spheres
@@ -70,6 +70,17 @@ def test_touching_pairs_seen_from_one_side_are_two_fruit_each(seed: int):
     numbers = (np.linalg.norm(clusters.spheres.centers[:, None] - middles, axis=2) < 1.2).sum(axis=0)
     assert (numbers == 2).mean() >= 0.95
     assert np.median(off(clusters, pairs.reshape(-1, 3))) < 0.1
+
+
+def test_a_fruit_of_which_little_shows_is_a_centre_only_where_few_votes_are_asked_for():
+    whole, corner = np.zeros((1, 3)), np.array([[4.0, 0.0, 0.0]])
+    far = np.array([1.0, 0.2, 0.1])
+    seen, little = seen_from(whole, far, each=2000), seen_from(corner, far, each=60)
+    skin = Skin.of(joined(seen, little), 1.0)
+    asked = {share: vote(skin, 0.5, share) for share in (0.01, 0.5)}
+    near = {share: np.linalg.norm(peaks - corner, axis=1).min() for share, peaks in asked.items()}
+    assert near[0.01] < 0.2 < 3.0 < near[0.5]
+    assert np.linalg.norm(asked[0.5], axis=1).min() < 0.05
 
 
 def test_of_five_fruit_four_that_are_alike_do_not_make_the_fifth_unlikely():
