@@ -4,10 +4,10 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon benchmarks
-SCRIPT_PACKAGES := orchard encoder fitting
+SCRIPT_PACKAGES := orchard encoder fitting guide
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py)))
 
-.PHONY: demo test lint types pytest baseline extension clean
+.PHONY: demo test lint types pytest baseline guide extension clean
 
 demo: $(READY)
 	$(BIN)/python scripts/count_fruit.py examples/orchard_tree --prompt apple --out results/demo
@@ -32,8 +32,15 @@ baseline: $(READY)
 	$(BIN)/python scripts/evaluate.py $(addsuffix -small:101,apple plum lemon pear peach mango) \
 		--out results/baseline --publish benchmarks
 
+# The pictures of docs/blender.md; BLENDER opens a window, its Python has the engine's packages.
+BLENDER ?= blender
+guide:
+	$(BLENDER) --enable-event-simulate --no-window-focus --window-geometry 0 0 1600 900 \
+		-P scripts/picture_guide.py -- --pictures docs/images/guide
+
+# With all Python packages inside: make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
 extension: $(READY)
-	$(BIN)/python scripts/build_extension.py
+	$(BIN)/python scripts/build_extension.py $(ZIPS)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,22 +23,12 @@ from typing import Any
 import numba
 from numba import prange
 
+from .user_folders import KERNELS, kernels_folder
+
 __all__ = ["CACHE_FOLDER", "compiled_before", "kernel", "njit", "prange", "threads"]
 
 _ENGINE = Path(__file__).resolve().parent
 _config: Any = numba.config  # its attributes appear at run time
-
-
-def _user_cache() -> Path:
-    """The folder in which the user's programs may keep what they can make again."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "fruitlangs"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "fruitlangs"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fruitlangs"
 
 
 def _sources_hash() -> str:
@@ -55,7 +44,7 @@ def _sources_hash() -> str:
 def _cache_folder() -> Path | None:
     """A folder that exists and can be written, or None."""
     try:
-        folder = _user_cache() / f"kernels-{_sources_hash()}"
+        folder = kernels_folder() / f"{KERNELS}{_sources_hash()}"
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".writable-{os.getpid()}"
         probe.touch()

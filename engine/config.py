@@ -276,6 +276,8 @@ class CountConfig(_Checked):
     """Count in this box only: two opposite corners x y z x y z in the scene's frame."""
     polygon: tuple[float, ...] | None = None
     """Count in this outline only, at any height: three or more corners x y z x y z … in the scene's frame, in order."""
+    heights: tuple[float, float] | None = None
+    """With an outline, count between these two heights only: distances along up from the frame's origin."""
     trees: int = _number(0, 0, 10_000)
     """Trees of the row that fruit are shared out among; 0 asks for no counts by tree."""
     tree_places: tuple[float, ...] | None = None
@@ -294,6 +296,7 @@ class CountConfig(_Checked):
             raise ConfigError("--count.box and --count.polygon are both given; use one of them")
         if self.box is not None and any(self.box[axis] == self.box[axis + 3] for axis in range(3)):
             raise ConfigError(f"--count.box {_spaced(self.box)} has no volume; its corners must differ in x, y and z")
+        self._check_heights()
         if self.tree_places is None:
             return
         places = {self.tree_places[start : start + 3] for start in range(0, len(self.tree_places), 3)}
@@ -303,6 +306,17 @@ class CountConfig(_Checked):
             raise ConfigError(
                 f"--count.trees is {self.trees} and --count.tree-places has {len(places)} trees; leave one of them out"
             )
+
+    def _check_heights(self) -> None:
+        """Make the heights a pair of finite numbers, the lower one first."""
+        if self.heights is None:
+            return
+        heights = _finite(self.heights)
+        if len(heights) != 2 or heights[0] == heights[1]:
+            raise ConfigError(f"--count.heights is {_spaced(self.heights)}; use two different finite numbers")
+        if self.polygon is None:
+            raise ConfigError("--count.heights is given without --count.polygon, the outline that it belongs to")
+        object.__setattr__(self, "heights", (min(heights), max(heights)))
 
     def _check_places(self, name: str, enough: Callable[[int], bool], expected: str) -> None:
         """Make the setting a tuple of finite numbers, three a place."""

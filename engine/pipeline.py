@@ -25,6 +25,7 @@ from .publishing import Result, Writer, publish
 from .reconstruction import Reconstruction, Stages, adopt, check_foreign, reconstruct, reopen
 from .report.results import FRUITS_JSON, known_fruit
 from .scale import scaled
+from .splatting.train import Watch
 
 
 def count_scene(
@@ -37,6 +38,7 @@ def count_scene(
     writers: Mapping[str, Writer] | None = None,
     keep: Path | None = None,
     foreign: Path | None = None,
+    watch: Watch | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
@@ -49,6 +51,7 @@ def count_scene(
         writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
         keep: a file that stays although it belongs to the earlier result, such as the .blend a person has open.
         foreign: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
+        watch: is shown the Gaussians while they are trained.
 
     Raises:
         OutputError: among others, `out` is the folder of the photos: it would be taken for a result from then on.
@@ -58,25 +61,12 @@ def count_scene(
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
-    if config.units.object is not None:
-        check_prompts(encoder, [config.units.object])
     given: dict[str, str] = {}
     if config.count.template:
         read_template(Path(config.count.template))  # nor must a file that is no template
         given["template_sha256"] = file_hash(Path(config.count.template))
     stages = Stages()
-    if foreign is not None:
-        check_foreign(source, foreign, out)
-    if (source / FRUITS_JSON).is_file():
-        made = reopen(source, out, embedder, config, stages)
-        require_writable(out / "cache")
-    elif out.resolve() == (source.parent if source.is_file() else source).resolve():
-        raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
-    elif foreign is not None or source.suffix.lower() == ".ply":
-        made = adopt(source, foreign, out / "cache", embedder, config, stages, part(progress, 0.0, 0.9))
-    else:
-        made = reconstruct(source, out / "cache", embedder, config, stages, part(progress, 0.0, 0.9))
-    made = scaled(made, encoder, config.units, stages)
+    made = _made(source, out, embedder, config, foreign, watch, stages, part(progress, 0.0, 0.9))
     with stages.timed("count"):
         probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
         fruit_count = count_fruit(
@@ -106,6 +96,52 @@ def count_scene(
     result = publish(result, made, writers or {}, keep, stages)
     progress(1.0, "done")
     return result
+
+
+def reconstruct_scene(
+    source: Path,
+    out: Path,
+    *,
+    config: Config = Config(),  # noqa: B008 (frozen)
+    foreign: Path | None = None,
+    watch: Watch | None = None,
+    progress: Progress = silent,
+) -> tuple[Reconstruction, Stages]:
+    """What `count_scene` makes of the scene at `source` before it asks a prompt, kept in `out`/cache for it to find.
+
+    Returns it with the log of the run. Arguments and errors as of `count_scene`.
+    """
+    stages = Stages()
+    made = _made(source, out, Embedder.open(config.embed), config, foreign, watch, stages, progress)
+    progress(1.0, "done")
+    return made, stages
+
+
+def _made(
+    source: Path,
+    out: Path,
+    embedder: Embedder,
+    config: Config,
+    foreign: Path | None,
+    watch: Watch | None,
+    stages: Stages,
+    progress: Progress,
+) -> Reconstruction:
+    """Everything that does not depend on the prompt, by the road that `source` asks for, with its scale."""
+    if config.units.object is not None:
+        check_prompts(embedder.encoder, [config.units.object])
+    if foreign is not None:
+        check_foreign(source, foreign, out)
+    if (source / FRUITS_JSON).is_file():
+        made = reopen(source, out, embedder, config, stages)
+        require_writable(out / "cache")
+    elif out.resolve() == (source.parent if source.is_file() else source).resolve():
+        raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
+    elif foreign is not None or source.suffix.lower() == ".ply":
+        made = adopt(source, foreign, out / "cache", embedder, config, stages, progress)
+    else:
+        made = reconstruct(source, out / "cache", embedder, config, stages, progress, watch)
+    return scaled(made, embedder.encoder, config.units, stages)
 
 
 def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:

@@ -27,7 +27,7 @@ from .report.provenance import run_stamp, versions
 from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
 from .report.tables import fruits_csv
 from .scene.camera import Scene
-from .scene.stored import with_scale
+from .scene.stored import told_anew
 from .splatting.gaussians import Gaussians
 
 PICTURES = "pictures"
@@ -99,7 +99,7 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     """Write the files whose bytes follow from the inputs alone; returns their names."""
     shutil.copyfile(made.gaussians_file, folder / GAUSSIANS)
     shutil.copyfile(made.features_file, folder / FEATURES)
-    write_text(folder / CAMERAS, with_scale(made.cameras_file, result.scene.metres_per_unit))
+    write_text(folder / CAMERAS, told_anew(made.cameras_file, result.scene))
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
     write_text(folder / "audit.txt", audit_text(result.fruit_count, prompt=", ".join(result.origin["prompts"])))

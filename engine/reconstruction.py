@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .cache import stage_key
-from .config import Config
+from .config import Config, EmbedConfig, SceneConfig
 from .errors import ConfigError, FruitLangsError, OutputError
 from .files import require_writable, write_text
 from .language.embedder import Embedder, portable
@@ -28,7 +30,7 @@ from .scene.stored import dump_cameras, read_cameras
 from .splatting.borrowed import PLACED, borrow, drawn_again
 from .splatting.gaussians import Gaussians
 from .splatting.ply import read_ply, write_ply
-from .splatting.train import train
+from .splatting.train import Watch, train
 
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur does; the paper's worst scan has .527."""
@@ -68,9 +70,15 @@ class Stages:
 
 
 def reconstruct(
-    source: Path, cache: Path, embedder: Embedder, config: Config, stages: Stages, progress: Progress
+    source: Path,
+    cache: Path,
+    embedder: Embedder,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
+    watch: Watch | None = None,
 ) -> Reconstruction:
-    """Photos → Gaussians → features, each from the cache where it is there."""
+    """Photos → Gaussians → features, each from the cache where it is there; `watch` sees the Gaussians in training."""
     found, start = Source(path=source), 0.0
     photos = photos_alone(source)
     if photos is not None:
@@ -84,12 +92,14 @@ def reconstruct(
         scene = _read_photos(found, config, stages, part(progress, 0.0, 0.03))
         inputs = found.hash()
     require_writable(cache)
-    train_key = stage_key(("scene", "splatting"), inputs, config.scene, config.train)
+    # Which way is up changes nothing of what is trained.
+    train_key = stage_key(("scene", "splatting"), inputs, dataclasses.replace(config.scene, up=None), config.train)
     if embedder.trains:
         train_key = stage_key(("language",), train_key, embedder.key)
     gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
     with stages.timed("train"):
-        quality = _train_into(gaussians_file, scene, cache, embedder, config, stages, part(progress, 0.03, 0.75))
+        training = part(progress, 0.03, 0.75)
+        quality = _train_into(gaussians_file, scene, cache, embedder, config, stages, training, watch)
         if quality["ssim"] is not None and quality["ssim"] < POOR:
             stages.notices.append(
                 f"photos kept aside are hardly reproduced (SSIM {quality['ssim']:.2f}): cameras may be wrong, "
@@ -218,6 +228,7 @@ def _train_into(
     config: Config,
     stages: Stages,
     progress: Progress,
+    watch: Watch | None,
 ) -> Mapping[str, Any]:
     """Train unless `gaussians_file` and its record are there, with features where they are trained along.
 
@@ -234,7 +245,7 @@ def _train_into(
         extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
     else:
         views, semantics, extra = [], None, None
-    training = train(scene, config.train, checkpoint=checkpoint, extra=extra, progress=progress)
+    training = train(scene, config.train, checkpoint=checkpoint, extra=extra, watch=watch, progress=progress)
     if semantics is not None:
         features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
         save_features(gaussians_file.with_name(FEATURES), features)
@@ -258,27 +269,28 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)
 
 
-def reopen(folder: Path, out: Path, embedder: Embedder, config: Config, stages: Stages) -> Reconstruction:
-    """An earlier result folder: its Gaussians and features as they are, its photos where they still are."""
+def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, stages: Stages) -> Reconstruction:
+    """An earlier result folder: its Gaussians and features as they are, its photos where they still are.
+
+    embedder: what it shall be asked with; None where it is only looked at.
+    """
     with stages.timed("scene"):
         document = read_results(folder)
         stored = Config.from_document(document["config"])
         for name in ("scene", "photos", "train", "embed"):
-            asked, before, usual = (
-                portable(each.embed) if name == "embed" else getattr(each, name) for each in (config, stored, Config())
-            )
+            asked, before, usual = (_fixed(getattr(each, name)) for each in (config, stored, Config()))
             if asked not in (before, usual):
                 raise ConfigError(
                     f"{folder} was made with other {name} settings; to use new ones give the photos' folder as SCENE"
                 )
         gaussians_file, features_file = folder / GAUSSIANS, folder / FEATURES
         features = load_features(features_file)
-        if features.encoder_id != embedder.encoder.identity:
+        if embedder is not None and features.encoder_id != embedder.encoder.identity:
             raise ConfigError(
                 f"{features_file} is of encoder {features.encoder_id}, not {embedder.encoder.identity}; "
                 "ask with the same --encoder, or give the folder of the photos as SCENE to embed it anew"
             )
-        scene = read_cameras(folder / CAMERAS)
+        scene = _turned(read_cameras(folder / CAMERAS), config)
         kept = ("source", "inputs_sha256", "encoder", "training", "foreign", "scale")
         origin = {key: document["provenance"][key] for key in kept if key in document["provenance"]}
         gaussians = read_ply(gaussians_file)
@@ -294,7 +306,7 @@ def reopen(folder: Path, out: Path, embedder: Embedder, config: Config, stages: 
                 if found.hash() == origin["inputs_sha256"]:
                     photos_read = found.read(stored.scene)
                     scene = dataclasses.replace(
-                        photos_read, cameras=scene.cameras, metres_per_unit=scene.metres_per_unit
+                        photos_read, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit
                     )
         if not scene.images:
             stages.notices.append(f"the photos at {source} are gone or have changed: no pictures were made")
@@ -306,6 +318,23 @@ def reopen(folder: Path, out: Path, embedder: Embedder, config: Config, stages: 
         gaussians_file=gaussians_file,
         features_file=features_file,
         cameras_file=folder / CAMERAS,
-        config=dataclasses.replace(stored, count=config.count),
+        config=dataclasses.replace(
+            stored,
+            count=config.count,
+            scene=dataclasses.replace(stored.scene, up=config.scene.up or stored.scene.up),
+        ),
         origin=origin,
     )
+
+
+def _fixed(settings: Any) -> Any:
+    """A stage's settings without those that may differ when an earlier result is opened again."""
+    if isinstance(settings, EmbedConfig):
+        return portable(settings)
+    return dataclasses.replace(settings, up=None) if isinstance(settings, SceneConfig) else settings
+
+
+def _turned(scene: Scene, config: Config) -> Scene:
+    """The scene with the up direction that the settings give, if they give one."""
+    up = config.scene.up
+    return scene if up is None else dataclasses.replace(scene, up=np.asarray(up) / np.linalg.norm(up))

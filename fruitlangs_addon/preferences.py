@@ -1,28 +1,73 @@
-"""The extension's preferences: for now, whether all it needs is there."""
+"""The extension's preferences: packages, folders of checkpoints, caches, and what it may do online."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
 
 from __future__ import annotations
 
+import os
+import sys
+from typing import Any
+
 import bpy
 
-from ..operators.dependencies import FRUITLANGS_OT_copy_install_command, install_command, missing_packages
-
-PACKAGE = __package__.rpartition(".")[0]
-"""Blender's name for the extension (`bl_ext.….fruitlangs`)."""
+from ..operators.caches import FRUITLANGS_OT_clear_caches
+from ..operators.package_folder import EXTENSION, installs, packages_folder
+from ..operators.settings import online
+from .missing_packages import draw_missing_packages
 
 
 class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
-    bl_idname = PACKAGE
+    bl_idname = EXTENSION
+
+    clip: bpy.props.StringProperty(
+        name="CLIP Checkpoint",
+        subtype="DIR_PATH",
+        description="Folder of a CLIP or SigLIP checkpoint, for scenes whose own setting is left at its default",
+    )
+    sam: bpy.props.StringProperty(
+        name="SAM Checkpoint",
+        subtype="DIR_PATH",
+        description="Folder of a SAM checkpoint, for scenes whose own setting is left at its default",
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        missing = missing_packages()
-        if not missing:
-            layout.label(text="All Python packages are installed.", icon="CHECKMARK")
-            return
-        layout.label(text=f"Missing Python packages: {', '.join(missing)}", icon="ERROR")
-        layout.label(text="This zip holds none of them. Run in a terminal, then restart Blender:")
-        layout.label(text=install_command(missing))
-        layout.operator(FRUITLANGS_OT_copy_install_command.bl_idname, icon="COPYDOWN")
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        if not draw_missing_packages(layout, context):
+            layout.label(text="All Python packages are there", icon="CHECKMARK")
+            if installs(packages_folder()):
+                layout.label(text=f"Installed here: {packages_folder()}", icon="BLANK1")
+        layout.label(text=device_text(), icon="DESKTOP")
+        column = layout.column()
+        column.prop(self, "clip")
+        column.prop(self, "sam")
+        draw_online(layout)
+        row = layout.row()
+        row.alignment = "LEFT"
+        row.operator(FRUITLANGS_OT_clear_caches.bl_idname, text="Clear Caches…", icon="TRASH")
+
+
+def device_text() -> str:
+    """What computes. Nothing is imported for it: whether PyTorch sees a card is known once something has been done."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    text = f"Computes on the CPU with {cores} core{'s' if cores > 1 else ''}"
+    torch: Any = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        text += f"; CLIP and SAM on {torch.cuda.get_device_name(0)}"
+    return text
+
+
+def draw_online(layout: Any) -> None:
+    """Whether Blender lets extensions go online, which is all that decides it, and where to change it."""
+    if online():
+        layout.label(text="May go online, for packages and checkpoints that you ask for", icon="INTERNET")
+        return
+    layout.label(text="Never goes online, because Blender may not", icon="INTERNET_OFFLINE")
+    row = layout.row()
+    row.alignment = "LEFT"
+    row.operator("screen.userpref_show", text="Online Access is under System…", icon="PREFERENCES").section = "SYSTEM"
 
 
 CLASSES = (FRUITLANGS_AP_preferences,)

@@ -10,7 +10,10 @@ from typing import Any
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from ..operators.ask import suggestions, threshold_changed, words_changed
 from ..operators.settings import apply_preset, config_properties, stage_classes
+from . import review
+from .review import FRUITLANGS_PG_review
 
 # Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
 _RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -23,8 +26,13 @@ def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:
     )
 
 
+UPDATES: dict[str, dict[str, Any]] = {"count": {"threshold": threshold_changed}}
+"""{stage: {setting: what an edit of it calls}}."""
+
 STAGES = {
-    stage: _group(f"FRUITLANGS_PG_{stage}", config_properties(config_class), config_class.__doc__)
+    stage: _group(
+        f"FRUITLANGS_PG_{stage}", config_properties(config_class, UPDATES.get(stage, {})), config_class.__doc__
+    )
     for stage, config_class in stage_classes().items()
 }
 """{stage: property group}, one for each config of the engine."""
@@ -41,7 +49,12 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
 
     cameras: IntProperty(name="Cameras", min=0)
     points: IntProperty(name="Points", min=0)
+    gaussians: IntProperty(name="Gaussians", min=0)
+    quality: StringProperty(name="Quality", description="How well photos kept aside from training are drawn")
+    features: StringProperty(name="Features", subtype="FILE_PATH", options=_RELATIVE, description="Of the Gaussians")
     count: IntProperty(name="Count", default=-1, min=-1, description="Fruit counted; -1 before there was a count")
+    low: IntProperty(name="Low", default=-1, min=-1, description="Of the 90 % interval; -1 where none is told")
+    high: IntProperty(name="High", default=-1, min=-1, description="Of the 90 % interval; -1 where none is told")
     label: StringProperty(name="Label", description="What was counted")
     mean_diameter: FloatProperty(name="Mean Diameter", description="Of the counted fruit, in the unit beside it")
     unit: StringProperty(name="Unit", description="mm where the scene's scale is known, else scene units")
@@ -50,6 +63,13 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     whereabouts: StringProperty(name="Whereabouts", description="Fruit on the ground, and fruit on each tree of a row")
     notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
     folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=_RELATIVE)
+
+
+class FRUITLANGS_PG_answer(bpy.types.PropertyGroup):
+    """What the Gaussians answered to the prompt."""
+
+    text: StringProperty(name="Answer")
+    problem: StringProperty(name="Problem", description="Why there is no answer")
 
 
 class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
@@ -67,8 +87,27 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         options=_RELATIVE,
         description="Folder for results; when empty, one beside the .blend (or beside the scene, if never saved)",
     )
-    prompt: StringProperty(name="Prompt", default="apple", description="What to count; several words with commas")
-    negative: StringProperty(name="Not", description="What must not be counted; several words with commas")
+    gaussians: StringProperty(
+        name="Gaussians",
+        subtype="FILE_PATH",
+        options=_RELATIVE,
+        description="A .ply of Gaussians or coloured points in the frame of the scene's cameras, instead of training",
+    )
+    prompt: StringProperty(
+        name="Prompt",
+        default="apple",
+        update=words_changed,
+        search=suggestions,
+        search_options={"SUGGESTION"},
+        description="What to count, as apple or red apple; several with commas",
+    )
+    negative: StringProperty(
+        name="Not",
+        update=words_changed,
+        search=suggestions,
+        search_options={"SUGGESTION"},
+        description="What must not be counted, beside what is told apart by itself; several words with commas",
+    )
     preset: EnumProperty(
         name="Preset",
         items=[
@@ -81,8 +120,18 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         description="Sets every setting of training; change single ones after it",
     )
     error: StringProperty(name="Error", description="What went wrong last")
+    failed: StringProperty(name="Failed", description="The work that went wrong, empty where none did")
     config: PointerProperty(type=FRUITLANGS_PG_config)
+    answer: PointerProperty(type=FRUITLANGS_PG_answer)
+    review: PointerProperty(type=FRUITLANGS_PG_review)
     result: PointerProperty(type=FRUITLANGS_PG_result)
 
 
-CLASSES = (*STAGES.values(), FRUITLANGS_PG_config, FRUITLANGS_PG_result, FRUITLANGS_PG_settings)
+CLASSES = (
+    *STAGES.values(),
+    FRUITLANGS_PG_config,
+    FRUITLANGS_PG_answer,
+    FRUITLANGS_PG_result,
+    *review.CLASSES,
+    FRUITLANGS_PG_settings,
+)

@@ -6,16 +6,50 @@ from typing import Any
 
 import bpy
 
-from ..operators import count, dependencies, import_scene, jobs
-from . import panels, preferences, properties
+from ..operators import (
+    ask,
+    caches,
+    count,
+    dependencies,
+    import_scene,
+    jobs,
+    level,
+    package_folder,
+    reconstruct,
+    region,
+    review,
+    scale,
+)
+from . import (
+    fruit_list,
+    preferences,
+    properties,
+    step_ask,
+    step_count,
+    step_reconstruct,
+    step_review,
+    step_scene,
+)
 
 CLASSES: tuple[Any, ...] = (
     *properties.CLASSES,
     *jobs.CLASSES,
     *dependencies.CLASSES,
+    *caches.CLASSES,
     *import_scene.CLASSES,
+    *scale.CLASSES,
+    *level.CLASSES,
+    *region.CLASSES,
+    *reconstruct.CLASSES,
+    *ask.CLASSES,
     *count.CLASSES,
-    *panels.CLASSES,
+    *review.CLASSES,
+    *step_scene.CLASSES,
+    *step_reconstruct.CLASSES,
+    *step_ask.CLASSES,
+    *step_count.CLASSES,
+    *fruit_list.CLASSES,
+    *step_review.CLASSES,
     *preferences.CLASSES,
 )
 
@@ -27,18 +61,22 @@ def register() -> None:
     """Add everything; a second call first takes the first one's away."""
     if hasattr(bpy.types.Scene, "fruitlangs"):
         unregister()
+    package_folder.use_packages()
     for item in CLASSES:
         bpy.utils.register_class(item)
     bpy.types.Scene.fruitlangs = bpy.props.PointerProperty(type=properties.FRUITLANGS_PG_settings)
     bpy.types.TOPBAR_MT_file_import.append(import_scene.menu_entry)
+    ask.register_handlers()
 
 
 def unregister() -> None:
     """Take everything away and leave nothing behind; a running job is asked to stop."""
     jobs.cancel_running(CANCEL_SECONDS)
+    ask.unregister_handlers()
     bpy.types.TOPBAR_MT_file_import.remove(import_scene.menu_entry)
     if hasattr(bpy.types.Scene, "fruitlangs"):
         del bpy.types.Scene.fruitlangs
     for item in reversed(CLASSES):
         if item.is_registered:
             bpy.utils.unregister_class(item)
+    package_folder.forget_packages()

@@ -11,12 +11,15 @@ from typing import Any, Literal
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 from numpy.typing import NDArray
 
 OWNER = "fruitlangs"
 """Custom property that names the role of an object, collection, node group or material of ours."""
 
-Role = Literal["root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "light", "world"]
+Role = Literal[
+    "root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "region", "light", "world"
+]
 AttributeType = Literal["FLOAT", "INT", "FLOAT_VECTOR", "FLOAT_COLOR", "QUATERNION"]
 
 _FIELDS: dict[AttributeType, tuple[str, int]] = {
@@ -109,6 +112,13 @@ def new_object(
     item.parent = parent
     collection.objects.link(item)
     return item
+
+
+def in_scene_frame(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:
+    """The object's transform in the scene's frame; of a child of `root` as it was set, evaluated or not."""
+    if item.parent == root:
+        return item.matrix_parent_inverse @ item.matrix_basis
+    return root.matrix_world.inverted() @ item.matrix_world
 
 
 def remove_objects(objects: Iterable[bpy.types.Object]) -> None:

@@ -101,7 +101,10 @@ def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     """Set an input of a Geometry Nodes modifier by its name."""
     for socket in modifier.node_group.interface.items_tree:
         if socket.name == name and socket.in_out == "INPUT":
-            modifier[socket.identifier] = value
+            if hasattr(modifier, "properties"):  # Blender 5.2
+                getattr(modifier.properties.inputs, socket.identifier).value = value
+            else:
+                modifier[socket.identifier] = value
             return
     raise KeyError(f"{modifier.node_group.name} has no input {name}")
 
@@ -152,14 +155,9 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
         "GeometryNodeSetMaterial", 7, 0, {"Geometry": points, "Material": probability_material("GEOMETRY")}
     ).outputs[0]
     size = piece.node("GeometryNodeAttributeDomainSize", 5, -1, {"Geometry": points}, component="POINTCLOUD")
-    many = piece.node(
-        "FunctionNodeCompare",
-        6,
-        -1,
-        data_type="INT",
-        operation="GREATER_THAN",
-        inputs={2: size.outputs["Point Count"], 3: given["Ellipsoids up to"]},
-    ).outputs[0]
+    # As floats: where a comparison of whole numbers has its sockets differs between Blender's versions.
+    counts: dict[str | int, Any] = {0: size.outputs["Point Count"], 1: given["Ellipsoids up to"]}
+    many = piece.node("FunctionNodeCompare", 6, -1, counts, operation="GREATER_THAN").outputs[0]
     chosen = piece.node(
         "GeometryNodeSwitch", 8, 0, {"Switch": many, "False": ellipsoids, "True": dots}, input_type="GEOMETRY"
     ).outputs[0]

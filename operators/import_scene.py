@@ -1,27 +1,25 @@
-"""Read a scene's cameras and sparse points and show them."""
+"""Open what a person has: photos with cameras or alone, another program's Gaussians, or an earlier result."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..engine.progress import part
-from .jobs import JobOperator, Work, running
-from .settings import read_config, result_folder, source_folder, stored_path
-from .target import Target
-from .viewport import look_at_scene, show_colors, shown_screens
-from .write_cameras import write_cameras
-from .write_points import write_points
-from .write_root import write_root
+from .jobs import JobOperator, Work, busy
+from .settings import PLY, read_config, result_folder, source_folder, stored_path
+from .showing import count_text, show_reconstruction, show_result, show_scene
 
 if TYPE_CHECKING:
     from ..engine.config import Config
     from ..engine.progress import Progress
+    from ..engine.publishing import Result
     from ..engine.scene.camera import Scene
 
 
@@ -29,20 +27,19 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.import_scene"
     bl_label = "Import Scene"
     bl_description = (
-        "Show the cameras and the sparse points of photos, with a COLMAP model or alone, or of an earlier result"
+        "Show photos' cameras and sparse points (with a COLMAP model or alone), the Gaussians of a .ply, or all of an "
+        "earlier result"
     )
     bl_options = {"UNDO"}
 
     title = "Import"
+    _show: Callable[..., None]
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if running() is not None:
-            cls.poll_message_set("Another job is at work; wait or cancel it first")
-            return False
-        return context.scene is not None
+        return not busy(cls) and context.scene is not None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.directory and not context.scene.fruitlangs.source and not bpy.app.background:
@@ -55,35 +52,55 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         if self.directory:
             settings.source = stored_path(Path(bpy.path.abspath(self.directory)))
         source = source_folder(settings)
-        config, cache = read_config(settings), result_folder(settings) / "cache"
-        self._target = Target(context.scene)
-        return lambda progress: read_any(source, cache, config, progress)
+        if (source / "fruits.json").is_file():
+            self._show = self._show_result
+            return lambda progress: open_folder(source)
+        config, out = read_config(settings), result_folder(settings)
+        if source.suffix.lower() == PLY:
+            self._show = self._show_reconstruction
+            return lambda progress: read_cloud(source, out, config, progress)
+        self._show = self._show_scene
+        return lambda progress: read_posed(source, out / "cache", config, progress)
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
-        bpy_scene = self._target.scene(context)
-        root = write_root(bpy_scene, result)
-        if len(result.points):
-            write_points(bpy_scene, result, root)
-        write_cameras(bpy_scene, result, root)
-        show_colors(shown_screens(context))
-        look_at_scene(shown_screens(context), bpy_scene)
-        shown = bpy_scene.fruitlangs.result
-        shown.cameras, shown.points = len(result.cameras), len(result.points)
-        self.report({"INFO"}, f"{len(result.cameras)} cameras and {len(result.points)} points imported")
+        self._show(context, self._target.scene(context), result)
 
-    def failed(self, context: bpy.types.Context, message: str) -> None:
-        context.scene.fruitlangs.error = message
+    def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Any) -> None:
+        show_scene(context, bpy_scene, scene)
+        self.report({"INFO"}, f"{len(scene.cameras)} cameras and {len(scene.points)} points imported")
+
+    def _show_reconstruction(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
+        show_reconstruction(context, bpy_scene, *result)
+        self.report({"INFO"}, f"{len(result[0].gaussians):,} Gaussians imported")
+
+    def _show_result(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
+        settings = bpy_scene.fruitlangs
+        settings.prompt = ", ".join(result.origin["prompts"])
+        settings.negative = ", ".join(result.origin.get("negatives", ()))
+        settings.config.count.threshold = result.config.count.threshold
+        show_result(context, bpy_scene, result)
+        self.report({"INFO"}, f"{count_text(settings.result)}; opened as it was counted")
 
 
-def read_any(source: Path, cache: Path, config: Config, progress: Progress) -> Scene:
-    """The scene at `source`: photos with a camera model, or the cameras that an earlier result keeps of them.
+def open_folder(folder: Path) -> Result:
+    """The earlier result in `folder`."""
+    from ..engine.opening import open_result
+
+    return open_result(folder)
+
+
+def read_cloud(file: Path, out: Path, config: Config, progress: Progress) -> Any:
+    """The Gaussians or coloured points of `file` with cameras placed around them, and the log of the run."""
+    from ..engine.pipeline import reconstruct_scene
+
+    return reconstruct_scene(file, out, config=config, progress=progress)
+
+
+def read_posed(source: Path, cache: Path, config: Config, progress: Progress) -> Scene:
+    """The photos at `source` with their cameras.
 
     For photos alone cameras are found first; they are kept in `cache`, where a count finds them again.
     """
-    if (source / "fruits.json").is_file():
-        from ..engine.scene.stored import read_cameras
-
-        return read_cameras(source / "cameras.json")
     from ..engine.scene.source import Source, photos_alone, pose_photos
 
     photos = photos_alone(source)
@@ -95,7 +112,7 @@ def read_any(source: Path, cache: Path, config: Config, progress: Progress) -> S
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:
     """File > Import."""
-    self.layout.operator(FRUITLANGS_OT_import_scene.bl_idname, text="Fruit Scene (COLMAP)")
+    self.layout.operator(FRUITLANGS_OT_import_scene.bl_idname, text="Fruit Scene or Result (FruitLangs)")
 
 
 CLASSES = (FRUITLANGS_OT_import_scene,)

@@ -16,9 +16,14 @@ import bpy
 
 from ..engine.errors import Cancelled, FruitLangsError
 from ..engine.progress import Progress, silent
+from .preload import preload_torch
+from .target import Target
 
 REDRAW_SECONDS = 0.25
 """Redrawing more often takes the time from the work."""
+
+LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
+"""How far and how long a job must have gone before the time that remains is told."""
 
 Work = Callable[[Progress], Any]
 
@@ -53,9 +58,23 @@ class Job:
         return not self._thread.is_alive()
 
     @property
+    def remaining(self) -> float | None:
+        """Seconds it will still take if it goes on as it went so far; None while that says nothing."""
+        if self.fraction < LEAST_FRACTION or self.seconds < LEAST_SECONDS:
+            return None
+        return self.seconds * (1.0 - self.fraction) / self.fraction
+
+    @property
+    def text(self) -> str:
+        """How far it is, for a person: 'step 300/1200, 41,000 Gaussians, about 2 min left'."""
+        if self.cancelling:
+            return "stopping at the next safe point"
+        return self.message if self.remaining is None else f"{self.message}, about {duration(self.remaining)} left"
+
+    @property
     def shown(self) -> tuple[int, str, int, bool]:
         """What a panel shows of it: a redraw is due when this changes."""
-        return int(100 * self.fraction), self.message, int(self.seconds), self.cancelling
+        return int(100 * self.fraction), self.text, int(self.seconds), self.cancelling
 
     @property
     def seconds(self) -> float:
@@ -69,6 +88,7 @@ class Job:
 
     def _run(self) -> None:
         try:
+            preload_torch()
             self.result = self._work(self._progress)
         except BaseException as error:  # whatever it is, the main thread reports it
             self.error = error
@@ -85,6 +105,14 @@ def running() -> Job | None:
     if _current is not None and _current.ended:
         _current = None
     return _current
+
+
+def busy(operator: Any) -> bool:
+    """Whether a job is at work; the operator's poll then says so."""
+    if running() is None:
+        return False
+    operator.poll_message_set("Another job is at work; wait or cancel it first")
+    return True
 
 
 def cancel_running(wait: float = 0.0) -> None:
@@ -112,22 +140,38 @@ class JobOperator:
 
     `execute` (scripts, background mode) runs to the end before it returns; `invoke` in a window starts a thread, and a
     modal timer reports it. A failure is an error report, which scripts get as RuntimeError, and {'CANCELLED'}.
+    `self._target` is the Blender scene it works for, whatever happens meanwhile.
     """
 
     title = ""
+    _target: Target
 
     def prepare(self, context: bpy.types.Context) -> Work:
-        """Read the settings and return the work; called on the main thread. May raise FruitLangsError, ImportError."""
+        """Read the settings and return the work; called on the main thread. May raise FruitLangsError.
+
+        The work imports what it needs of the engine by itself: that takes seconds, which are the thread's.
+        """
         raise NotImplementedError
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         """Show the result; called on the main thread."""
         raise NotImplementedError
 
-    def failed(self, context: bpy.types.Context, message: str) -> None:
-        """Leave the message where a panel shows it; called on the main thread, '' when work starts."""
+    def failed(self: Any, context: bpy.types.Context, message: str) -> None:
+        """Leave the message where a panel shows it; called on the main thread, '' when work starts or went well."""
+        bpy_scene = self._target.find()
+        if bpy_scene is not None:
+            bpy_scene.fruitlangs.error = message
+            bpy_scene.fruitlangs.failed = self.title if message else ""
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        """While the work goes on, a few times a second on the main thread: show what there is of it so far."""
+
+    def ended(self, context: bpy.types.Context) -> None:
+        """However the work ended, before `finish`: take away what `ticked` showed."""
 
     def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        self._target = Target(context.scene)
         self.failed(context, "")
         try:
             self.finish(context, self.prepare(context)(silent))
@@ -143,6 +187,7 @@ class JobOperator:
         if other is not None:
             self.report({"WARNING"}, f"{other.title} is still at work; wait or cancel it first")
             return {"CANCELLED"}
+        self._target = Target(context.scene)
         self.failed(context, "")
         try:
             self._job = Job(self.title, self.prepare(context))
@@ -165,15 +210,23 @@ class JobOperator:
             if self._job.shown != self._shown:
                 self._shown = self._job.shown
                 redraw_sidebars(context)
+                show_status(context, f"{self.title} {self._job.fraction:.0%}: {self._job.text}. Esc cancels")
+            self.ticked(context)
             return {"PASS_THROUGH"}
-        redraw_sidebars(context)
-        context.window_manager.event_timer_remove(self._timer)
+        self._leave(context)
         return self._conclude(context)
 
     def cancel(self: Any, context: bpy.types.Context) -> None:
         """Called by Blender when the file or the window is closed: nothing is left to show the result in."""
         self._job.cancel()
+        self._leave(context)
+
+    def _leave(self: Any, context: bpy.types.Context) -> None:
+        """Take away what the running job showed."""
+        redraw_sidebars(context)
+        show_status(context, None)
         context.window_manager.event_timer_remove(self._timer)
+        self.ended(context)
 
     def _conclude(self: Any, context: bpy.types.Context) -> set[str]:
         job = self._job
@@ -208,6 +261,20 @@ class FRUITLANGS_OT_cancel(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         cancel_running()
         return {"FINISHED"}
+
+
+def duration(seconds: float) -> str:
+    """A time for people: '40 s', '3 min', '1 h 20 min'."""
+    if seconds < 90:
+        return f"{max(round(seconds / 5) * 5, 5)} s" if seconds > 7.5 else f"{max(round(seconds), 1)} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def show_status(context: bpy.types.Context, text: str | None) -> None:
+    """Say it in the status bar; None brings back what Blender says there. While a file closes there may be none."""
+    if context.workspace is not None:
+        context.workspace.status_text_set(text)
 
 
 def redraw_sidebars(context: bpy.types.Context) -> None:

@@ -13,6 +13,7 @@ import itertools
 import textwrap
 import types
 import typing
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +21,15 @@ import bpy
 
 from ..engine.config import LARGEST, range_of
 from ..engine.errors import SceneError, VocabularyError
+from .preferred import with_preferred_folders
+from .region import in_region
 
 if TYPE_CHECKING:
     from ..engine.config import Config
+
+
+PLY = ".ply"
+"""How the name of a file of Gaussians or coloured points ends."""
 
 
 def field_docs(config_class: type) -> dict[str, str]:
@@ -40,15 +47,15 @@ def field_docs(config_class: type) -> dict[str, str]:
     return docs
 
 
-def config_properties(config_class: type) -> dict[str, Any]:
-    """{field: Blender property} of a config dataclass, in its order.
+def config_properties(config_class: type, updates: Mapping[str, Callable[..., None]] = {}) -> dict[str, Any]:
+    """{field: Blender property} of a config dataclass, in its order; updates: {field: what an edit of it calls}.
 
     Where None is allowed, 0 stands for it, or an empty text; several texts are one, with commas, and a list of numbers
     of any length is typed as text.
     """
     docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
     return {
-        field.name: _property(kinds[field.name], field, docs.get(field.name, ""))
+        field.name: _property(kinds[field.name], field, docs.get(field.name, ""), updates.get(field.name))
         for field in dataclasses.fields(config_class)
     }
 
@@ -83,7 +90,7 @@ def _plain(value: Any) -> Any:
 
 
 def _optional(kind: Any) -> bool:
-    return isinstance(kind, types.UnionType | typing._UnionGenericAlias) and type(None) in typing.get_args(kind)  # type: ignore[attr-defined]
+    return typing.get_origin(kind) in (types.UnionType, typing.Union) and type(None) in typing.get_args(kind)
 
 
 def _given(kind: Any) -> Any:
@@ -102,10 +109,14 @@ def _is_list(kind: Any) -> bool:
     return any(Ellipsis in typing.get_args(choice) for choice in (kind, *typing.get_args(kind)))
 
 
-def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
+def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callable[..., None] | None = None) -> Any:
     """The Blender property for one field."""
     words = field.name.replace("_", " ").title()
-    named = {"name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "), "description": doc.rstrip(".")}
+    named: dict[str, Any] = {
+        "name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "),
+        "description": doc.rstrip("."),
+        "update": update,
+    }
     if _optional(kind):
         kind = _given(kind)
         typed = kind is str or _is_texts(kind) or _is_list(kind)
@@ -137,7 +148,8 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str) -> Any:
 
 
 def read_config(settings: Any) -> Config:
-    """Every stage's config from `scene.fruitlangs`; nothing is downloaded where Blender may not go online.
+    """Every stage's config from `scene.fruitlangs`, counting held to the scene's region box where it has one; nothing
+    is downloaded where Blender may not go online.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -147,8 +159,13 @@ def read_config(settings: Any) -> Config:
     config = Config(
         **{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()}
     )
-    consent = config.embed.allow_download and online()
-    return dataclasses.replace(config, embed=dataclasses.replace(config.embed, allow_download=consent))
+    embed = with_preferred_folders(config.embed)
+    consent = embed.allow_download and online()
+    return dataclasses.replace(
+        config,
+        embed=dataclasses.replace(embed, allow_download=consent),
+        count=in_region(settings.id_data, config.count),
+    )
 
 
 def online() -> bool:
@@ -198,9 +215,23 @@ def source_folder(settings: Any) -> Path:
     if not settings.source:
         raise SceneError("No scene is chosen: set Scene to the folder of the photos, with a COLMAP model or alone")
     folder = _absolute(settings.source)
-    if not folder.is_dir() and not (folder.suffix.lower() == ".ply" and folder.is_file()):
+    if not folder.is_dir() and not (folder.suffix.lower() == PLY and folder.is_file()):
         raise SceneError(f"The scene folder {folder} is not there; choose it again")
     return folder
+
+
+def foreign_file(settings: Any) -> Path | None:
+    """The .ply that is counted in instead of training, absolute; None where none is given.
+
+    Raises:
+        SceneError: it is not there (any more).
+    """
+    if not settings.gaussians:
+        return None
+    file = _absolute(settings.gaussians)
+    if not file.is_file():
+        raise SceneError(f"The Gaussians {file} are not there; choose the file again, or empty the field to train")
+    return file
 
 
 def result_folder(settings: Any) -> Path:
@@ -209,7 +240,16 @@ def result_folder(settings: Any) -> Path:
         return _absolute(settings.out)
     source = _absolute(settings.source) if settings.source else Path("scene")
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
-    return beside / f"{source.stem if source.suffix.lower() == '.ply' else source.name}_fruit"
+    return beside / f"{source.stem if source.suffix.lower() == PLY else source.name}_fruit"
+
+
+def stored_file(text: str) -> Path:
+    """A path that `stored_path` kept, absolute.
+
+    Raises:
+        SceneError: it is relative to a .blend never saved.
+    """
+    return _absolute(text)
 
 
 def _absolute(text: str) -> Path:

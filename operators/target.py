@@ -20,9 +20,13 @@ class Target:
         Raises:
             OutputError: it was deleted, or another file was opened.
         """
-        for scene in bpy.data.scenes:
-            if scene.session_uid == self._uid:
-                if context.mode != "OBJECT" and bpy.ops.object.mode_set.poll():
-                    bpy.ops.object.mode_set(mode="OBJECT")
-                return scene
-        raise OutputError(f"The scene {self._name} was deleted meanwhile; results are in the results folder")
+        scene = self.find()
+        if scene is None:
+            raise OutputError(f"The scene {self._name} was deleted meanwhile; results are in the results folder")
+        if context.mode != "OBJECT" and bpy.ops.object.mode_set.poll():
+            bpy.ops.object.mode_set(mode="OBJECT")
+        return scene
+
+    def find(self) -> bpy.types.Scene | None:
+        """The scene as it is; None where it was deleted, or another file was opened."""
+        return next((scene for scene in bpy.data.scenes if scene.session_uid == self._uid), None)

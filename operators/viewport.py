@@ -45,6 +45,24 @@ def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scen
         space.clip_end = max(space.clip_end, 20.0 * distance)
 
 
+def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: float) -> None:
+    """Move viewports to a place in the world, no farther away than `distance`; they keep their direction."""
+    for space in _viewports(screens):
+        view = space.region_3d
+        if view.view_perspective == "CAMERA":
+            view.view_perspective = "PERSP"
+        view.view_location = place
+        view.view_distance = distance
+
+
+def redraw_viewports() -> None:
+    """Redraw every 3D viewport, sidebar included; for what changed without an operator."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
 def _viewports(screens: Iterable[bpy.types.Screen]) -> Iterator[Any]:
     for screen in screens:
         for area in screen.areas:

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..engine.report.words import object_name
+from ..engine.report.words import fruit_name
 from .blender_data import OWNER, linear_from_srgb, new_object, owned_collection, owned_objects, remove_objects
 
 if TYPE_CHECKING:
@@ -50,32 +50,61 @@ def write_fruits(
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
     meshes: dict[str, bpy.types.Mesh] = {}
-    objects = []
-    for fruit in fruit_count.fruits:
-        mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
-        item = new_object(_name(fruit, bpy_scene), mesh, "fruit", collection, root)
-        item.location = tuple(np.asarray(fruit.center, dtype=float))
-        item.scale = tuple(fruit.lengths.tolist())
-        item.rotation_mode = "QUATERNION"
-        item.rotation_quaternion = Matrix((2.0 * fruit.axes / fruit.lengths[:, None]).T.tolist()).to_quaternion()
-        item.color = fruit_color(fruit)
-        _set_properties(item, fruit, metres_per_unit)
-        objects.append(item)
-    return objects
+    return [_write(bpy_scene, fruit, root, collection, meshes, metres_per_unit) for fruit in fruit_count.fruits]
 
 
-def fruit_color(fruit: Fruit) -> tuple[float, float, float, float]:
+def write_fruit(
+    bpy_scene: bpy.types.Scene, fruit: Fruit, root: bpy.types.Object, *, metres_per_unit: float | None = None
+) -> bpy.types.Object:
+    """Add one fruit object to those there are, as `write_fruits` makes them."""
+    meshes = {item["label"]: item.data for item in owned_objects(bpy_scene, "fruit") if "label" in item}
+    collection = owned_collection(bpy_scene, "fruits", "Fruits")
+    return _write(bpy_scene, fruit, root, collection, meshes, metres_per_unit)
+
+
+def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) -> None:
+    """Give a fruit object another label: its name, colour and mesh follow."""
+    old = item.data
+    others = (each for each in owned_objects(bpy_scene, "fruit") if each.get("label") == label)
+    item.data = next((each.data for each in others), None) or _unit_sphere(label)
+    if old.users == 0:
+        bpy.data.meshes.remove(old)
+    item["label"] = label
+    item.name = _name(label, item["id"], bpy_scene)
+    item.color = fruit_color(label, item["id"])
+
+
+def _write(
+    bpy_scene: bpy.types.Scene,
+    fruit: Fruit,
+    root: bpy.types.Object,
+    collection: bpy.types.Collection,
+    meshes: dict[str, bpy.types.Mesh],
+    metres_per_unit: float | None,
+) -> bpy.types.Object:
+    mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
+    item = new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, root)
+    item.location = tuple(np.asarray(fruit.center, dtype=float))
+    item.scale = tuple(fruit.lengths.tolist())
+    item.rotation_mode = "QUATERNION"
+    item.rotation_quaternion = Matrix((2.0 * fruit.axes / fruit.lengths[:, None]).T.tolist()).to_quaternion()
+    item.color = fruit_color(fruit.label, fruit.id)
+    _set_properties(item, fruit, metres_per_unit)
+    return item
+
+
+def fruit_color(label: str, number: int) -> tuple[float, float, float, float]:
     """Linear RGBA: the label's hue, with a brightness by id so that touching fruit can be told apart."""
-    hue = LABEL_HUES.get(fruit.label)
+    hue = LABEL_HUES.get(label)
     if hue is None:
-        hue = zlib.crc32(fruit.label.encode()) % 1000 / 1000
-    value = 0.6 + 0.4 * (fruit.id * GOLDEN % 1.0)
+        hue = zlib.crc32(label.encode()) % 1000 / 1000
+    value = 0.6 + 0.4 * (number * GOLDEN % 1.0)
     red, green, blue = linear_from_srgb(np.array(colorsys.hsv_to_rgb(hue, 0.75, value)))
     return (float(red), float(green), float(blue), 1.0)
 
 
-def _name(fruit: Fruit, bpy_scene: bpy.types.Scene) -> str:
-    name = object_name(fruit)
+def _name(label: str, number: int, bpy_scene: bpy.types.Scene) -> str:
+    name = fruit_name(label, number)
     # Taken, by another Blender scene's fruit or by the user: Blender would count on and give a name with another id.
     return name if name not in bpy.data.objects else f"{bpy_scene.name} {name}"
 
@@ -103,6 +132,11 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
             item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
     item.id_properties_ui("views").update(min=0, description="Photos that show at least a tenth of it")
     item.id_properties_ui("color").update(subtype="COLOR", min=0.0, max=1.0, description="Mean colour of its surface")
+    tell_unit(item, metres_per_unit)
+
+
+def tell_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
+    """Say in a fruit's custom properties in which unit its lengths are."""
     for key in ("diameter", *LENGTHS):
         item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 

@@ -2,8 +2,8 @@
 
 Gaussians, points, cameras and fruit are its children with untouched local coordinates, so `object.location` of a fruit
 is its `center` in `fruits.json` and in the input model. The root alone turns the scene's `up` to Blender's +Z, puts the
-point the cameras look at over the origin and the ground at z = 0, and scales scene units to metres where the scale is
-known.
+point the cameras look at over the origin and the ground at z = 0, where a person picked it or as the points tell, and
+scales scene units to metres where the scale is known.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from .blender_data import new_object, owned_collection, owned_object
 if TYPE_CHECKING:
     from ..engine.scene.camera import FloatArray, Scene
 
+GROUND = "fruitlangs_ground"
+"""Custom property of the Blender scene: a place on the ground that a person picked, in the scene's frame."""
 GROUND_PERCENTILE = 2.0
 """A robust lowest point: this share of the sparse points may lie below the ground."""
 
@@ -32,7 +34,10 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
     scale = scene.metres_per_unit or 1.0
     root.empty_display_size = 0.05 * scene.extent if len(scene.cameras) else 1.0
     root["metres_per_unit"] = scene.metres_per_unit or 0.0
-    root.matrix_basis = Matrix.Scale(scale, 4) @ Matrix(upright_matrix(scene).tolist())
+    matrix = upright_matrix(scene)
+    if GROUND in bpy_scene:
+        matrix[2, 3] = -matrix[2, :3] @ np.array(bpy_scene[GROUND])
+    root.matrix_basis = Matrix.Scale(scale, 4) @ Matrix(matrix.tolist())
     return root
 
 

@@ -27,3 +27,8 @@ def _load() -> None:
 
 
 _load()
+
+if "bpy" in sys.modules:  # Blender runs the script: let it find what install_dependencies.py installed
+    from fruitlangs.operators.package_folder import use_packages
+
+    use_packages()

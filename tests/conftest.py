@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,30 @@ sys.path[:0] = [str(Path(__file__).resolve().parent.parent / "scripts"), str(Pat
 import _checkout  # noqa: F401
 
 SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orchard_tree"
+
+
+@pytest.fixture(scope="session")
+def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Photos, cameras and truth of five red balls over ground: trained and counted in seconds."""
+    import ball_scene
+
+    return ball_scene.write_scene(tmp_path_factory.mktemp("balls") / "balls")
+
+
+@pytest.fixture(scope="session")
+def counted_balls(balls: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The balls' result, counted as apples by `balls_config`."""
+    from fruitlangs.engine.pipeline import count_scene
+
+    out = tmp_path_factory.mktemp("counted") / "out"
+    return count_scene(balls, ["apple"], out, config=balls_config())
+
+
+def balls_config() -> Any:
+    """Settings that count the balls in seconds."""
+    from fruitlangs.engine.config import Config, CountConfig, TrainConfig
+
+    return Config(train=TrainConfig(steps=150, max_gaussians=3000), count=CountConfig(threshold=0.3))
 
 
 @pytest.fixture(scope="session")

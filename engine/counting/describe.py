@@ -41,7 +41,7 @@ def describe(
     spheres, colors = clusters.spheres, point_colors(gaussians, clusters)
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else 0.0
     means = gaussians.means.detach().double().cpu().numpy()[seen]
-    owners = _nearest_sphere(means, spheres.centers, spheres.radii)
+    owners = nearest_sphere(means, spheres.centers, spheres.radii)
     own = members(clusters.owners, len(spheres))
     fruits = []
     for index in np.argsort(numbers):
@@ -84,7 +84,7 @@ def point_colors(gaussians: Gaussians, clusters: Clusters) -> FloatArray:
     return 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
 
 
-def _nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
+def nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
     """(N,) index of the sphere each mean (N, 3) lies in or near (MEMBER_REACH), the relatively nearest; -1 none."""
     owners, best = np.full(len(means), -1, np.int64), np.full(len(means), MEMBER_REACH)
     for index, (center, radius) in enumerate(zip(centers, radii, strict=True)):

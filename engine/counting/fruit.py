@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 FruitKind = Literal["single", "small", "compound-part"]
 Verdict = Literal["kept", "split", "merged", "dropped"]
 
+NEAR = 0.5
+"""Diameters within which the centre of a later count is that of the same fruit."""
 NO_TREE = 0
 """The number of a fruit that belongs to no tree of the row."""
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .fruit import NEAR
 from .matching import match_centers
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-NEAR = 0.5
-"""Diameters within which a centre is that of an earlier fruit."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,15 +50,17 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Prism:
-    """What lies over and under an outline, without end. axes: (2, 3) unit vectors of the level; corners: (C, 2) the
-    outline along them, in order."""
+    """What lies over and under an outline, between two heights. axes: (2, 3) unit vectors of the level; corners: (C, 2)
+    the outline along them, in order; up: (3,) unit; heights: lowest and highest p · up, without end where not given."""
 
     axes: FloatArray
     corners: FloatArray
+    up: FloatArray
+    heights: tuple[float, float] = (-np.inf, np.inf)
 
     @staticmethod
-    def over(corners: FloatArray, up: FloatArray) -> Prism:
-        """The prism along `up` (3,) over the outline `corners` (C, 3), which may end where it began.
+    def over(corners: FloatArray, up: FloatArray, heights: tuple[float, float] | None = None) -> Prism:
+        """The prism along unit `up` (3,) over the outline `corners` (C, 3), which may end where it began.
 
         Raises:
             ConfigError: the outline has no area or crosses itself.
@@ -66,7 +68,7 @@ class Prism:
         axes = np.linalg.svd(up[None])[2][1:]
         level = corners @ axes.T
         level = level[(level != np.roll(level, 1, axis=0)).any(axis=1)]
-        prism = Prism(axes, level)
+        prism = Prism(axes, level, up, heights or (-np.inf, np.inf))
         size = np.ptp(corners, axis=0).max()
         if len(level) < 3 or abs(prism.area) <= LEAST_AREA * size**2:
             raise ConfigError("--count.polygon has no area seen from above; give three or more corners not in line")
@@ -101,7 +103,8 @@ class Prism:
                 side = np.array([bx - ax, by - ay])
                 along = np.clip(((x - ax) * side[0] + (y - ay) * side[1]) / (side @ side), 0.0, 1.0)
                 near = np.minimum(near, np.hypot(x - ax - along * side[0], y - ay - along * side[1]))
-        return inside | (near <= margin)
+        height, (low, high) = points @ self.up, self.heights
+        return (inside | (near <= margin)) & (height >= low - margin) & (height <= high + margin)
 
 
 def region_of(config: CountConfig, up: FloatArray) -> Region:
@@ -114,7 +117,7 @@ def region_of(config: CountConfig, up: FloatArray) -> Region:
         corners = np.array(config.box).reshape(2, 3)
         return Box(corners.min(axis=0), corners.max(axis=0))
     if config.polygon is not None:
-        return Prism.over(np.array(config.polygon).reshape(-1, 3), up)
+        return Prism.over(np.array(config.polygon).reshape(-1, 3), up, config.heights)
     return Everywhere()
 
 

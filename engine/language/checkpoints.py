@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 
 from ..errors import EncoderError
 from ..files import files_hash
+from ..user_folders import checkpoints_folder
 
 _INSTALL = "python -m pip install 'transformers>=5'"
 _WEIGHTS = ("model.safetensors", "model.safetensors.index.json")
@@ -100,20 +100,6 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
         )
     identity = f"{Path(name).name}-{files_hash(used, folder)[:16]}"
     return Checkpoint(_placed(model.eval()), pictures, words, identity)
-
-
-def checkpoints_folder() -> Path:
-    """Where checkpoints lie under their names: $FRUITLANGS_CHECKPOINTS, else in the user's own data folder."""
-    chosen = os.environ.get("FRUITLANGS_CHECKPOINTS")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "win32":
-        home = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        home = Path.home() / "Library" / "Application Support"
-    else:
-        home = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-    return home / "fruitlangs" / "checkpoints"
 
 
 def _folder(kind: Kind, name: str, allow_download: bool) -> Path:

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..counting.describe import nearest_sphere
 from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..counting.ids import NOBODY, KnownFruit
 from ..errors import FormatError, FruitLangsError, OutputError
@@ -27,7 +29,7 @@ BLEND = "scene.blend"
 
 _NUMBER = (int, float)
 _FIELDS: dict[str, dict[str, Any]] = {
-    "document": {"set_id": str, "fruits": list, "config": dict, "files": dict, "provenance": dict}
+    "document": {"set_id": str, "fruits": list, "audit": dict, "config": dict, "files": dict, "provenance": dict}
     | {"metres_per_unit": (*_NUMBER, type(None))},
     "provenance": {"source": str, "inputs_sha256": str, "encoder": str, "training": dict, "prompts": list},
     "training": {"psnr": (*_NUMBER, type(None)), "ssim": (*_NUMBER, type(None))},
@@ -157,6 +159,54 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
                     f"{folder / name} is missing or not of the same run as {FRUITS_JSON}; count again into this folder"
                 )
     return document
+
+
+def stored_count(document: Mapping[str, Any], means: NDArray[np.float64]) -> FruitCount:
+    """The count that fruits.json holds, without its sampled points; means (N, 3) of the Gaussians tell its members."""
+    unit = document["metres_per_unit"] or 1.0
+    entries = document["fruits"]
+    centers = np.array([entry["center"] for entry in entries], np.float64).reshape(-1, 3)
+    radii = np.array([entry["diameter"] for entry in entries], np.float64) / (2.0 * unit)
+    owners = nearest_sphere(means, centers, radii)
+    fruits = [
+        Fruit(
+            **{name: entry[name] for name in ("id", "label", "probability", "visible_fraction", "views", "kind")},
+            center=centers[index],
+            diameter=entry["diameter"] / unit,
+            diameter_sd=entry["diameter_sd"] / unit,
+            volume=entry["volume"] / unit**3,
+            axes=np.array(entry["axes"], np.float64) / unit,
+            color=np.array(entry["color"], np.uint8),
+            members=np.flatnonzero(owners == index),
+            fallen=entry["fallen"],
+            tree=entry["tree"],
+        )
+        for index, entry in enumerate(entries)
+    ]
+    mean = document["mean_diameter"]
+    return FruitCount(
+        fruits=fruits,
+        audit=[_stored_audit(entry) for entry in document["audit"]["clusters"]],
+        max_probability=document["audit"]["max_probability"],
+        mean_diameter=None if mean is None else mean / unit,
+        last_id=document["last_id"],
+        trees=[
+            Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_sure(entry))
+            for entry in document["trees"]
+        ],
+        **_stored_sure(document),
+    )
+
+
+def _stored_audit(entry: Mapping[str, Any]) -> AuditEntry:
+    center = tuple(entry["center"] or (0.0, 0.0, 0.0))
+    return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"])})
+
+
+def _stored_sure(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The intervals as `_sure` wrote them; JSON has lists for tuples."""
+    pairs = {name: entry[name] and tuple(entry[name]) for name in ("interval", "total_interval")}
+    return {**pairs, "total": entry["total"]}
 
 
 def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:

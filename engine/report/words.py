@@ -10,7 +10,12 @@ from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 
 def object_name(fruit: Fruit) -> str:
     """Name of a fruit's object in every format, for example `apple.001` or `red apple.001`."""
-    return f"{fruit.label}.{fruit.id:03d}"
+    return fruit_name(fruit.label, fruit.id)
+
+
+def fruit_name(label: str, number: int) -> str:
+    """Name of the object of a fruit of that label and id."""
+    return f"{label}.{number:03d}"
 
 
 def place(entry: AuditEntry) -> tuple[float, float, float] | None:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 
@@ -15,10 +20,48 @@ def colmap_library() -> Any:
     stack trace and an abort. Only the main thread can give the signal back; in another it stays as pycolmap has it.
     """
     before = signal.getsignal(signal.SIGTERM)
-    import pycolmap
+    with _beside_another_gflags():
+        import pycolmap
 
     try:
         signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
     except ValueError:
         return pycolmap
     return pycolmap
+
+
+@contextmanager
+def _beside_another_gflags() -> Iterator[None]:
+    """Let pycolmap be imported where the program has loaded the system's gflags, as a distribution's Blender may have.
+
+    gflags ends the whole program when a second copy of it declares the same flags. The function that it ends it by is
+    a variable of the library: while pycolmap's copy declares its flags it does nothing, and what gflags prints
+    meanwhile is dropped. Nobody reads these flags.
+    """
+    loaded = loaded_library("libgflags.so")
+    if loaded is None:
+        yield
+        return
+    end = ctypes.c_void_p.in_dll(ctypes.CDLL(str(loaded)), "_ZN6google15gflags_exitfuncE")
+    go_on = ctypes.CFUNCTYPE(None, ctypes.c_int)(lambda code: None)
+    before, errors, nowhere = end.value, os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        end.value = ctypes.cast(go_on, ctypes.c_void_p).value
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(errors, 2)
+        os.close(errors)
+        os.close(nowhere)
+        end.value = before
+
+
+def loaded_library(name: str, maps: Path = Path("/proc/self/maps")) -> Path | None:
+    """The file of a shared library that this process has loaded, by the start of its name; None where it has not, or
+    where the system does not say (only Linux lets libraries get in each other's way like this)."""
+    try:
+        lines = maps.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    paths = (Path(line.split(maxsplit=5)[5]) for line in lines if line.count(" ") >= 5 and "/" in line)
+    return next((path for path in paths if path.name.startswith(name)), None)

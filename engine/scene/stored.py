@@ -34,13 +34,14 @@ def dump_cameras(scene: Scene) -> str:
     return json.dumps(document, indent=1) + "\n"
 
 
-def with_scale(path: Path, metres_per_unit: float | None) -> str:
-    """JSON text of a cameras file with this unit in place of its own.
+def told_anew(path: Path, scene: Scene) -> str:
+    """JSON text of a cameras file with the scene's unit and up direction in place of its own.
 
     Raises:
         OutputError, FormatError: as `read_cameras`.
     """
-    return json.dumps({**_read(path), "metres_per_unit": metres_per_unit}, indent=1) + "\n"
+    told = {"up": scene.up.tolist(), "metres_per_unit": scene.metres_per_unit}
+    return json.dumps({**_read(path), **told}, indent=1) + "\n"
 
 
 def camera_names(path: Path) -> list[str]:

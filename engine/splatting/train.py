@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -69,6 +69,11 @@ class Training:
         return float(np.mean([score.ssim for score in self.held_out])) if self.held_out else None
 
 
+Watch = Callable[[Gaussians], None]
+"""Shown what training has made so far, in the frame of the scene; it must not keep the call long."""
+WATCH_EVERY = 100
+"""Steps between two looks of a `Watch`."""
+
 LEAST_GAIN = 0.02
 """dB of held-out PSNR below which a measurement counts as no progress."""
 
@@ -79,13 +84,14 @@ def train(
     *,
     checkpoint: Path | None = None,
     extra: ExtraChannels | None = None,
+    watch: Watch | None = None,
     progress: Progress = silent,
 ) -> Training:
     """Train Gaussians on a scene's photos, and with `extra` further channels that they carry.
 
     With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it takes
     up from it: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or of
-    another scene is passed over, with a message to `progress`.
+    another scene is passed over, with a message to `progress`. `watch` is shown copies of the Gaussians on the way.
 
     Raises:
         TrainingError: there is nothing to train on, settings contradict each other, memory does not suffice, or the
@@ -111,15 +117,24 @@ def train(
     near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
-        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, extra, progress)
+        shown = None if watch is None else _moved(watch, middle)
+        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, extra, shown, progress)
     finally:
         shelf.close()
-    gaussians = training.gaussians
-    means = (gaussians.means.double() + torch.from_numpy(middle)).float()
     cameras = (
         _shifted(replace(scene, cameras=training.cameras), middle).cameras if config.refine_poses else scene.cameras
     )
-    return replace(training, gaussians=replace(gaussians, means=means), cameras=tuple(cameras))
+    return replace(training, gaussians=_at(training.gaussians, middle), cameras=tuple(cameras))
+
+
+def _at(gaussians: Gaussians, offset: NDArray[np.float64]) -> Gaussians:
+    """The Gaussians moved by an offset (3,)."""
+    return replace(gaussians, means=(gaussians.means.double() + torch.from_numpy(offset)).float())
+
+
+def _moved(watch: Watch, offset: NDArray[np.float64]) -> Watch:
+    """`watch`, shown what it is given moved by an offset (3,)."""
+    return lambda gaussians: watch(_at(gaussians, offset))
 
 
 COARSEST = 1e-3
@@ -160,6 +175,7 @@ def _train(
     checkpoint: Path | None,
     key: str,
     extra: ExtraChannels | None,
+    watch: Watch | None,
     progress: Progress,
 ) -> Training:
     channels = 0 if extra is None else extra.count
@@ -184,6 +200,9 @@ def _train(
             if not finite(state.parameters.gaussians()).any():
                 raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
+        if watch is not None and done % WATCH_EVERY == 0:
+            so_far = _drawable(state, config)
+            watch(so_far.select(finite(so_far)))
         if schedule.checks(done) and kept_aside:
             scores = _scores(_drawable(state, config), shelf, kept_aside, config)
             quality = float(np.mean([score.psnr for score in scores]))

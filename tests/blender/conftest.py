@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,32 @@ def make_counted(metres_per_unit: float | None = None, label: str = "apple", fru
     mean = 0.2 if found else None
     probability = torch.linspace(0, 1, 20)
     return Counted(make_scene(metres_per_unit), gaussians, probability, FruitCount(found, [], 0.97, mean))
+
+
+def make_result(counted: Counted, out: Path, **changes: Any) -> Any:
+    """What `count_scene` returns for these values."""
+    from fruitlangs.engine.config import Config
+    from fruitlangs.engine.publishing import Result
+
+    training = {"steps": 9, "gaussians": 20, "psnr": 21.25, "ssim": 0.7}
+    values = dict(zip(("scene", "gaussians", "probability", "fruit_count"), counted.parts(), strict=True))
+    given = {
+        "features": None,
+        "origin": {"prompts": ["apple"], "negatives": [], "training": training},
+        "config": Config(),
+        "seconds": {},
+        "reused": [],
+        "notices": ["no pictures"],
+        "out": out,
+        "set_id": "f00",
+    }
+    return Result(**{**values, **given, **changes})
+
+
+@pytest.fixture
+def result_of() -> Callable[..., Any]:
+    """`make_result`, for tests that need what a count returns."""
+    return make_result
 
 
 @pytest.fixture(autouse=True)

@@ -10,10 +10,13 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tiny_wheels import make_wheel
 
 from fruitlangs.engine.config import TrainConfig
+from fruitlangs.operators.package_versions import SERIES
 
 ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "examples" / "orchard_tree"
 BLENDER = os.environ.get("FRUITLANGS_BLENDER")
 
 needs_blender = pytest.mark.skipif(
@@ -32,6 +35,25 @@ def zip_path(tmp_path, monkeypatch):
     assert build_extension.main() == 0
     (path,) = tmp_path.glob("*.zip")
     return path
+
+
+@pytest.fixture
+def build(tmp_path, monkeypatch):
+    """Build the zip with wheels for one series of Blender; its one package is at hand, so pip is not asked."""
+    build_extension = importlib.import_module("build_extension")
+    monkeypatch.setattr(build_extension, "versions_for", lambda numpy, platform: {"grafting": "1.0"})
+    monkeypatch.setattr(build_extension, "_download", lambda *_: pytest.fail("pip was asked"))
+
+    def build(blender: str, platform: str = "linux-x64", out: Path = tmp_path / "dist") -> Path:
+        series = next(one for one in SERIES if one.name == blender)
+        make_wheel(out / "wheels" / f"{platform}-python{series.python}", "grafting", code="YEAR = 1898\n")
+        return build_extension.build_with_wheels(out, series, build_extension.PLATFORMS[platform])
+
+    return build
+
+
+def manifest_of(path: Path) -> dict:
+    return tomllib.loads(zipfile.ZipFile(path).read("blender_manifest.toml").decode())
 
 
 def run_blender(*arguments: str, home: Path) -> str:
@@ -74,6 +96,49 @@ def test_the_same_files_give_the_same_zip(zip_path, tmp_path, monkeypatch):
     assert zip_path.read_bytes() == first
 
 
+def test_the_small_zip_holds_no_wheels_and_is_for_every_blender(zip_path):
+    assert not [name for name in zipfile.ZipFile(zip_path).namelist() if name.endswith(".whl")]
+    assert {"wheels", "platforms", "blender_version_max"}.isdisjoint(manifest_of(zip_path))
+    assert manifest_of(zip_path)["blender_version_min"] == SERIES[0].first == "4.2.0"
+
+
+@pytest.mark.parametrize(
+    ("blender", "first", "before"), [("4.2", "4.2.0", "4.5.0"), ("4.5", "4.5.0", "5.1.0"), ("5.1", "5.1.0", None)]
+)
+def test_a_zip_with_wheels_is_for_the_blenders_whose_python_and_numpy_they_fit(build, blender, first, before):
+    path = build(blender, "macos-arm64")
+    told = manifest_of(path)
+    assert path.name == f"fruitlangs-{manifest()['version']}-blender{blender}-macos-arm64.zip"
+    assert told["wheels"] == ["./wheels/grafting-1.0-py3-none-any.whl"]
+    assert (told["platforms"], told["blender_version_min"]) == (["macos-arm64"], first)
+    assert told.get("blender_version_max") == before
+    changed = {"wheels", "platforms", "blender_version_min", "blender_version_max"}
+    assert {name: told[name] for name in told.keys() - changed} == {
+        name: value for name, value in manifest().items() if name not in changed
+    }
+
+
+def test_a_zip_with_wheels_holds_the_code_the_wheels_and_nothing_else(build, zip_path):
+    names = set(zipfile.ZipFile(build("4.5")).namelist())
+    assert names == {*zipfile.ZipFile(zip_path).namelist(), "wheels/grafting-1.0-py3-none-any.whl"}
+
+
+def test_the_same_wheels_give_the_same_zip(build, tmp_path):
+    first = build("4.2").read_bytes()
+    assert build("4.2").read_bytes() == first
+
+
+def test_a_wheel_of_numpy_is_never_packed(build, tmp_path):
+    make_wheel(tmp_path / "dist" / "wheels" / "linux-x64-python3.11", "numpy", version="1.26.4")
+    assert not [name for name in zipfile.ZipFile(build("4.5")).namelist() if "numpy" in name]
+
+
+def test_what_a_zip_holds_is_said_by_size(build):
+    table = importlib.import_module("build_extension").contents_table(build("4.5"))
+    assert "MB  engine/" in table
+    assert "MB  grafting 1.0" in table
+
+
 @pytest.mark.parametrize(
     ("pattern", "path", "is_folder", "expected"),
     [
@@ -101,6 +166,12 @@ def test_blender_packs_the_same_files(zip_path, tmp_path):
 
 
 @needs_blender
+def test_blender_validates_a_zip_with_wheels(build, tmp_path):
+    for series in SERIES:
+        run_blender("--command", "extension", "validate", str(build(series.name)), home=tmp_path / "home")
+
+
+@needs_blender
 def test_blender_validates_installs_and_enables_the_zip(zip_path, tmp_path):
     home = tmp_path / "home"
     run_blender("--command", "extension", "validate", str(zip_path), home=home)
@@ -108,9 +179,16 @@ def test_blender_validates_installs_and_enables_the_zip(zip_path, tmp_path):
     script = tmp_path / "check.py"
     script.write_text(
         "import bpy\n"
+        "from pathlib import Path\n"
         "assert 'bl_ext.user_default.fruitlangs' in bpy.context.preferences.addons\n"
         f"assert bpy.context.scene.fruitlangs.config.train.steps == {TrainConfig().steps}\n"
         "assert not bpy.ops.fruitlangs.count.poll()\n"
+        "from bl_ext.user_default.fruitlangs.operators import dependencies\n"
+        "assert Path(bpy.utils.user_resource('EXTENSIONS')) in dependencies.packages_folder().parents\n"
+        "if not dependencies.missing_packages():\n"
+        f"    bpy.context.scene.fruitlangs.source = {str(SAMPLE)!r}\n"
+        "    bpy.ops.fruitlangs.import_scene()\n"
+        "    assert bpy.context.scene.fruitlangs.result.cameras == 60\n"
         "bpy.ops.preferences.addon_disable(module='bl_ext.user_default.fruitlangs')\n"
         "assert not hasattr(bpy.types.Scene, 'fruitlangs')\n"
         "print('all is well')\n"

@@ -15,6 +15,7 @@ FLOORS = {
     "progress": 1,
     "files": 1,
     "compiled": 1,
+    "user_folders": 1,
     "config": 2,
     "cache": 2,
     "scene": 2,

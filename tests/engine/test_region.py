@@ -193,6 +193,8 @@ def test_an_outline_that_is_none_is_an_error(corners: list[list[float]], problem
         ({"polygon": tuple(range(10))}, "--count.polygon is 0 1 2 3 4 5 6 7 8 9; use three or more corners"),
         ({"polygon": ("0", "b", "0")}, "--count.polygon is 0 b 0; use three or more corners"),
         ({"box": (0, 0, 0, 1, 1, 1), "polygon": tuple(range(9))}, "both given"),
+        ({"heights": (0, 1)}, "--count.heights is given without --count.polygon"),
+        ({"polygon": tuple(range(9)), "heights": (1, 1)}, "use two different finite numbers"),
         ({"tree_places": (1, 2)}, "--count.tree-places is 1 2; use x y z of each tree"),
         ({"tree_places": (1, 2, 3, 1, 2, 3)}, "one place twice"),
         ({"tree_places": (1, 2, 3), "trees": 2}, "--count.trees is 2 and --count.tree-places has 1 trees"),
@@ -207,3 +209,16 @@ def test_places_that_come_from_json_or_text_are_the_same_settings() -> None:
     expected = CountConfig(polygon=(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0))
     assert CountConfig(polygon=[0, 0, 0, 1, 0, 0, 1, 1, 0]) == expected
     assert CountConfig(polygon=tuple("000100110")) == expected
+    assert CountConfig(polygon=[0, 0, 0, 1, 0, 0, 1, 1, 0], heights=[2, 1]).heights == (1.0, 2.0)
+
+
+def test_an_outline_with_heights_holds_what_lies_between_them_along_up() -> None:
+    up = np.array([0.0, -0.8, 0.6])
+    outline = np.array([[-1.0, 0, 0], [1, 0, 0], [1, 3, 4], [-1, 3, 4]])
+    region = region_of(CountConfig(polygon=tuple(outline.ravel()), heights=(2.0, 1.0)), up)
+    middle = outline.mean(axis=0)
+    level = middle - (middle @ up) * up
+    heights = np.array([0.4, 0.9, 1.01, 1.5, 1.99, 2.1])
+    points = level + heights[:, None] * up
+    assert region.contains(points).tolist() == [False, False, True, True, True, False]
+    assert region.contains(points, 0.2).tolist() == [False, True, True, True, True, True]

@@ -16,7 +16,7 @@ from fruitlangs.engine.files import write_text
 from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
 from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.scene.scale import scale_by_length
-from fruitlangs.engine.scene.stored import camera_names, read_cameras, with_scale
+from fruitlangs.engine.scene.stored import camera_names, read_cameras, told_anew
 from fruitlangs.engine.splatting.extent import longest_side
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
 
@@ -171,7 +171,7 @@ def test_a_few_gaussians_are_no_thing() -> None:
     assert side(bar(1.0, spacing=0.9).select(torch.tensor([0, 9]))) is None
 
 
-def test_a_cameras_file_with_another_scale_differs_in_nothing_else(tmp_path: Path) -> None:
+def test_a_cameras_file_with_another_scale_and_up_differs_in_nothing_else(tmp_path: Path) -> None:
     from fruitlangs.engine.scene.camera import ArrayPhoto, Scene
     from fruitlangs.engine.scene.stored import dump_cameras
 
@@ -179,9 +179,10 @@ def test_a_cameras_file_with_another_scale_differs_in_nothing_else(tmp_path: Pat
     scene = Scene(cameras(), photos, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), UP)
     path = tmp_path / "cameras.json"
     write_text(path, dump_cameras(scene))
-    assert with_scale(path, None) == path.read_text()
-    write_text(path, with_scale(path, 0.1 + 0.2))
-    assert path.read_text() == dump_cameras(dataclasses.replace(scene, metres_per_unit=0.1 + 0.2))
+    assert told_anew(path, scene) == path.read_text()
+    other = dataclasses.replace(scene, metres_per_unit=0.1 + 0.2, up=np.array([0.0, 0.0, 1.0]))
+    write_text(path, told_anew(path, other))
+    assert path.read_text() == dump_cameras(other)
     assert read_cameras(path).metres_per_unit == 0.1 + 0.2
     assert camera_names(path) == NAMES
 

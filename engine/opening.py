@@ -1,0 +1,55 @@
+"""An earlier result opened to be looked at and asked again: what `count_scene` left in memory, from its folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from .config import Config
+from .errors import EncoderError, FormatError
+from .language.embedder import Embedder
+from .language.selection import select
+from .publishing import Result
+from .reconstruction import Stages, reopen
+from .report.results import FRUITS_JSON, read_results, stored_count
+
+
+def open_result(folder: Path) -> Result:
+    """The result that lies in `folder`, with its photos where they still are; nothing is written or computed anew.
+
+    Where its encoder is not on this computer the probabilities are 0, and a notice says so. Fruit lack their sampled
+    points.
+
+    Raises:
+        OutputError: there is no result, or its files are not of one run.
+        FormatError: it is damaged, or of another version.
+    """
+    document = read_results(folder)
+    stored, stages = Config.from_document(document["config"]), Stages()
+    made = reopen(folder, folder, None, stored, stages)
+    prompts, negatives = document["provenance"]["prompts"], document["provenance"].get("negatives", [])
+    try:
+        encoder = Embedder.open(stored.embed).encoder
+        probability = select(made.features, encoder, prompts, negatives, stored.count, made.gaussians.means)
+    except EncoderError as error:
+        stages.notices.append(f"what the words fit is not shown: {error}")
+        probability = torch.zeros(len(made.gaussians))
+    try:
+        counted = stored_count(document, made.gaussians.means.double().numpy())
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}); count again into this folder") from error
+    return Result(
+        scene=made.scene,
+        gaussians=made.gaussians,
+        features=made.features,
+        probability=probability,
+        fruit_count=counted,
+        origin=document["provenance"],
+        config=stored,
+        seconds={},
+        reused=stages.reused,
+        notices=stages.notices,
+        out=folder,
+        set_id=document["set_id"],
+    )

@@ -1,0 +1,41 @@
+"""Where on this computer the user's programs keep things: what can be made again, and what was downloaded."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+KERNELS = "kernels-"
+"""Begins the name of every folder of compiled kernels; a hash of their sources follows."""
+
+
+def kernels_folder() -> Path:
+    """The folder of the folders of compiled kernels: $NUMBA_CACHE_DIR, else in the user's cache folder."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        return _local_data() / "fruitlangs"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "fruitlangs"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fruitlangs"
+
+
+def checkpoints_folder() -> Path:
+    """Where checkpoints lie under their names: $FRUITLANGS_CHECKPOINTS, else in the user's own data folder."""
+    chosen = os.environ.get("FRUITLANGS_CHECKPOINTS")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        home = _local_data()
+    elif sys.platform == "darwin":
+        home = Path.home() / "Library" / "Application Support"
+    else:
+        home = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
+    return home / "fruitlangs" / "checkpoints"
+
+
+def _local_data() -> Path:
+    """Windows' folder for what belongs to this user on this computer."""
+    return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")

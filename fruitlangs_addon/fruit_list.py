@@ -1,0 +1,88 @@
+"""The list of fruit: one row an object of the Fruits collection, sorted and filtered as the review says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..engine.report.words import three_digits
+from ..operators.blender_data import owned_object
+from ..operators.fruit_objects import REJECTED, REVIEW
+
+VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
+WIDTHS = (0.24, 0.32, 0.5, 0.5)
+"""Of what is left: name, diameter, probability, visible; the kind has the rest."""
+
+
+class FRUITLANGS_UL_fruits(bpy.types.UIList):
+    bl_idname = "FRUITLANGS_UL_fruits"
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: Any,
+        data: Any,
+        item: Any,
+        icon: int,
+        active_data: Any,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        row = layout.row(align=True)
+        row.active = item.get(REVIEW) != REJECTED
+        row.label(text="", icon=VERDICT_ICONS.get(item.get(REVIEW), "BLANK1"))
+        for text, share in zip(cells(item, unit(context.scene)), (*WIDTHS, None), strict=True):
+            part = row if share is None else row.split(factor=share, align=True)
+            part.label(text=text)
+            row = part
+
+    def filter_items(self, context: bpy.types.Context, data: Any, property: str) -> tuple[list[int], list[int]]:
+        review, items = context.scene.fruitlangs.review, list(getattr(data, property))
+        shown = [is_shown(item, review.show, review.doubt, self.filter_name) for item in items]
+        flags = [self.bitflag_filter_item if visible else 0 for visible in shown]
+        return flags, ranks(items, review.sort)
+
+
+def unit(bpy_scene: bpy.types.Scene) -> tuple[str, float]:
+    """What diameters are told in, and how many of it the custom property's unit is: mm of metres, else 1."""
+    root = owned_object(bpy_scene, "root")
+    return ("mm", 1000.0) if root is not None and root.get("metres_per_unit") else ("", 1.0)
+
+
+def cells(item: Any, unit: tuple[str, float]) -> list[str]:
+    """Number and label, diameter, probability, visible share and kind of a fruit object."""
+    visible = item.get("visible_fraction")
+    return [
+        f"{item.get('id', 0)} {item.get('label', '')}",
+        f"{three_digits(unit[1] * float(item.get('diameter', 0.0)))} {unit[0]}".strip(),
+        f"{float(item.get('probability', 1.0)):.2f}",
+        "" if visible is None else f"{float(visible):.0%}",
+        str(item.get("kind", "")),
+    ]
+
+
+def is_shown(item: Any, show: str, doubt: float, name: str) -> bool:
+    """Whether the list shows a fruit object."""
+    verdict = item.get(REVIEW)
+    if name and name.casefold() not in item.name.casefold():
+        return False
+    if show == "OPEN":
+        return verdict is None
+    if show == "DOUBTFUL":
+        return verdict is None and item.get("probability", 1.0) < doubt
+    return verdict == REJECTED if show == "REJECTED" else True
+
+
+def ranks(items: list[Any], key: str) -> list[int]:
+    """The place of each item when they are sorted by a custom property, then by number."""
+    default: Any = "" if key in {"kind", "label"} else 1.0
+    order = sorted(range(len(items)), key=lambda index: (items[index].get(key, default), items[index].get("id", 0)))
+    places = [0] * len(items)
+    for place, index in enumerate(order):
+        places[index] = place
+    return places
+
+
+CLASSES = (FRUITLANGS_UL_fruits,)

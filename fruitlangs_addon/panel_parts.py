@@ -1,0 +1,78 @@
+"""What the steps of the Fruit tab share: their frame, their state, text that wraps, and settings in short."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import bpy
+
+from ..operators.jobs import FRUITLANGS_OT_cancel, Job, running
+
+State = Literal["done", "next", "later", "wrong"]
+ICONS: dict[State, str] = {"done": "CHECKMARK", "next": "PLAY", "later": "RADIOBUT_OFF", "wrong": "ERROR"}
+
+
+class SidebarPanel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Fruit"
+
+
+class StepPanel(SidebarPanel):
+    """One step of the day: its header shows how far it is, its body what it needs next."""
+
+    @staticmethod
+    def state(context: bpy.types.Context) -> State:
+        """How far this step is; must be quick, it is asked at every draw."""
+        raise NotImplementedError
+
+    def draw_header(self: Any, context: bpy.types.Context) -> None:
+        self.layout.label(text="", icon=ICONS[self.state(context)])
+
+    def body(self: Any) -> Any:
+        """The panel's layout with names left of their values."""
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        return self.layout
+
+
+def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
+    """How far the job of that title is, with the button that stops it, and False where no such job runs; then also
+    what went wrong with the last one."""
+    job: Job | None = running()
+    if job is None or job.title != title:
+        settings = context.scene.fruitlangs
+        if settings.error and settings.failed == title:
+            box = layout.box()
+            box.alert = True
+            draw_text(box, settings.error, context, icon="ERROR")
+        return False
+    column = layout.column()
+    column.progress(factor=job.fraction, text=f"{job.title} {job.fraction:.0%}")
+    draw_text(column, job.text, context)
+    column.operator(FRUITLANGS_OT_cancel.bl_idname, icon="CANCEL")
+    return True
+
+
+def work_state(context: bpy.types.Context, title: str, done: bool, ready: bool) -> State:
+    """How far a step is whose work is the job of that title: `done` before, `ready` to be done."""
+    if context.scene.fruitlangs.failed == title:
+        return "wrong"
+    return "done" if done else "next" if ready else "later"
+
+
+def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
+    """Text broken to the sidebar's width; labels do not wrap by themselves."""
+    pixels = context.region.width / context.preferences.system.ui_scale
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, max(int(pixels / 6.3) - 6, 12))):
+        column.label(text=line, icon=icon if number == 0 else "NONE")
+
+
+def draw_settings(layout: Any, group: Any, names: Iterable[str]) -> None:
+    """Settings of one stage, one below the other."""
+    column = layout.column(align=True)
+    for name in names:
+        column.prop(group, name)

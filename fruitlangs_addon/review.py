@@ -1,0 +1,75 @@
+"""What a review keeps in the .blend: its log, and how the list of fruit is shown."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import (
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    StringProperty,
+)
+
+from ..operators.review import get_active_fruit, set_active_fruit
+
+
+class FRUITLANGS_PG_spot(bpy.types.PropertyGroup):
+    """One fruit as it stood, in the scene's frame."""
+
+    number: IntProperty(name="Number")
+    label: StringProperty(name="Label")
+    center: FloatVectorProperty(name="Centre", size=3, precision=6)
+    axes: FloatVectorProperty(name="Axes", size=9, precision=6)
+
+
+class FRUITLANGS_PG_decision(bpy.types.PropertyGroup):
+    """One entry of the log."""
+
+    action: StringProperty(name="Action")
+    time: StringProperty(name="Time", description="UTC")
+    reason: StringProperty(name="Reason")
+    before: CollectionProperty(type=FRUITLANGS_PG_spot)
+    after: CollectionProperty(type=FRUITLANGS_PG_spot)
+
+
+class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
+    """`scene.fruitlangs.review`."""
+
+    log: CollectionProperty(type=FRUITLANGS_PG_decision)
+    reason: StringProperty(name="Reason", description="Why, for the log; taken by the next decision")
+    label: StringProperty(name="Label", description="What Move to Label calls the selected fruit")
+    parts: IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit Split makes of one")
+    show: EnumProperty(
+        name="Show",
+        items=[
+            ("ALL", "All", "Every fruit"),
+            ("OPEN", "Open", "Fruit that nobody has looked at yet"),
+            ("DOUBTFUL", "Doubtful", "Open fruit less likely than the bound below"),
+            ("REJECTED", "Rejected", "What was said to be no fruit"),
+        ],
+        description="Which fruit the list shows",
+    )
+    doubt: FloatProperty(
+        name="Doubtful Below", default=0.8, min=0.0, max=1.0, precision=2, description="Probability below which"
+    )
+    sort: EnumProperty(
+        name="Sort",
+        items=[
+            ("id", "Number", "By number"),
+            ("probability", "Probability", "Least likely first"),
+            ("diameter", "Diameter", "Smallest first"),
+            ("visible_fraction", "Visible", "Most hidden first"),
+            ("kind", "Kind", "By kind"),
+            ("label", "Label", "By label"),
+        ],
+        description="The order of the list; the arrow below it turns the order round",
+    )
+    active_fruit: IntProperty(name="Fruit", get=get_active_fruit, set=set_active_fruit, options={"SKIP_SAVE"})
+
+
+CLASSES = (FRUITLANGS_PG_spot, FRUITLANGS_PG_decision, FRUITLANGS_PG_review)

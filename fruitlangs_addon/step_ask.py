@@ -1,0 +1,46 @@
+"""Step 3, Ask: which words, and how many Gaussians answer to them."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..operators.ask import FRUITLANGS_OT_ask
+from ..operators.blender_data import owned_object
+from ..operators.jobs import running
+from .panel_parts import State, StepPanel, draw_text
+from .settings_panels import settings_panel
+
+
+class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_ask"
+    bl_label = "3 Ask"
+    bl_order = 3
+
+    @staticmethod
+    def state(context: bpy.types.Context) -> State:
+        answer = context.scene.fruitlangs.answer
+        if answer.problem:
+            return "wrong"
+        if answer.text:
+            return "done"
+        return "next" if owned_object(context.scene, "gaussians") is not None else "later"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.body(), context.scene.fruitlangs
+        column = layout.column()
+        column.enabled = running() is None
+        column.prop(settings, "prompt")
+        column.prop(settings, "negative")
+        column.prop(settings.config.count, "threshold", slider=True)
+        if settings.answer.problem:
+            box = layout.box()
+            box.alert = True
+            draw_text(box, settings.answer.problem, context, icon="ERROR")
+        elif settings.answer.text:
+            draw_text(layout, settings.answer.text, context, icon="CHECKMARK")
+        layout.operator(FRUITLANGS_OT_ask.bl_idname, icon="QUESTION")
+
+
+FRUITLANGS_PT_ask_settings = settings_panel(FRUITLANGS_PT_ask, ("embed",))
+
+CLASSES = (FRUITLANGS_PT_ask, FRUITLANGS_PT_ask_settings)

@@ -1,0 +1,96 @@
+"""Step 5, Review: the list of fruit, and what a person says of them."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..operators.blender_data import owned_objects
+from ..operators.fruit_objects import REVIEW, fruit_collection
+from ..operators.keep_review import review_line
+from ..operators.review import (
+    FRUITLANGS_OT_add_fruit,
+    FRUITLANGS_OT_confirm_fruit,
+    FRUITLANGS_OT_merge_fruit,
+    FRUITLANGS_OT_next_doubtful,
+    FRUITLANGS_OT_reject_fruit,
+    FRUITLANGS_OT_relabel_fruit,
+    FRUITLANGS_OT_reopen_fruit,
+    FRUITLANGS_OT_split_fruit,
+)
+from .fruit_list import FRUITLANGS_UL_fruits
+from .panel_parts import SidebarPanel, State, StepPanel, draw_text
+
+LAST = 8
+"""Entries of the log that the panel shows."""
+
+
+class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_review"
+    bl_label = "5 Review"
+    bl_order = 5
+
+    @staticmethod
+    def state(context: bpy.types.Context) -> State:
+        fruit = owned_objects(context.scene, "fruit")
+        if not fruit:
+            return "later"
+        bound = context.scene.fruitlangs.review.doubt
+        doubtful = any(REVIEW not in item and item.get("probability", 1.0) < bound for item in fruit)
+        return "next" if doubtful else "done"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, review = self.body(), context.scene.fruitlangs.review
+        collection = fruit_collection(context.scene)
+        if collection is None:
+            draw_text(layout, "Count first; then every fruit can be looked at here", context)
+            return
+        draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
+        layout.row().prop(review, "show", expand=True)
+        if review.show == "DOUBTFUL":
+            layout.prop(review, "doubt", slider=True)
+        layout.prop(review, "sort")
+        layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
+        layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
+        row = layout.row(align=True)
+        row.operator(FRUITLANGS_OT_confirm_fruit.bl_idname, icon="CHECKMARK")
+        row.operator(FRUITLANGS_OT_reject_fruit.bl_idname, icon="X")
+        row.operator(FRUITLANGS_OT_reopen_fruit.bl_idname, icon="LOOP_BACK", text="")
+        row = layout.row(align=True)
+        row.operator(FRUITLANGS_OT_merge_fruit.bl_idname, icon="AUTOMERGE_ON")
+        row.operator(FRUITLANGS_OT_add_fruit.bl_idname, icon="ADD")
+        row = layout.row(align=True)
+        row.operator(FRUITLANGS_OT_split_fruit.bl_idname, icon="MOD_EXPLODE")
+        row.prop(review, "parts", text="")
+        row = layout.row(align=True)
+        row.operator(FRUITLANGS_OT_relabel_fruit.bl_idname, icon="FILE_TEXT")
+        row.prop(review, "label", text="")
+        layout.prop(review, "reason")
+
+
+class FRUITLANGS_PT_review_log(SidebarPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_review_log"
+    bl_label = "Log"
+    bl_parent_id = "FRUITLANGS_PT_review"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        log = context.scene.fruitlangs.review.log
+        if not len(log):
+            self.layout.label(text="Nothing decided yet")
+        for entry in list(log)[: -LAST - 1 : -1]:
+            draw_text(self.layout, entry_text(entry), context)
+        if len(log) > LAST:
+            self.layout.label(text=f"… and {len(log) - LAST} before")
+
+
+def entry_text(entry: bpy.types.PropertyGroup) -> str:
+    """'2026-05-01 10:00 merge 12, 15 → 121 (one apple)'."""
+    numbers = [", ".join(str(spot.number) for spot in spots) for spots in (entry.before, entry.after)]
+    if entry.action == "relabel":
+        numbers[1] = entry.after[0].label
+    told = " → ".join(number for number in numbers if number)
+    reason = f" ({entry.reason})" if entry.reason else ""
+    return f"{entry.time[:16].replace('T', ' ')} {entry.action} {told}{reason}"
+
+
+CLASSES = (FRUITLANGS_PT_review, FRUITLANGS_PT_review_log)

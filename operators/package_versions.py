@@ -1,0 +1,135 @@
+"""Which Python packages the engine needs, in which versions, and which NumPy each Blender carries.
+
+Nothing here is imported from Blender: the script that builds the extension reads it too.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+REQUIRED = {
+    "torch": "torch",
+    "numba": "numba",
+    "pycolmap": "pycolmap",
+    "safetensors": "safetensors",
+    "plyfile": "plyfile",
+    "psutil": "psutil",
+    "trimesh": "trimesh",
+    "scipy": "scipy",
+    "skimage": "scikit-image",
+    "sklearn": "scikit-learn",
+    "PIL": "pillow",
+    "jinja2": "jinja2",
+}
+"""{module: pip package} of what the panel needs; the command line also needs tyro and tqdm, and says so."""
+
+NEVER = ("numpy",)
+"""Never packed and never installed: Blender brings its own, and another one would break it and its add-ons."""
+
+VERSIONS = {
+    "cloudpickle": "3.1.2",
+    "filelock": "4.2.11",
+    "fsspec": "2026.9.0",
+    "imageio": "2.38.1",
+    "jinja2": "3.1.6",
+    "joblib": "1.6.0",
+    "lazy-loader": "0.6",
+    "llvmlite": "0.50.0",
+    "markupsafe": "3.0.4",
+    "mpmath": "1.3.0",
+    "narwhals": "2.28.0",
+    "networkx": "3.6.1",
+    "numba": "0.68.1",
+    "packaging": "26.3",
+    "pillow": "13.0.0",
+    "plyfile": "1.1.3",
+    "psutil": "7.2.2",
+    "pycolmap": "4.2.1",
+    "safetensors": "0.8.0",
+    "scikit-image": "0.26.0",
+    "scikit-learn": "1.9.1",
+    "scipy": "1.17.1",
+    "setuptools": "84.2.1",
+    "sympy": "1.14.0",
+    "threadpoolctl": "3.8.0",
+    "tifffile": "2026.3.3",
+    "torch": "2.13.0",
+    "trimesh": "5.2.0",
+    "typing-extensions": "4.16.0",
+}
+"""{pip package: version} of all that is needed and of what that needs, NumPy left out; the versions that are tested."""
+
+SCIPY_FOR_NUMPY_1_24 = "1.15.3"
+"""The last SciPy that works with the NumPy of Blender 4.2 to 4.4."""
+
+UNPACKED = 4.4
+"""Size of wheels and of what comes out of them, in sizes of wheels."""
+
+CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+"""PyTorch's own index of builds for the CPU. On Linux the build on PyPI brings gigabytes for NVIDIA cards."""
+
+
+@dataclass(frozen=True)
+class BlenderSeries:
+    """The Blenders from version `first` on, up to but without `before`, and what they carry."""
+
+    first: str
+    before: str | None
+    python: str
+    numpy: str
+
+    @property
+    def name(self) -> str:
+        """'4.2'."""
+        return self.first.rpartition(".")[0]
+
+
+SERIES = (
+    BlenderSeries(first="4.2.0", before="4.5.0", python="3.11", numpy="1.24.3"),
+    BlenderSeries(first="4.5.0", before="5.1.0", python="3.11", numpy="1.26.4"),
+    BlenderSeries(first="5.1.0", before=None, python="3.13", numpy="2.3.4"),
+)
+"""The program's own builds (their versions.cmake); a distribution's Blender may use another Python and NumPy."""
+
+
+def versions_for(numpy: str, platform: str) -> dict[str, str]:
+    """`VERSIONS` as they fit a Blender that carries this NumPy ('1.26.4'), PyTorch as built for the CPU.
+
+    platform: as `sys.platform` names it.
+    """
+    fitting = {"torch": VERSIONS["torch"] + ("+cpu" if platform == "linux" else "")}
+    if tuple(map(int, numpy.split(".")[:2])) < (1, 26):
+        fitting["scipy"] = SCIPY_FOR_NUMPY_1_24
+    return VERSIONS | fitting
+
+
+_MEGABYTES = {
+    "torch": {"linux": 192, "win32": 122, "darwin": 111},
+    "llvmlite": {"linux": 60, "win32": 42, "darwin": 41},
+    "pycolmap": {"linux": 38, "win32": 24, "darwin": 21},
+    "scipy": {"linux": 38, "win32": 37, "darwin": 20},
+    "scikit-image": {"linux": 14, "win32": 12, "darwin": 12},
+    "scikit-learn": {"linux": 9, "win32": 9, "darwin": 8},
+    "pillow": {"linux": 7, "win32": 7, "darwin": 5},
+    "sympy": {"linux": 6, "win32": 6, "darwin": 6},
+    "numba": {"linux": 4, "win32": 3, "darwin": 3},
+    "networkx": {"linux": 2, "win32": 2, "darwin": 2},
+}
+"""{package: {sys.platform: megabytes of its wheel}}, measured; the others have less than one."""
+
+_BRINGS = {"torch": ("sympy", "networkx"), "numba": ("llvmlite",)}
+"""What comes with a package beside small things."""
+
+
+def download_megabytes(packages: Iterable[str], platform: str = sys.platform) -> int:
+    """About how much is downloaded for these packages and what they need."""
+    asked = list(packages)
+    names = {*asked, *(more for name in asked for more in _BRINGS.get(name, ()))}
+    return sum(_MEGABYTES[name].get(platform, 0) if name in _MEGABYTES else 1 for name in names)
+
+
+def unpacked_megabytes(packages: Iterable[str]) -> float:
+    """About what the same packages take up while they are downloaded and unpacked."""
+    return UNPACKED * download_megabytes(packages)

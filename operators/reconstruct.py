@@ -1,0 +1,61 @@
+"""Make Gaussians of the chosen scene's photos, or read those of another program, and show them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..engine.progress import Progress
+from .jobs import JobOperator, Work, busy
+from .preview import Preview
+from .settings import foreign_file, read_config, result_folder, source_folder
+from .showing import show_reconstruction
+
+
+class FRUITLANGS_OT_reconstruct(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.reconstruct"
+    bl_label = "Reconstruct"
+    bl_description = "Train Gaussians from the photos and give them what words can ask; stages already done are reused"
+    bl_options = {"UNDO"}
+
+    title = "Reconstruct"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls):
+            return False
+        if context.scene is None or not context.scene.fruitlangs.source:
+            cls.poll_message_set("Choose a scene first")
+            return False
+        return True
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        settings = context.scene.fruitlangs
+        source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
+        config = read_config(settings)
+        self._preview = Preview(context.scene)
+        watch = self._preview.watch
+
+        def work(progress: Progress) -> Any:
+            from ..engine.pipeline import reconstruct_scene
+
+            return reconstruct_scene(source, out, config=config, foreign=foreign, watch=watch, progress=progress)
+
+        return work
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        self._preview.show()
+
+    def ended(self, context: bpy.types.Context) -> None:
+        self._preview.remove()
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        made, stages = result
+        bpy_scene = self._target.scene(context)
+        show_reconstruction(context, bpy_scene, made, stages)
+        again = f", reused: {', '.join(stages.reused)}" if stages.reused else ""
+        self.report({"INFO"}, f"{len(made.gaussians):,} Gaussians{again}")
+
+
+CLASSES = (FRUITLANGS_OT_reconstruct,)

@@ -1,0 +1,114 @@
+"""What a person sees of the engine's values: in the viewport, and in the text that the panel keeps in the .blend."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ..engine.report.words import length_unit, nothing_found, sureness, three_digits, whereabouts
+from .ask import ASKED, ask_soon, tell_answer
+from .blender_data import owned_object
+from .keep_review import keep_decisions
+from .settings import stored_path
+from .viewport import look_at_scene, show_colors, shown_screens
+from .write import SET_ID, write_result
+from .write_cameras import write_cameras
+from .write_gaussians import write_gaussians
+from .write_points import write_points
+from .write_root import write_root
+
+if TYPE_CHECKING:
+    from ..engine.publishing import Result
+    from ..engine.reconstruction import Reconstruction, Stages
+    from ..engine.scene.camera import Scene
+
+
+def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene) -> None:
+    """The cameras and the sparse points of a scene that is not reconstructed yet."""
+    root = write_root(bpy_scene, scene)
+    if len(scene.points):
+        write_points(bpy_scene, scene, root)
+    write_cameras(bpy_scene, scene, root)
+    _keep_scene(bpy_scene.fruitlangs.result, scene)
+    show_colors(shown_screens(context))
+    look_at_scene(shown_screens(context), bpy_scene)
+
+
+def show_reconstruction(
+    context: bpy.types.Context, bpy_scene: bpy.types.Scene, made: Reconstruction, stages: Stages
+) -> None:
+    """Gaussians and cameras of a reconstruction that was asked nothing yet; the panel's prompt is asked next."""
+    first = owned_object(bpy_scene, "root") is None
+    root = write_root(bpy_scene, made.scene)
+    write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
+    write_cameras(bpy_scene, made.scene, root)
+    shown = bpy_scene.fruitlangs.result
+    _keep_scene(shown, made.scene)
+    _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
+    shown.notices = "; ".join(stages.notices)
+    show_colors(shown_screens(context))
+    if first:
+        look_at_scene(shown_screens(context), bpy_scene)
+    if not bpy.app.background:
+        ask_soon(bpy_scene)
+
+
+def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
+    """Everything of a count."""
+    first = owned_object(bpy_scene, "root") is None
+    write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count)
+    bpy_scene[SET_ID] = result.set_id
+    item = owned_object(bpy_scene, "gaussians")
+    assert item is not None
+    item.data[ASKED] = f"{', '.join(result.origin['prompts'])} | {', '.join(result.origin.get('negatives', ()))}"
+    keep_result(bpy_scene.fruitlangs, result)
+    lost = keep_decisions(bpy_scene, result.fruit_count)
+    if lost:
+        shown = bpy_scene.fruitlangs.result
+        shown.notices = "; ".join([shown.notices, *lost] if shown.notices else lost)
+    tell_answer(bpy_scene)
+    show_colors(shown_screens(context))
+    if first:
+        look_at_scene(shown_screens(context), bpy_scene)
+
+
+def keep_result(settings: Any, result: Result) -> None:
+    """Keep in the .blend what the panel shows of a count."""
+    fruit_count, shown = result.fruit_count, settings.result
+    _keep_scene(shown, result.scene)
+    _keep_gaussians(shown, len(result.gaussians), result.origin["training"], result.out / "features.safetensors")
+    shown.count = fruit_count.count
+    shown.low, shown.high = fruit_count.interval or (-1, -1)
+    shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
+    shown.unit, scale = length_unit(result.scene.metres_per_unit)
+    shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
+    shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, result.config.count.threshold)
+    shown.sureness = sureness(fruit_count) if fruit_count.fruits else ""
+    shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
+    shown.notices = "; ".join(result.notices)
+    shown.folder = stored_path(result.out)
+
+
+def _keep_scene(shown: Any, scene: Scene) -> None:
+    shown.cameras, shown.points = len(scene.cameras), len(scene.points)
+
+
+def _keep_gaussians(shown: Any, count: int, training: Any, features: Path) -> None:
+    shown.gaussians = count
+    shown.features = stored_path(features)
+    psnr, ssim = training["psnr"], training["ssim"]
+    shown.quality = "" if psnr is None else f"photos kept aside: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}"
+
+
+def count_text(shown: Any) -> str:
+    """'apple: 7, mean diameter 81.2 mm'."""
+    if shown.count:
+        return f"{shown.label}: {shown.count}, {size_text(shown)}"
+    return f"{shown.label}: 0, {shown.zero_reason}"
+
+
+def size_text(shown: Any) -> str:
+    """'mean diameter 81.2 mm'."""
+    return f"mean diameter {three_digits(shown.mean_diameter)} {shown.unit}"

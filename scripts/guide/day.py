@@ -1,0 +1,198 @@
+"""An agronomist's day in the window, from import to export, by clicks and keys; a picture after every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .hand import MOMENT, Hand, Steps
+
+WAIT = 0.3
+"""Seconds between two looks whether a job has ended."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Day:
+    """What the day is about. pictures: their folder, None for none; check: told what is true after each step."""
+
+    scene: Path
+    work: Path
+    prompt: str
+    other: str
+    steps: int | None
+    downscale: float | None
+    threshold: float | None
+    pictures: Path | None
+    check: Callable[[str, bool], None]
+
+
+def live(hand: Hand, day: Day) -> Steps:
+    """Live through the day."""
+    yield from import_scene(hand, day)
+    yield from measure(hand, day)
+    yield from reconstruct(hand, day)
+    yield from ask(hand, day)
+    yield from count(hand, day)
+    yield from review(hand, day)
+    yield from export(hand, day)
+
+
+def settings() -> Any:
+    """`scene.fruitlangs`; asked anew each time, for undo makes old references stale."""
+    return bpy.context.window_manager.windows[0].scene.fruitlangs
+
+
+def owned(role: str) -> list[bpy.types.Object]:
+    scene = bpy.context.window_manager.windows[0].scene
+    return [item for item in scene.objects if item.get("fruitlangs") == role]
+
+
+def import_scene(hand: Hand, day: Day) -> Steps:
+    """Choose the folder and press Import."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(day.work / "orchard.blend"))
+    settings().source = f"//{day.scene.name}"  # as the file browser stores it
+    if day.steps:
+        settings().config.train.steps = day.steps
+    if day.downscale:
+        settings().config.scene.downscale = day.downscale
+    if day.threshold:
+        settings().config.count.threshold = day.threshold
+    bpy.ops.ed.undo_push(message="Choose the scene")
+    yield 0.5
+    yield from hand.top()
+    yield from hand.push("fruitlangs.import_scene")
+    yield from work_done(hand)
+    day.check("the cameras are shown", len(owned("camera")) > 0)
+    yield from picture(hand, day, "scene")
+
+
+def measure(hand: Hand, day: Day) -> Steps:
+    """Click on the two ends of a length and type it."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.measure")
+    day.check("no scale yet", not owned("root")[0].get("metres_per_unit"))
+    for end in ends(hand):
+        yield from hand.click(*end)
+        yield 0.5
+    yield from picture(hand, day, "measure", rest=False)
+    yield from hand.press("RET", *hand.mouse)
+    yield 0.5
+    day.check("the scale is known", bool(owned("root")[0].get("metres_per_unit")))
+    yield from hand.press("Z", *hand.aside, ctrl=True)
+    yield 0.5
+    day.check("undo takes the scale back", not owned("root")[0].get("metres_per_unit"))
+
+
+def ends(hand: Hand) -> list[tuple[float, float]]:
+    """Where two sparse points near the middle of the view are drawn, far apart."""
+    points = owned("points")[0]
+    places = [hand.place_of(points.matrix_world @ vertex.co) for vertex in list(points.data.vertices)[:4000:7]]
+    window = hand.region("WINDOW")
+    inside = [
+        place
+        for place in places
+        if 0.2 < (place[0] - window.x) / window.width < 0.6 and 0.2 < (place[1] - window.y) / window.height < 0.7
+    ]
+    return [min(inside), max(inside)]
+
+
+def reconstruct(hand: Hand, day: Day) -> Steps:
+    """Train, watching the splats; a picture on the way."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.reconstruct")
+    yield from hand.rest()
+    job = running()
+    while job is not None and job.fraction < 0.45 and running() is not None:
+        yield WAIT
+    yield from picture(hand, day, "reconstruct")
+    yield from work_done(hand)
+    day.check("the Gaussians are shown", len(owned("gaussians")) == 1)
+    day.check("no error", not settings().error)
+
+
+def ask(hand: Hand, day: Day) -> Steps:
+    """Edit the prompt; the highlight follows."""
+    for words in (day.other, day.prompt):
+        yield from hand.top()
+        x, y = yield from hand.find("fruitlangs.prompt")
+        yield from hand.click(x, y)
+        yield from hand.write(words, x, y)
+        yield from hand.rest()
+        waited = 0.0
+        while asked() != f"{words} | " and waited < 20.0:
+            yield 0.1
+            waited += 0.1
+        day.check(f"the Gaussians answer to {words}", asked() == f"{words} | ")
+    yield from picture(hand, day, "ask")
+
+
+def asked() -> str:
+    return str(owned("gaussians")[0].data.get("fruitlangs_asked", ""))
+
+
+def count(hand: Hand, day: Day) -> Steps:
+    """Press Count."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.count")
+    yield from hand.rest()
+    yield from work_done(hand)
+    day.check("fruit are counted", settings().result.count == len(owned("fruit")) > 0)
+    yield from picture(hand, day, "count")
+
+
+def review(hand: Hand, day: Day) -> Steps:
+    """Go to the doubtful fruit, reject it, undo that, confirm it."""
+    before = settings().result.count
+    yield from hand.push("fruitlangs.next_doubtful")
+    yield from picture(hand, day, "review")
+    yield from hand.push("fruitlangs.reject_fruit")
+    day.check("the fruit is rejected", counted() == before - 1)
+    yield from hand.press("Z", *hand.aside, ctrl=True)
+    yield 0.5
+    day.check("undo brings it back", counted() == before)
+    yield from hand.press("Z", *hand.aside, ctrl=True, shift=True)
+    yield 0.5
+    day.check("redo rejects it again", counted() == before - 1)
+    day.check("the log has it", len(settings().review.log) == 1)
+
+
+def counted() -> int:
+    return sum(item.get("review") != "rejected" for item in owned("fruit"))
+
+
+def export(hand: Hand, day: Day) -> Steps:
+    """Write the report and a table of what stands after the review."""
+    window = bpy.context.window_manager.windows[0]
+    yield from hand.find("fruitlangs.export_report")
+    yield from picture(hand, day, "export")
+    with bpy.context.temp_override(window=window, area=hand.area, region=hand.region("WINDOW")):
+        bpy.ops.fruitlangs.export_csv(filepath=str(day.work / "fruit.csv"))
+    rows = (day.work / "fruit.csv").read_text(encoding="utf-8").splitlines()
+    day.check("the table has the corrected count", len(rows) - 1 == counted())
+
+
+def running() -> Any:
+    from fruitlangs.operators import jobs
+
+    return jobs.running()
+
+
+def work_done(hand: Hand) -> Steps:
+    """Wait until no job is at work and its result is shown."""
+    yield from hand.rest()
+    while running() is not None:
+        yield WAIT
+    yield 4 * WAIT
+
+
+def picture(hand: Hand, day: Day, name: str, *, rest: bool = True) -> Steps:
+    """Keep a picture, with the mouse out of the way unless a dialog would close."""
+    if day.pictures is not None:
+        if rest:
+            yield from hand.rest()
+        yield from hand.shot(day.pictures / f"{name}.jpg")
+    yield MOMENT

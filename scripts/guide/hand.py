@@ -1,0 +1,171 @@
+"""A hand on mouse and keyboard of a Blender window, by Blender's own simulated events (`--enable-event-simulate`).
+
+Everything here is a generator: each `yield` is the seconds that the window gets to live on before the next event.
+Buttons are found by moving over the sidebar and asking Blender what lies under the mouse, so that no position is
+written down anywhere.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy_extras import view3d_utils
+from mathutils import Vector
+
+Steps = Generator[float, None, Any]
+
+STEP = 9
+"""Pixels between two places that are asked what lies there."""
+WIDTH = 1280
+"""Pixels of a picture."""
+MOMENT = 0.06
+"""Seconds in which Blender notices where the mouse is."""
+PAGES, NOTCHES = 12, 5
+"""How often the sidebar is scrolled, and by how many notches of the wheel, before a button is not there."""
+KEYS = {" ": "SPACE", ",": "COMMA", ".": "PERIOD", "-": "MINUS"} | {
+    str(digit): name
+    for digit, name in enumerate(("ZERO", "ONE", "TWO", "THREE", "FOUR", "FIVE", "SIX", "SEVEN", "EIGHT", "NINE"))
+}
+
+
+class NotThere(RuntimeError):
+    """A button is not in the sidebar."""
+
+
+class Hand:
+    """Acts in one 3D viewport of a window. mouse: where it was last, pixels of the window."""
+
+    def __init__(self, window: bpy.types.Window, area: bpy.types.Area) -> None:
+        self.window, self.area = window, area
+        self.mouse: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def aside(self) -> tuple[float, float]:
+        """A place in the viewport where nothing is."""
+        region = self.region("WINDOW")
+        return region.x + 0.15 * region.width, region.y + 0.1 * region.height
+
+    def rest(self) -> Steps:
+        """Take the mouse out of the sidebar."""
+        yield from self.move(*self.aside)
+
+    def region(self, kind: str) -> bpy.types.Region:
+        return next(region for region in self.area.regions if region.type == kind)
+
+    def move(self, x: float, y: float) -> Steps:
+        """To a place in the window's pixels, from its lower left corner."""
+        self.mouse = (x, y)
+        self.window.event_simulate(type="MOUSEMOVE", value="NOTHING", x=int(x), y=int(y))
+        yield MOMENT
+
+    def click(self, x: float, y: float, **held: bool) -> Steps:
+        """Press and release the left mouse button there; held: shift, ctrl, alt."""
+        yield from self.move(x, y)
+        for value in ("PRESS", "RELEASE"):
+            self.window.event_simulate(type="LEFTMOUSE", value=value, x=int(x), y=int(y), **held)
+            yield MOMENT
+
+    def place_of(self, point: Vector) -> tuple[float, float]:
+        """(x, y) in the window where a point of the world is drawn; far outside for one behind the viewer."""
+        region = self.region("WINDOW")
+        x, y = view3d_utils.location_3d_to_region_2d(
+            region, self.area.spaces.active.region_3d, point, default=(-1e6, -1e6)
+        )
+        return region.x + x, region.y + y
+
+    def press(self, key: str, x: float, y: float, **held: bool) -> Steps:
+        """Press and release a key while the mouse is there."""
+        self.window.event_simulate(type=key, value="PRESS", x=int(x), y=int(y), **held)
+        yield MOMENT
+        self.window.event_simulate(type=key, value="RELEASE", x=int(x), y=int(y), **held)
+        yield MOMENT
+
+    def write(self, text: str, x: float, y: float) -> Steps:
+        """Type a text into the field that is being edited, over what it holds, and end with Enter."""
+        yield from self.press("A", x, y, ctrl=True)
+        for letter in text:
+            key = KEYS.get(letter, letter.upper())
+            self.window.event_simulate(type=key, value="PRESS", unicode=letter, x=int(x), y=int(y))
+            yield MOMENT
+            self.window.event_simulate(type=key, value="RELEASE", x=int(x), y=int(y))
+            yield MOMENT
+        yield from self.press("RET", x, y)
+
+    def under_mouse(self) -> str:
+        """What the button under the mouse does ('fruitlangs.count') or holds ('prompt'); empty where there is none."""
+        manager = bpy.context.window_manager
+        manager.clipboard = ""
+        with bpy.context.temp_override(window=self.window, area=self.area, region=self.region("UI")):
+            for copy in (bpy.ops.ui.copy_python_command_button, bpy.ops.ui.copy_data_path_button):
+                try:
+                    if copy.poll() and copy() == {"FINISHED"}:
+                        break
+                except RuntimeError:
+                    continue
+        return manager.clipboard
+
+    def find(self, what: str) -> Steps:
+        """(x, y) in the window of the sidebar's first button that does or holds `what`, scrolling down to it.
+
+        Raises:
+            NotThere: there is none.
+        """
+        region = self.region("UI")
+        x = region.x + region.width * 0.62
+        for _ in range(PAGES):
+            y = region.y + region.height - 2 * STEP
+            while y > region.y + STEP:
+                yield from self.move(x, y)
+                if what in self.under_mouse():
+                    return x, y
+                y -= STEP
+            for _ in range(NOTCHES):
+                yield from self.press("WHEELDOWNMOUSE", x, region.y + region.height / 2)
+        raise NotThere(f"no button '{what}' in the sidebar")
+
+    def top(self) -> Steps:
+        """Scroll the sidebar to its top."""
+        region = self.region("UI")
+        for _ in range(60):
+            self.window.event_simulate(
+                type="WHEELUPMOUSE", value="PRESS", x=int(region.x + 30), y=int(region.y + region.height / 2)
+            )
+        yield 2 * MOMENT
+
+    def push(self, what: str) -> Steps:
+        """Find a button and click it."""
+        x, y = yield from self.find(what)
+        yield from self.click(x, y)
+        return x, y
+
+    def shot(self, path: Path) -> Steps:
+        """Save a picture of the whole window, `WIDTH` pixels wide, as JPEG."""
+        yield 1.0
+        path.parent.mkdir(parents=True, exist_ok=True)
+        drawn = path.with_suffix(".part.png")
+        with bpy.context.temp_override(window=self.window):
+            bpy.ops.screen.screenshot(filepath=str(drawn), check_existing=False)
+        image = bpy.data.images.load(str(drawn))
+        if is_black(image):
+            # Some drivers, software ones among them, do not give back what they show; the display itself does.
+            bpy.data.images.remove(image)
+            subprocess.run(["import", "-window", "root", str(drawn)], check=True)
+            image = bpy.data.images.load(str(drawn))
+        image.scale(WIDTH, round(WIDTH * image.size[1] / image.size[0]))
+        image.file_format = "JPEG"
+        image.save(filepath=str(path), quality=88)
+        bpy.data.images.remove(image)
+        drawn.unlink()
+        yield MOMENT
+
+
+def is_black(image: bpy.types.Image) -> bool:
+    """Whether nothing at all is in a picture."""
+    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(pixels)
+    return not pixels.reshape(-1, 4)[:, :3].any()

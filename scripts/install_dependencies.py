@@ -1,0 +1,58 @@
+"""Install the Python packages that Blender's Python lacks into the extension's own folder, headless.
+
+    blender -b --online-mode --python-exit-code 1 -P scripts/install_dependencies.py -- --yes
+    blender -b --python-exit-code 1 -P scripts/install_dependencies.py -- --yes --wheels FOLDER
+
+Without --yes it says what it would install. Where the extension is enabled it is its own install that is completed;
+else the packages go where this checkout finds them when Blender runs its scripts. Exit code 0: all is there; 1: it
+failed and nothing was changed, with one line that says why; 2: usage, or --yes was not given and something is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from types import ModuleType
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="install_dependencies.py", description="Install missing Python packages.")
+    parser.add_argument("--yes", action="store_true", help="install, not only say what is missing")
+    parser.add_argument("--wheels", type=Path, help="a folder of wheel files to install from, without going online")
+    given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+    arguments = parser.parse_args(given)
+    dependencies = extension_or_checkout()
+    missing = dependencies.missing_packages()
+    if not missing:
+        print("All Python packages are there")
+        return 0
+    print(f"Missing: {', '.join(missing)}; they go into {dependencies.packages_folder()}")
+    if not arguments.yes:
+        print("Say --yes to install them", file=sys.stderr)
+        return 2
+    try:
+        dependencies.install_missing(arguments.wheels, dependencies.printed())
+    except dependencies.InstallError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print("Installed")
+    return 0
+
+
+def extension_or_checkout() -> ModuleType:
+    """`operators.dependencies` of the extension that this Blender has enabled, else of this checkout."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("bl_ext.") and name.endswith(".fruitlangs.operators.dependencies"):
+            return module
+    import _checkout  # noqa: F401
+
+    from fruitlangs.operators import dependencies
+
+    return dependencies
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""The first steps of the day on a real scene: a result opens, words are asked, a reconstruction is asked too."""
+
+from __future__ import annotations
+
+import shutil
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from fruitlangs.operators import ask
+from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+
+
+@pytest.fixture
+def opened(extension, counted_balls, tmp_path):
+    """The counted balls, opened in an empty file; their folder is a copy."""
+    folder = shutil.copytree(counted_balls.out, tmp_path / "out")
+    assert bpy.ops.fruitlangs.import_scene(directory=str(folder)) == {"FINISHED"}
+    return folder
+
+
+def probability() -> np.ndarray:
+    return get_attribute(owned_object(bpy.context.scene, "gaussians").data, "probability")
+
+
+def attend() -> None:
+    """What Blender's timers do in a window."""
+    end = time.monotonic() + 30
+    while ask._attend() is not None:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_an_opened_result_shows_all_that_was_counted(opened, counted_balls):
+    settings = bpy.context.scene.fruitlangs
+    assert len(owned_objects(bpy.context.scene, "fruit")) == counted_balls.fruit_count.count == settings.result.count
+    assert (settings.prompt, settings.config.count.threshold) == ("apple", pytest.approx(0.3))
+    assert len(owned_objects(bpy.context.scene, "camera")) == len(counted_balls.scene.cameras)
+    np.testing.assert_allclose(probability(), counted_balls.probability.numpy(), atol=1e-6)
+    fit = int((counted_balls.probability >= 0.3).sum())
+    assert settings.answer.text.startswith(f"{fit:,} of {len(counted_balls.gaussians):,} Gaussians fit")
+
+
+def test_another_word_changes_the_highlight_and_what_is_said_of_it(opened, counted_balls):
+    settings = bpy.context.scene.fruitlangs
+    before, said = probability(), settings.answer.text
+    settings.prompt = "grass"
+    assert bpy.ops.fruitlangs.ask() == {"FINISHED"}
+    assert np.corrcoef(before, probability())[0, 1] < 0.0
+    assert settings.answer.text != said
+
+
+def test_an_unknown_word_is_said_and_the_highlight_stays(opened):
+    before = probability()
+    bpy.context.scene.fruitlangs.prompt = "durian"
+    with pytest.raises(RuntimeError, match="does not know the word 'durian'"):
+        bpy.ops.fruitlangs.ask()
+    assert "durian" in bpy.context.scene.fruitlangs.answer.problem
+    np.testing.assert_array_equal(probability(), before)
+
+
+def test_features_that_vanished_are_a_report_that_says_what_to_do(opened):
+    (opened / "features.safetensors").unlink()
+    with pytest.raises(RuntimeError, match=r"features in .* are gone; press Reconstruct"):
+        bpy.ops.fruitlangs.ask()
+
+
+def test_features_of_other_gaussians_are_refused(opened):
+    item = owned_object(bpy.context.scene, "gaussians")
+    item.data.vertices.add(1)
+    with pytest.raises(RuntimeError, match=r"features of \d+ Gaussians and the scene"):
+        bpy.ops.fruitlangs.ask()
+
+
+def test_the_timer_answers_the_last_of_several_edits(opened):
+    settings = bpy.context.scene.fruitlangs
+    for words in ("leaf", "apple", "grass"):
+        settings.prompt = words
+        ask.ask_soon(bpy.context.scene)
+    attend()
+    item = owned_object(bpy.context.scene, "gaussians")
+    assert item.data[ask.ASKED] == "grass | "
+    by_timer = probability()
+    bpy.ops.fruitlangs.ask()
+    np.testing.assert_array_equal(by_timer, probability())
+
+
+def test_an_answer_to_words_edited_meanwhile_is_asked_anew(opened):
+    settings = bpy.context.scene.fruitlangs
+    settings.prompt = "leaf"
+    ask.ask_soon(bpy.context.scene)
+    assert ask._attend() is not None
+    settings.prompt = "grass"
+    attend()
+    assert owned_object(bpy.context.scene, "gaussians").data[ask.ASKED] == "grass | "
+
+
+def test_an_answer_for_a_scene_deleted_meanwhile_is_dropped(opened):
+    bpy.context.scene.fruitlangs.prompt = "leaf"
+    ask.ask_soon(bpy.context.scene)
+    assert ask._attend() is not None
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    attend()
+    assert owned_object(bpy.context.scene, "gaussians") is None
+
+
+def test_the_threshold_changes_how_many_fit(opened):
+    settings = bpy.context.scene.fruitlangs
+    settings.config.count.threshold = 0.9
+    assert settings.answer.text.startswith(f"{int((probability() >= np.float32(0.9)).sum()):,} of")
+
+
+def test_suggestions_complete_the_last_word_and_keep_those_before(extension):
+    offered = ask.suggestions(None, None, "apple, red p")
+    assert offered[0] == "apple, red pear"
+    assert all(words.startswith("apple, ") for words in offered)
+    assert "fruit" in ask.suggestions(None, None, "")
+
+
+def test_reconstruct_shows_gaussians_that_a_count_then_finds(extension, balls, counted_balls, tmp_path):
+    settings = bpy.context.scene.fruitlangs
+    settings.source, settings.out = str(balls), str(tmp_path / "out")
+    settings.config.train.steps, settings.config.train.max_gaussians = 150, 3000
+    settings.config.count.threshold = 0.3
+    bpy.ops.fruitlangs.import_scene()
+    assert bpy.ops.fruitlangs.reconstruct() == {"FINISHED"}
+    assert settings.result.gaussians == len(counted_balls.gaussians)
+    assert settings.result.quality.startswith("photos kept aside: PSNR")
+    bpy.ops.fruitlangs.ask()
+    np.testing.assert_allclose(probability(), counted_balls.probability.numpy(), atol=1e-6)
+    assert bpy.ops.fruitlangs.count() == {"FINISHED"}
+    assert settings.result.count == counted_balls.fruit_count.count
+
+
+def test_a_ply_of_another_program_is_imported_and_asked(extension, counted_balls, tmp_path):
+    shutil.copy(counted_balls.out / "gaussians.ply", tmp_path / "tree.ply")
+    settings = bpy.context.scene.fruitlangs
+    settings.source = str(tmp_path / "tree.ply")
+    assert bpy.ops.fruitlangs.import_scene() == {"FINISHED"}
+    assert settings.result.gaussians == len(counted_balls.gaussians)
+    assert bpy.ops.fruitlangs.ask() == {"FINISHED"}

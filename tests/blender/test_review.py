@@ -1,0 +1,274 @@
+"""Every decision on a fruit changes the count, is in the log, can be undone and outlives a recount."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import bpy
+import numpy as np
+import pytest
+
+from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks, unit
+from fruitlangs.fruitlangs_addon.step_review import entry_text
+from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.fruit_objects import REVIEW, read_log, standing
+from fruitlangs.operators.keep_review import review_line
+from fruitlangs.operators.showing import show_result
+
+
+@pytest.fixture
+def shown(extension, counted, result_of, tmp_path):
+    """Three apples .3 apart, of diameters .1, .2 and .3 and probabilities .9, .6 and .7, with an interval of 2 to 5."""
+    chances = (0.9, 0.6, 0.7)
+    fruits = [
+        dataclasses.replace(fruit, probability=chance)
+        for fruit, chance in zip(counted.fruit_count.fruits, chances, strict=True)
+    ]
+    fruit_count = dataclasses.replace(counted.fruit_count, fruits=fruits, interval=(2, 5), last_id=3)
+    show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path, fruit_count=fruit_count))
+    return bpy.context.scene
+
+
+@pytest.fixture
+def again(counted, result_of, tmp_path):
+    """Show the same count anew, as a recount does, with these fruit."""
+
+    def recount(fruits=None):
+        found = counted.fruit_count.fruits if fruits is None else fruits
+        fruit_count = dataclasses.replace(counted.fruit_count, fruits=found, interval=(2, 5), last_id=3)
+        show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path, fruit_count=fruit_count))
+
+    return recount
+
+
+def fruit(number: int) -> bpy.types.Object:
+    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+
+
+def select(*numbers: int) -> None:
+    for item in bpy.context.selected_objects:
+        item.select_set(False)
+    for number in reversed(numbers):
+        fruit(number).select_set(True)
+        bpy.context.view_layer.objects.active = fruit(number)
+
+
+def numbers() -> list[int]:
+    return sorted(item["id"] for item in standing(bpy.context.scene))
+
+
+def test_the_line_tells_the_machines_count_before_anything_was_reviewed(shown):
+    assert review_line(shown) == "machine 3, interval 2–5"
+
+
+def test_a_rejected_fruit_is_hidden_and_no_longer_counted_and_can_come_back(shown):
+    select(2)
+    shown.fruitlangs.review.reason = "a leaf"
+    assert bpy.ops.fruitlangs.reject_fruit() == {"FINISHED"}
+    assert numbers() == [1, 3]
+    assert fruit(2).hide_viewport
+    assert fruit(2).hide_render
+    assert review_line(shown).startswith("machine 3, after review 2, interval ")
+    entry = read_log(shown)[-1]
+    assert (entry.action, entry.reason, [spot.id for spot in entry.before]) == ("reject", "a leaf", [2])
+    assert shown.fruitlangs.review.reason == ""
+    bpy.context.view_layer.objects.active = fruit(2)
+    assert bpy.ops.fruitlangs.reopen_fruit() == {"FINISHED"}
+    assert numbers() == [1, 2, 3]
+    assert not fruit(2).hide_viewport
+    assert REVIEW not in fruit(2)
+
+
+def test_confirming_all_leaves_no_doubt_below(shown):
+    select(1, 2, 3)
+    bpy.ops.fruitlangs.confirm_fruit()
+    assert review_line(shown) == "machine 3, after review 3, interval 3–5"
+    assert len(read_log(shown)[0].before) == 3
+
+
+def test_merged_fruit_are_one_with_a_new_number_and_their_gaussians(shown):
+    select(2, 3)
+    assert bpy.ops.fruitlangs.merge_fruit() == {"FINISHED"}
+    assert numbers() == [1, 4]
+    assert fruit(4)["label"] == "apple"
+    assert fruit(4)[REVIEW] == "added"
+    assert bpy.context.selected_objects == [fruit(4)]
+    ids = get_attribute(owned_object(shown, "gaussians").data, "fruit_id")
+    assert ids[:6].tolist() == [1, 1, 4, 4, 4, 4]
+
+
+def test_merging_wants_two_fruit(shown):
+    select(1)
+    assert not bpy.ops.fruitlangs.merge_fruit.poll()
+
+
+def test_a_split_fruit_becomes_as_many_as_asked(shown):
+    select(3)
+    assert bpy.ops.fruitlangs.split_fruit(parts=3) == {"FINISHED"}
+    assert numbers() == [1, 2, 4, 5, 6]
+    volume = sum(fruit(number)["diameter"] ** 3 for number in (4, 5, 6))
+    assert volume == pytest.approx(0.3**3, rel=1e-4)
+    assert [spot.id for spot in read_log(shown)[0].after] == [4, 5, 6]
+
+
+def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
+    assert bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0)) == {"FINISHED"}
+    new = fruit(4)
+    assert tuple(new.location) == (5.0, 6.0, 7.0)
+    assert new["diameter"] == pytest.approx(0.2)
+    assert (new["label"], new["probability"], new[REVIEW]) == ("apple", 1.0, "added")
+    assert review_line(shown) == "machine 3, after review 4, interval 3–5"
+
+
+def test_a_relabelled_fruit_has_the_name_and_mesh_of_its_new_label(shown):
+    select(1, 2)
+    assert bpy.ops.fruitlangs.relabel_fruit(label="ripe  apple") == {"FINISHED"}
+    assert fruit(1).name == "ripe apple.001"
+    assert fruit(1).data == fruit(2).data
+    assert fruit(3).data != fruit(1).data
+    assert [entry_text(entry).split(" ", 2)[2] for entry in shown.fruitlangs.review.log] == [
+        "relabel 1 → ripe apple",
+        "relabel 2 → ripe apple",
+    ]
+
+
+def test_relabelling_to_nothing_is_an_error(shown):
+    select(1)
+    with pytest.raises(RuntimeError, match="Type the label"):
+        bpy.ops.fruitlangs.relabel_fruit()
+
+
+def test_next_doubtful_goes_from_the_least_likely_upwards_and_skips_what_was_looked_at(shown):
+    visited = []
+    for _ in range(4):
+        bpy.ops.fruitlangs.next_doubtful()
+        visited.append(bpy.context.view_layer.objects.active["id"])
+    assert visited == [2, 3, 1, 2]
+    bpy.ops.fruitlangs.confirm_fruit()
+    bpy.ops.fruitlangs.next_doubtful()
+    assert bpy.context.view_layer.objects.active["id"] == 3
+    select(1, 2, 3)
+    bpy.ops.fruitlangs.confirm_fruit()
+    assert not bpy.ops.fruitlangs.next_doubtful.poll()
+
+
+def test_the_list_and_the_viewport_select_each_other(shown):
+    review, collection = shown.fruitlangs.review, bpy.data.collections["Fruits"]
+    review.active_fruit = 2
+    assert bpy.context.selected_objects == [collection.objects[2]]
+    select(1)
+    assert collection.objects[review.active_fruit] == fruit(1)
+    bpy.context.view_layer.objects.active = owned_object(shown, "root")
+    assert review.active_fruit == -1
+
+
+def test_a_recount_keeps_every_decision(shown, again, counted):
+    select(1)
+    bpy.ops.fruitlangs.reject_fruit()
+    select(2)
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    before = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in owned_objects(shown, "fruit")}
+    again()
+    after = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in owned_objects(shown, "fruit")}
+    assert after == before
+    assert numbers() == [3, 4, 5, 6]
+
+
+def test_a_recount_that_renumbers_keeps_decisions_by_place(shown, again, counted):
+    select(1)
+    bpy.ops.fruitlangs.reject_fruit()
+    again([dataclasses.replace(each, id=each.id + 10) for each in counted.fruit_count.fruits])
+    assert [item["id"] for item in owned_objects(shown, "fruit") if item.get(REVIEW) == "rejected"] == [11]
+
+
+def test_a_decision_about_a_fruit_that_is_gone_is_said_and_stays_in_the_log(shown, again, counted):
+    select(3)
+    bpy.ops.fruitlangs.confirm_fruit()
+    again(counted.fruit_count.fruits[:2])
+    assert "confirm of 3: no longer found" in shown.fruitlangs.result.notices
+    assert len(read_log(shown)) == 1
+
+
+def test_numbers_of_fruit_that_persons_made_are_never_given_twice(shown):
+    select(2, 3)
+    bpy.ops.fruitlangs.merge_fruit()
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    assert numbers() == [1, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("operator", "arguments", "chosen"),
+    [
+        ("reject_fruit", {}, (2,)),
+        ("confirm_fruit", {}, (2,)),
+        ("merge_fruit", {}, (2, 3)),
+        ("split_fruit", {"parts": 2}, (3,)),
+        ("add_fruit", {"center": (5.0, 6.0, 7.0)}, ()),
+        ("relabel_fruit", {"label": "pear"}, (1,)),
+    ],
+)
+def test_every_decision_is_taken_back_by_undo_and_made_again_by_redo(shown, operator, arguments, chosen):
+    def told():
+        scene = bpy.context.scene
+        items = {
+            item.name: (item["label"], item.get(REVIEW), item.hide_viewport) for item in owned_objects(scene, "fruit")
+        }
+        return items, len(scene.fruitlangs.review.log)
+
+    select(*chosen)
+    before = told()
+    bpy.ops.ed.undo_push(message="before")
+    getattr(bpy.ops.fruitlangs, operator)(**arguments)
+    bpy.ops.ed.undo_push(message="decided")
+    after = told()
+    assert after != before
+    bpy.ops.ed.undo()
+    assert told() == before
+    bpy.ops.ed.redo()
+    assert told() == after
+
+
+def test_a_review_is_in_the_saved_file(shown, tmp_path):
+    select(2)
+    bpy.ops.fruitlangs.reject_fruit(reason="a leaf")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert numbers() == [1, 3]
+    (entry,) = read_log(bpy.context.scene)
+    assert (entry.action, entry.reason) == ("reject", "a leaf")
+    np.testing.assert_allclose(entry.before[0].center, [1.3, 2.0, 3.0], atol=1e-6)
+
+
+def test_a_fruit_that_a_person_moved_is_decided_on_where_it_stands(shown):
+    fruit(1).location.x = 9.0
+    select(1)
+    bpy.ops.fruitlangs.confirm_fruit()
+    assert read_log(shown)[0].before[0].center[0] == pytest.approx(9.0)
+
+
+def test_rows_tell_number_size_probability_share_and_kind(shown):
+    assert cells(fruit(2), unit(shown)) == ["2 apple", "0.2", "0.60", "25%", "single"]
+    assert cells(fruit(1), ("mm", 1000.0))[1] == "100 mm"
+
+
+def test_the_list_filters_by_doubt_and_sorts(shown):
+    items = [fruit(number) for number in (1, 2, 3)]
+    assert [is_shown(item, "DOUBTFUL", 0.65, "") for item in items] == [False, True, False]
+    select(2)
+    bpy.ops.fruitlangs.reject_fruit()
+    assert [is_shown(item, "OPEN", 0.8, "") for item in items] == [True, False, True]
+    assert [is_shown(item, "REJECTED", 0.8, "") for item in items] == [False, True, False]
+    assert [is_shown(item, "ALL", 0.8, "apple.003") for item in items] == [False, False, True]
+    assert ranks(items, "probability") == [2, 0, 1]
+    assert ranks(items, "diameter") == [0, 1, 2]
+
+
+def test_reviews_of_two_scenes_in_one_file_are_apart(shown, counted, result_of, tmp_path):
+    other = bpy.data.scenes.new("Row 2")
+    show_result(bpy.context, other, result_of(counted, tmp_path))
+    select(2)
+    bpy.ops.fruitlangs.reject_fruit()
+    assert (len(standing(shown)), len(standing(other))) == (2, 3)
+    assert len(read_log(other)) == 0

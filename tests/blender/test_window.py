@@ -1,0 +1,30 @@
+"""A whole day in a real window: import, measure, reconstruct, ask, count, review, export, by clicks and keys.
+
+FRUITLANGS_WINDOW is the command that opens a Blender (4.2 or newer) with a window, for example
+`blender` on a desktop or `xvfb-run -a blender` without one. Its Python needs the engine's packages.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+WINDOW = os.environ.get("FRUITLANGS_WINDOW")
+
+
+@pytest.mark.skipif(not WINDOW, reason="set FRUITLANGS_WINDOW to a command that opens a Blender window to run this")
+def test_a_day_in_the_window_goes_as_it_should(balls, tmp_path):
+    script = ROOT / "scripts" / "picture_guide.py"
+    blender = [*shlex.split(str(WINDOW)), "--enable-event-simulate", "-P", str(script), "--"]
+    options = ["--steps", "150", "--threshold", "0.3", "--other", "grass", "--folder", str(tmp_path)]
+    done = subprocess.run(
+        [*blender, "--scene", str(balls), *options], capture_output=True, text=True, timeout=600, cwd=ROOT
+    )
+    told = [line for line in done.stdout.splitlines() if line.startswith(("ok", "NOT TRUE"))]
+    assert done.returncode == 0, "\n".join([*told, done.stderr[-2000:]])
+    assert len(told) > 10
