@@ -28,7 +28,7 @@ def _load() -> None:
 
 _load()
 
-if "bpy" in sys.modules:  # Blender runs the script: let it find what install_dependencies.py installed
+if sys.modules.get("bpy") is not None:  # Blender runs the script: let it find what install_dependencies.py installed
     from fruitlangs.operators.package_folder import use_packages
 
     use_packages()

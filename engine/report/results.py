@@ -29,7 +29,7 @@ BLEND = "scene.blend"
 
 _NUMBER = (int, float)
 _FIELDS: dict[str, dict[str, Any]] = {
-    "document": {"set_id": str, "fruits": list, "audit": dict, "config": dict, "files": dict, "provenance": dict}
+    "document": {"set_id": str, "fruits": list, "config": dict, "files": dict, "provenance": dict}
     | {"metres_per_unit": (*_NUMBER, type(None))},
     "provenance": {"source": str, "inputs_sha256": str, "encoder": str, "training": dict, "prompts": list},
     "training": {"psnr": (*_NUMBER, type(None)), "ssim": (*_NUMBER, type(None))},
