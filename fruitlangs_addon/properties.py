@@ -13,6 +13,7 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty,
 from ..operators.ask import suggestions, threshold_changed, words_changed
 from ..operators.settings import apply_preset, config_properties, stage_classes
 from . import review
+from .photos import FRUITLANGS_PG_photos
 from .review import FRUITLANGS_PG_review
 
 # Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
@@ -124,6 +125,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     config: PointerProperty(type=FRUITLANGS_PG_config)
     answer: PointerProperty(type=FRUITLANGS_PG_answer)
     review: PointerProperty(type=FRUITLANGS_PG_review)
+    photos: PointerProperty(type=FRUITLANGS_PG_photos)
     result: PointerProperty(type=FRUITLANGS_PG_result)
 
 
@@ -133,5 +135,6 @@ CLASSES = (
     FRUITLANGS_PG_answer,
     FRUITLANGS_PG_result,
     *review.CLASSES,
+    FRUITLANGS_PG_photos,
     FRUITLANGS_PG_settings,
 )

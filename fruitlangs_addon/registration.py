@@ -8,13 +8,16 @@ import bpy
 
 from ..operators import (
     ask,
+    best_photo,
     caches,
     count,
     dependencies,
     import_scene,
     jobs,
+    label_drawing,
     level,
     package_folder,
+    photo_backgrounds,
     reconstruct,
     region,
     review,
@@ -22,6 +25,7 @@ from ..operators import (
 )
 from . import (
     fruit_list,
+    photos,
     preferences,
     properties,
     step_ask,
@@ -44,12 +48,14 @@ CLASSES: tuple[Any, ...] = (
     *ask.CLASSES,
     *count.CLASSES,
     *review.CLASSES,
+    *best_photo.CLASSES,
     *step_scene.CLASSES,
     *step_reconstruct.CLASSES,
     *step_ask.CLASSES,
     *step_count.CLASSES,
     *fruit_list.CLASSES,
     *step_review.CLASSES,
+    *photos.CLASSES,
     *preferences.CLASSES,
 )
 
@@ -67,11 +73,15 @@ def register() -> None:
     bpy.types.Scene.fruitlangs = bpy.props.PointerProperty(type=properties.FRUITLANGS_PG_settings)
     bpy.types.TOPBAR_MT_file_import.append(import_scene.menu_entry)
     ask.register_handlers()
+    photo_backgrounds.register_watch()
+    label_drawing.register_drawing()
 
 
 def unregister() -> None:
     """Take everything away and leave nothing behind; a running job is asked to stop."""
     jobs.cancel_running(CANCEL_SECONDS)
+    label_drawing.unregister_drawing()
+    photo_backgrounds.unregister_watch()
     ask.unregister_handlers()
     bpy.types.TOPBAR_MT_file_import.remove(import_scene.menu_entry)
     if hasattr(bpy.types.Scene, "fruitlangs"):

@@ -69,6 +69,16 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
         ],
         description="The order of the list; the arrow below it turns the order round",
     )
+    labels: EnumProperty(
+        name="Labels",
+        items=[
+            ("NONE", "None", "Nothing is written in the viewport"),
+            ("NUMBER", "Number", "The number of every fruit beside it"),
+            ("NAME", "Name", "Label and number"),
+            ("SIZE", "Size", "Number and diameter"),
+        ],
+        description="What is written beside every fruit in the viewport",
+    )
     active_fruit: IntProperty(name="Fruit", get=get_active_fruit, set=set_active_fruit, options={"SKIP_SAVE"})
 
 

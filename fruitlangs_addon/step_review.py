@@ -51,6 +51,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         layout.prop(review, "sort")
         layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
         layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
+        layout.row().prop(review, "labels", expand=True)
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_confirm_fruit.bl_idname, icon="CHECKMARK")
         row.operator(FRUITLANGS_OT_reject_fruit.bl_idname, icon="X")

@@ -9,7 +9,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .blender_data import new_object, owned_collection, owned_objects, remove_objects
+from .blender_data import in_scene_frame, new_object, owned_collection, owned_objects, remove_objects
+from .photo_backgrounds import remove_backgrounds
+from .photo_files import ASPECT, SIZE, keep_photo
 
 if TYPE_CHECKING:
     from ..engine.scene.camera import Camera, FloatArray, Scene
@@ -24,9 +26,10 @@ BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> list[bpy.types.Object]:
     """Replace this Blender scene's photo cameras; the one at the middle of the list becomes active.
 
-    A camera is named after its photo and holds the photo's name in the custom property `photo`.
+    A camera is named after its photo and keeps in custom properties what shows it later (see `photo_files`).
     """
     was_ours = bpy_scene.camera is None or bpy_scene.camera in owned_objects(bpy_scene, "camera")
+    remove_backgrounds(owned_objects(bpy_scene, "camera"))
     remove_objects(owned_objects(bpy_scene, "camera"))
     collection = owned_collection(bpy_scene, "cameras", "Cameras")
     size = 0.04 * scene.extent if len(scene.cameras) else 1.0
@@ -34,18 +37,19 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
     objects = []
     # A scene read back from a result whose photos are gone has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
-    for camera, name in zip(scene.cameras, names, strict=True):
+    photos = scene.images or [None] * len(scene.cameras)
+    for camera, photo, name in zip(scene.cameras, photos, names, strict=True):
         data = bpy.data.cameras.new(PurePath(name).name)
         set_intrinsics(data, camera)
         data.display_size = size
         # Unlike all else below the root, clipping is in the world's unit.
         data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
         item = new_object(PurePath(name).stem, data, "camera", collection, root)
-        item["photo"] = name if scene.images else ""
+        keep_photo(item, camera, photo)
         item.matrix_basis = Matrix(blender_pose(camera).tolist())
         objects.append(item)
     if objects and was_ours:
-        show_through(bpy_scene, objects[len(objects) // 2], scene.cameras[len(objects) // 2])
+        show_through(bpy_scene, objects[len(objects) // 2])
     return objects
 
 
@@ -64,10 +68,24 @@ def set_intrinsics(data: bpy.types.Camera, camera: Camera) -> None:
     data.shift_y = (cy - 0.5 * camera.height) / camera.width * (fx / fy)
 
 
-def show_through(bpy_scene: bpy.types.Scene, item: bpy.types.Object, camera: Camera) -> None:
-    """Make a camera active and render at its photo's size and pixel shape (fx ≠ fy is a pixel aspect)."""
+def read_camera(item: bpy.types.Object, root: bpy.types.Object) -> Camera:
+    """The engine's camera of a Blender camera of ours as it stands, in the scene's frame."""
+    from ..engine.scene.camera import Camera
+
+    data, (width, height), ratio = item.data, item[SIZE], item[ASPECT]
+    fx = data.lens * width / data.sensor_width
+    fy = fx / ratio
+    cx = width * (0.5 - data.shift_x)
+    cy = 0.5 * height + data.shift_y * width * fy / fx
+    placed = np.array(in_scene_frame(item, root))
+    placed[:3, :3] /= np.linalg.norm(placed[:3, :3], axis=0)
+    pose = np.linalg.inv(placed @ BLENDER_AXES)
+    return Camera(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), pose, int(width), int(height))
+
+
+def show_through(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Make a camera of ours active and render at its photo's size and pixel shape (fx ≠ fy is a pixel aspect)."""
     bpy_scene.camera = item
-    render = bpy_scene.render
-    render.resolution_x, render.resolution_y, render.resolution_percentage = camera.width, camera.height, 100
-    ratio = camera.K[0, 0] / camera.K[1, 1]
+    render, ratio = bpy_scene.render, item[ASPECT]
+    (render.resolution_x, render.resolution_y), render.resolution_percentage = item[SIZE], 100
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1.0 / ratio), max(1.0, ratio)

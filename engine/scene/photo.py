@@ -88,6 +88,11 @@ class FilePhoto:
     turn: Image.Transpose | None = None
     mask_path: Path | None = None
 
+    @property
+    def is_as_stored(self) -> bool:
+        """True when the file's own pixels are the view: nothing to turn and nothing to undistort, whatever its size."""
+        return self.lens.is_pinhole and self.turn is None
+
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB of the undistorted view; black where the photo shows nothing.
 

@@ -1,0 +1,72 @@
+"""How photos are shown in the viewport, and what looking through one replaced."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..operators.best_photo import FRUITLANGS_OT_best_photo, FRUITLANGS_OT_free_view, FRUITLANGS_OT_next_photo
+from ..operators.photo_backgrounds import PROBLEM, opacity_changed
+from .panel_parts import SidebarPanel, draw_text
+
+
+class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
+    """`scene.fruitlangs.photos`."""
+
+    show: BoolProperty(
+        name="Show Photo",
+        default=True,
+        update=opacity_changed,
+        description="Show the photo when looking through its camera",
+    )
+    opacity: FloatProperty(
+        name="Photo",
+        default=0.7,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        update=opacity_changed,
+        description="How strongly the photo covers what is reconstructed",
+    )
+    perspective: StringProperty(name="View", description="Of the free view; empty where no photo is looked through")
+    location: FloatVectorProperty(name="Location", size=3, description="Of the free view")
+    rotation: FloatVectorProperty(name="Rotation", size=4, description="Of the free view")
+    distance: FloatProperty(name="Distance", description="Of the free view")
+    camera: PointerProperty(type=bpy.types.Object, name="Camera", description="The scene's before photos")
+    resolution: IntVectorProperty(name="Resolution", size=3, description="The scene's before photos")
+    aspect: FloatVectorProperty(name="Aspect", size=2, description="The scene's pixel aspect before photos")
+
+
+class FRUITLANGS_PT_photos(SidebarPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_photos"
+    bl_label = "Photos"
+    bl_parent_id = "FRUITLANGS_PT_review"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        photos = context.scene.fruitlangs.photos
+        row = self.layout.row(align=True)
+        row.operator(FRUITLANGS_OT_best_photo.bl_idname, icon="CAMERA_DATA")
+        row.operator(FRUITLANGS_OT_next_photo.bl_idname, icon="TRIA_LEFT", text="").step = -1
+        row.operator(FRUITLANGS_OT_next_photo.bl_idname, icon="TRIA_RIGHT", text="").step = 1
+        self.layout.operator(FRUITLANGS_OT_free_view.bl_idname, icon="LOOP_BACK")
+        row = self.layout.row(align=True)
+        row.prop(photos, "show", text="", icon="HIDE_OFF" if photos.show else "HIDE_ON")
+        slider = row.row(align=True)
+        slider.active = photos.show
+        slider.prop(photos, "opacity", slider=True)
+        camera = context.scene.camera
+        if camera is not None and PROBLEM in camera:
+            draw_text(self.layout, camera[PROBLEM], context, icon="ERROR")
+
+
+CLASSES = (FRUITLANGS_PT_photos,)
