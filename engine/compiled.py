@@ -119,9 +119,11 @@ def _threads_are_safe() -> bool:
         return False
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A parallel kernel called from Python; loops over `prange` run on Numba's threads."""
-    compiled = njit(function, parallel=True)
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """A parallel kernel called from Python; loops over `prange` run on Numba's threads. options: those of `njit`."""
+    if function is None:
+        return lambda wrapped: kernel(wrapped, **options)
+    compiled = njit(function, parallel=True, **options)
 
     @wraps(function)
     def call(*arguments: Any) -> Any:

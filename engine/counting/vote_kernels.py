@@ -53,7 +53,8 @@ def turn_normals(
         turned[p] /= max(np.sqrt((turned[p] ** 2).sum()), 1e-12)
 
 
-@kernel
+# Strict arithmetic: a sum that may be reordered came out otherwise in the process that compiled it than from the cache.
+@kernel(fastmath=False)
 def middles(table: Table, centers: FloatArray, reach: float, found: FloatArray) -> None:
     """The mean (C, 3) of the points within `reach` of each center (C, 3); each has at least one."""
     positions = table[0]
