@@ -83,7 +83,7 @@ def label_places(
     pixels, depths = project(places, matrix, region.width, region.height)
     edges, _ = project(places + radii[:, None] * right, matrix, region.width, region.height)
     pixels[:, 0] = GAP + np.where(np.isnan(edges[:, 0]), pixels[:, 0], edges[:, 0])
-    order = np.lexsort([depths, [item != active for item in items]])
+    order = np.lexsort((depths, np.array([item != active for item in items])))
     order = order[np.isfinite(pixels[order, 1])]
     sizes = np.array([blf.dimensions(FONT, texts[index]) for index in order]).reshape(-1, 2)
     kept = uncovered(np.concatenate([pixels[order], sizes], axis=1))

@@ -14,7 +14,7 @@ from .photo_backgrounds import remove_backgrounds
 from .photo_files import ASPECT, SIZE, keep_photo
 
 if TYPE_CHECKING:
-    from ..engine.scene.camera import Camera, FloatArray, Scene
+    from ..engine.scene.camera import Camera, FloatArray, Photo, Scene
 
 SENSOR_WIDTH = 36.0
 """Millimetres; only the ratio lens : sensor matters."""
@@ -37,7 +37,7 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
     objects = []
     # A scene read back from a result whose photos are gone has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
-    photos = scene.images or [None] * len(scene.cameras)
+    photos: list[Photo | None] = [*scene.images] or [None] * len(scene.cameras)
     for camera, photo, name in zip(scene.cameras, photos, names, strict=True):
         data = bpy.data.cameras.new(PurePath(name).name)
         set_intrinsics(data, camera)
