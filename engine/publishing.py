@@ -21,16 +21,21 @@ from .files import file_hash, write_text
 from .language.features import Features
 from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, Stages
 from .report.audit import audit_text
+from .report.framing import framing
 from .report.meshes import write_glb, write_points_ply
+from .report.page import write_page
 from .report.pictures import write_strips
 from .report.provenance import run_stamp, versions
 from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
+from .report.still import draw_still, save_still
 from .report.tables import fruits_csv
+from .report.words import headline
 from .scene.camera import Scene
 from .scene.stored import told_anew
 from .splatting.gaussians import Gaussians
 
 PICTURES = "pictures"
+STILL, PAGE = "still.jpg", "report.html"
 _DAY = 86_400.0
 
 
@@ -103,13 +108,36 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
     write_text(folder / "audit.txt", audit_text(result.fruit_count, prompt=", ".join(result.origin["prompts"])))
-    write_glb(folder / "fruits.glb", result.fruit_count, result.scene.up)
+    write_glb(folder / "fruits.glb", result.fruit_count, result.scene.metres_per_unit, up=result.scene.up)
     write_points_ply(folder / "fruits.ply", result.fruit_count)
     pictures = write_strips(
         folder / PICTURES, result.scene, result.gaussians, result.features, result.probability, result.fruit_count
     )
-    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply"]
+    _write_page(folder, result)
+    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply", STILL, PAGE]
     return names + [f"{PICTURES}/{path.name}" for path in pictures]
+
+
+def _write_page(folder: Path, result: Result) -> None:
+    """The still and the page for people.
+
+    Neither tells date, seconds or where the photos lie: equal runs give equal files.
+    """
+    fruit_count, metres_per_unit = result.fruit_count, result.scene.metres_per_unit
+    title = headline(fruit_count, ", ".join(result.origin["prompts"]))
+    camera = framing(result.scene, result.gaussians, fruit_count.fruits)
+    still = draw_still(result.gaussians, fruit_count.fruits, camera, metres_per_unit=metres_per_unit, title=title)
+    save_still(folder / STILL, still)
+    origin = {name: value for name, value in result.origin.items() if name != "source"}
+    told = {"notices": result.notices, **origin, "versions": versions()}
+    write_page(
+        folder / PAGE,
+        fruit_count,
+        title=", ".join(result.origin["prompts"]),
+        metres_per_unit=metres_per_unit,
+        still=still,
+        provenance={**told, "config": dataclasses.asdict(result.config)},
+    )
 
 
 def _remove_dead(staging: Path) -> None:

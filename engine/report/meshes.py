@@ -1,7 +1,14 @@
-"""Fruit as geometry: labelled meshes (GLB) and the sampled points with fruit ids (PLY)."""
+"""Fruit as geometry: labelled meshes (GLB, OBJ, PLY) and the sampled points with fruit ids (PLY).
+
+Every mesh is an ellipsoid with the fruit's own axes. Its vertices are in metres where the scale is known, else in scene
+units; the file says which. `up` (3,) of the scene turns it so that y is up, as glTF asks and as programs expect of an
+OBJ; without it the mesh stays in the scene's frame. Zero fruit give a valid file without meshes.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +16,16 @@ import trimesh
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
-from ..counting.fruit import FruitCount
-from .words import object_name
+from ..counting.fruit import Fruit, FruitCount
+from ..files import replacing, write_text
+from .words import file_unit, object_name
+
+FloatArray = NDArray[np.float64]
 
 _PALETTE_STEP = 0.61803398875
 """Golden ratio: neighbouring ids get hues that are far apart."""
+_FINENESS = 2
+"""Subdivisions of the icosahedron: 162 vertices and 320 faces a fruit."""
 
 
 def id_color(fruit_id: int) -> tuple[int, int, int]:
@@ -27,13 +39,43 @@ def id_color(fruit_id: int) -> tuple[int, int, int]:
     return (red, green, blue)
 
 
-def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> None:
-    """One named ellipsoid a fruit, its properties as glTF extras; glTF's y axis is the scene's up; scene units."""
+@dataclass(frozen=True, eq=False)
+class _Meshes:
+    """F ellipsoids as triangles. vertices, normals: (F, V, 3); faces: (T, 3) the same indices within each fruit."""
+
+    vertices: FloatArray
+    normals: FloatArray
+    faces: NDArray[np.int64]
+
+
+def _meshes(fruits: Sequence[Fruit], scale: float, up: FloatArray | None) -> _Meshes:
+    """The fruit's ellipsoids, `scale` times as large as in scene units; y is up where `up` is given."""
+    ball = trimesh.creation.icosphere(subdivisions=_FINENESS)
+    turn = _turned(up)[:3, :3].T
+    points = np.asarray(ball.vertices, np.float64)
+    axes = np.array([fruit.axes for fruit in fruits], np.float64).reshape(-1, 3, 3) @ turn
+    centers = np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 1, 3) @ turn
+    # A surface p = s A has the gradient s A⁻ᵀ as its normal.
+    normals = points @ np.linalg.inv(axes).transpose(0, 2, 1)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    return _Meshes(scale * (centers + points @ axes), normals, np.asarray(ball.faces, np.int64))
+
+
+def _turned(up: FloatArray | None) -> FloatArray:
+    """(4, 4) rotation that takes `up` to y; none without it."""
+    return np.eye(4) if up is None else trimesh.geometry.align_vectors(up, [0.0, 1.0, 0.0])
+
+
+def write_glb(
+    path: Path, fruit_count: FruitCount, metres_per_unit: float | None, *, up: FloatArray | None = None
+) -> None:
+    """One named ellipsoid a fruit, its properties as glTF extras, lengths among them in the file's `unit`."""
     scene = trimesh.Scene()
-    rotation = trimesh.geometry.align_vectors(up, [0.0, 1.0, 0.0])
+    unit, scale = file_unit(metres_per_unit)
+    rotation = _turned(up)
     for fruit in fruit_count.fruits:
-        mesh = trimesh.creation.icosphere(subdivisions=2)
-        mesh.vertices = mesh.vertices @ fruit.axes
+        mesh = trimesh.creation.icosphere(subdivisions=_FINENESS)
+        mesh.vertices = mesh.vertices @ (scale * fruit.axes)
         mesh.visual = trimesh.visual.TextureVisuals(
             material=trimesh.visual.material.PBRMaterial(
                 baseColorFactor=[*id_color(fruit.id), 255], roughnessFactor=0.6
@@ -42,8 +84,9 @@ def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> N
         mesh.metadata = {
             "id": fruit.id,
             "label": fruit.label,
-            "diameter": fruit.diameter,
-            "axes": fruit.axes.tolist(),
+            "unit": unit,
+            "diameter": fruit.diameter * scale,
+            "axes": (fruit.axes * scale).tolist(),
             "probability": fruit.probability,
             "visible_fraction": fruit.visible_fraction,
             "views": fruit.views,
@@ -53,9 +96,10 @@ def write_glb(path: Path, fruit_count: FruitCount, up: NDArray[np.float64]) -> N
             "tree": fruit.tree,
         }
         name = object_name(fruit)
-        pose = rotation @ trimesh.transformations.translation_matrix(fruit.center)
+        pose = rotation @ trimesh.transformations.translation_matrix(scale * fruit.center)
         scene.add_geometry(mesh, node_name=name, geom_name=name, transform=pose)
-    path.write_bytes(scene.export(file_type="glb") if fruit_count.fruits else _empty_glb())
+    with replacing(path) as temporary:
+        temporary.write_bytes(scene.export(file_type="glb") if fruit_count.fruits else _empty_glb())
 
 
 def _empty_glb() -> bytes:
@@ -66,16 +110,87 @@ def _empty_glb() -> bytes:
     return b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunk)).to_bytes(4, "little") + chunk
 
 
+def write_obj(
+    path: Path, fruit_count: FruitCount, metres_per_unit: float | None, *, up: FloatArray | None = None
+) -> None:
+    """A Wavefront OBJ, one object a fruit (`o fruit_0001_apple`), with its colours in an .mtl of its name beside it.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    unit, scale = file_unit(metres_per_unit)
+    materials = path.with_suffix(".mtl")
+    meshes = _meshes(fruit_count.fruits, scale, up)
+    lines = [*_about(fruit_count, unit, up, "# "), f"mtllib {materials.name}"]
+    for index, fruit in enumerate(fruit_count.fruits):
+        first = 1 + index * meshes.vertices.shape[1]
+        lines += [f"o {_obj_name(fruit)}", f"usemtl {_material(fruit)}", "s 1"]
+        lines += [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in meshes.vertices[index].tolist()]
+        lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in meshes.normals[index].tolist()]
+        lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (meshes.faces + first).tolist()]
+    colors = ["# FruitLangs"]
+    for fruit in fruit_count.fruits:
+        red, green, blue = (channel / 255 for channel in id_color(fruit.id))
+        colors += [f"newmtl {_material(fruit)}", f"Kd {red:.4f} {green:.4f} {blue:.4f}", "Ks 0.1 0.1 0.1", "illum 2"]
+    # The .obj comes last, so that it never names colours that are not there.
+    write_text(materials, "\n".join(colors) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _obj_name(fruit: Fruit) -> str:
+    """`fruit_0001_red_apple`: in an OBJ a name ends at the first space."""
+    return "_".join([f"fruit_{fruit.id:04d}", *fruit.label.split()])
+
+
+def _material(fruit: Fruit) -> str:
+    return f"fruit_{fruit.id:04d}"
+
+
+def _about(fruit_count: FruitCount, unit: str, up: FloatArray | None, mark: str = "") -> list[str]:
+    """What a program or a person needs to know of the numbers that follow."""
+    frame = "the frame of the scene" if up is None else "y is up"
+    return [f"{mark}FruitLangs: {fruit_count.count} fruit", f"{mark}unit: {unit}", f"{mark}axes: {frame}"]
+
+
+def write_fruit_meshes_ply(
+    path: Path, fruit_count: FruitCount, metres_per_unit: float | None, *, up: FloatArray | None = None
+) -> None:
+    """One PLY mesh of all fruit: vertices with colour and `fruit_id`, faces with `fruit_id` too.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    unit, scale = file_unit(metres_per_unit)
+    meshes = _meshes(fruit_count.fruits, scale, up)
+    fruits, corners = meshes.vertices.shape[:2]
+    ids = np.array([fruit.id for fruit in fruit_count.fruits], np.int32)
+    colors = np.array([id_color(fruit.id) for fruit in fruit_count.fruits], np.uint8).reshape(-1, 3)
+    vertices = _points(meshes.vertices.reshape(-1, 3), np.repeat(colors, corners, axis=0), np.repeat(ids, corners))
+    faces = np.empty(fruits * len(meshes.faces), dtype=[("vertex_indices", "<i4", (3,)), ("fruit_id", "<i4")])
+    firsts = corners * np.arange(fruits)[:, None, None]
+    faces["vertex_indices"] = (meshes.faces + firsts).reshape(-1, 3)
+    faces["fruit_id"] = np.repeat(ids, len(meshes.faces))
+    elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
+    with replacing(path) as temporary:
+        PlyData(elements, byte_order="<", comments=_about(fruit_count, unit, up)).write(str(temporary))
+
+
 def write_points_ply(path: Path, fruit_count: FruitCount) -> None:
     """The sampled surface points in the scene's frame, with colour and `fruit_id` (-1: no fruit)."""
+    points = _points(fruit_count.points, fruit_count.point_colors, fruit_count.point_fruit_ids)
+    PlyData([PlyElement.describe(points, "vertex")], byte_order="<").write(str(path))
+
+
+def _points(places: FloatArray, colors: NDArray[np.uint8], ids: NDArray[np.integer]) -> NDArray[np.void]:
+    """A PLY's vertices: places (P, 3), colors (P, 3) and fruit ids (P,)."""
     points = np.empty(
-        len(fruit_count.points),
+        len(places),
         dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
         + [("red", "u1"), ("green", "u1"), ("blue", "u1"), ("fruit_id", "<i4")],
     )
     for axis, name in enumerate("xyz"):
-        points[name] = fruit_count.points[:, axis]
+        points[name] = places[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
-        points[name] = fruit_count.point_colors[:, channel]
-    points["fruit_id"] = fruit_count.point_fruit_ids
-    PlyData([PlyElement.describe(points, "vertex")], byte_order="<").write(str(path))
+        points[name] = colors[:, channel]
+    points["fruit_id"] = ids
+    return points

@@ -21,7 +21,7 @@ from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..counting.ids import NOBODY, KnownFruit
 from ..errors import FormatError, FruitLangsError, OutputError
 from ..files import file_hash, text_hash
-from .words import place
+from .words import file_unit, place
 
 SCHEMA = "fruitlangs.fruits/1"
 FRUITS_JSON = "fruits.json"
@@ -57,14 +57,14 @@ def fruits_document(
     Lengths are metres when metres_per_unit is known, else scene units; centres are always in the input scene's frame.
     unhashed_files: names of the set's files that are not in `files`.
     """
-    unit = 1.0 if metres_per_unit is None else metres_per_unit
+    unit_name, unit = file_unit(metres_per_unit)
     return {
         "schema": SCHEMA,
         "set_id": set_id(files),
         "count": fruit_count.count,
         **_sure(fruit_count),
         "last_id": fruit_count.last_id,
-        "unit": "scene units" if metres_per_unit is None else "m",
+        "unit": unit_name,
         "metres_per_unit": metres_per_unit,
         "hanging": fruit_count.hanging,
         "fallen": fruit_count.fallen,

@@ -17,7 +17,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
     unit, volume_unit = ("units", "units3") if metres_per_unit is None else ("mm", "cm3")
     _, scale = length_unit(metres_per_unit)
     decimals = 6 if metres_per_unit is None else 2
-    volume_scale = 1.0 if metres_per_unit is None else (100.0 * metres_per_unit) ** 3
+    volume_scale = _volume_scale(metres_per_unit)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
@@ -54,7 +54,9 @@ def summary(
     lines = [f"{prompt}: {sureness(fruit_count)}"]
     if fruit_count.fruits:
         lines += [f"  {where}" for where in whereabouts(fruit_count)]
-        lines += _sizes(fruit_count, metres_per_unit)
+        unknown = " (scale unknown: --units.length sets it)" if metres_per_unit is None else ""
+        mean, kinds = size_lines(fruit_count, metres_per_unit)
+        lines += [f"  {mean}{unknown}", f"  {kinds}"]
         lines += ["", *_fruit_rows(fruit_count.fruits[:rows], metres_per_unit)]
         if fruit_count.count > rows:
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
@@ -66,17 +68,37 @@ def summary(
     return "\n".join(lines)
 
 
-def _sizes(fruit_count: FruitCount, metres_per_unit: float | None) -> list[str]:
+def size_lines(fruit_count: FruitCount, metres_per_unit: float | None) -> list[str]:
+    """Two sentences about at least one fruit: how large they are, and of which kinds."""
     unit, scale = length_unit(metres_per_unit)
     mean = three_digits(scale * float(fruit_count.diameters.mean()))
     low, high = (three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
-    unknown = " (scale unknown: --units.length sets it)" if metres_per_unit is None else ""
     fruits = fruit_count.fruits
     kinds = ", ".join(f"{sum(fruit.kind == kind for fruit in fruits)} {kind}" for kind in _kinds(fruits))
-    return [
-        f"  mean diameter {mean} {unit}, 80 % between {low} and {high}{unknown}",
-        f"  kinds: {kinds}",
-    ]
+    return [f"mean diameter {mean} {unit}, 80 % between {low} and {high}", f"kinds: {kinds}"]
+
+
+def fruit_heads(metres_per_unit: float | None) -> list[str]:
+    """What `fruit_cells` are, with their units."""
+    unit, volume_unit = length_unit(metres_per_unit)[0], "cubed scene units" if metres_per_unit is None else "cm³"
+    return [f"diameter ({unit})", f"volume ({volume_unit})", "probability", "visible"]
+
+
+def fruit_cells(fruit: Fruit, metres_per_unit: float | None) -> list[str]:
+    """A fruit's diameter with its standard deviation, volume, probability and visible share, for people to read."""
+    _, scale = length_unit(metres_per_unit)
+    volume = fruit.volume * _volume_scale(metres_per_unit)
+    size = f"{three_digits(fruit.diameter * scale)} ± {float(f'{fruit.diameter_sd * scale:.2g}'):g}"
+    return [size, three_digits(volume), f"{fruit.probability:.2f}", _visible(fruit)]
+
+
+def _visible(fruit: Fruit) -> str:
+    return "-" if fruit.visible_fraction is None else f"{100 * fruit.visible_fraction:.0f} %"
+
+
+def _volume_scale(metres_per_unit: float | None) -> float:
+    """How many cm³ a cubed scene unit is; 1 where the scale is not known."""
+    return 1.0 if metres_per_unit is None else (100.0 * metres_per_unit) ** 3
 
 
 def _kinds(fruits: Sequence[Fruit]) -> list[str]:
@@ -89,9 +111,7 @@ def _fruit_rows(fruits: Sequence[Fruit], metres_per_unit: float | None) -> list[
     header = f"  {'id':>4}  {'label':<12} {size_head:>14} {'probability':>12} {'visible':>8}  kind"
     rows = []
     for fruit in fruits:
-        visible = "-" if fruit.visible_fraction is None else f"{100 * fruit.visible_fraction:.0f} %"
         size = three_digits(fruit.diameter * scale)
-        rows.append(
-            f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {fruit.probability:>12.2f} {visible:>8}  {fruit.kind}"
-        )
+        sure = f"{fruit.probability:>12.2f} {_visible(fruit):>8}"
+        rows.append(f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {sure}  {fruit.kind}")
     return [header, *rows]

@@ -32,6 +32,14 @@ def sureness(fruit_count: FruitCount) -> str:
     return f"{told} (90 %: {low} to {high}); with those nobody saw about {fruit_count.total:.0f} ({least} to {most})"
 
 
+def headline(fruit_count: FruitCount, prompt: str) -> str:
+    """The count over a picture: 'apple: 123 (90 %: 115 to 133)'."""
+    if fruit_count.interval is None:
+        return f"{prompt}: {fruit_count.count}"
+    low, high = fruit_count.interval
+    return f"{prompt}: {fruit_count.count} (90 %: {low} to {high})"
+
+
 def whereabouts(fruit_count: FruitCount) -> list[str]:
     """Where counted fruit are, a sentence each: hanging or on the ground, and on which tree of the row."""
     hanging, fallen = fruit_count.hanging, fruit_count.fallen
@@ -70,6 +78,11 @@ def nothing_found(fruit_count: FruitCount, threshold: float) -> str:
 def length_unit(metres_per_unit: float | None) -> tuple[str, float]:
     """The unit in which people read lengths, and how many of it a scene unit is: mm where the scale is known."""
     return ("scene units", 1.0) if metres_per_unit is None else ("mm", 1000.0 * metres_per_unit)
+
+
+def file_unit(metres_per_unit: float | None) -> tuple[str, float]:
+    """The unit of lengths in files for programs, and how many of it a scene unit is: m where the scale is known."""
+    return ("scene units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
 
 
 def three_digits(value: float) -> str:

@@ -20,6 +20,7 @@ SMALL = Config(
     count=CountConfig(threshold=0.3),
 )
 CONTRACT = ["gaussians.ply", "features.safetensors", "fruits.json", "fruits.csv", "fruits.glb", "fruits.ply"]
+CONTRACT += ["still.jpg", "report.html"]
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
-from plyfile import PlyData
 
 from fruitlangs.engine.counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.files import file_hash, write_text
-from fruitlangs.engine.report.meshes import id_color, write_glb, write_points_ply
+from fruitlangs.engine.report.meshes import id_color
 from fruitlangs.engine.report.results import dump, fruits_document, read_results
 from fruitlangs.engine.report.tables import fruits_csv, summary
 from fruitlangs.engine.report.words import nothing_found, whereabouts
@@ -240,33 +238,6 @@ def test_the_table_has_one_row_a_fruit_and_names_its_unit() -> None:
     rows = list(csv.DictReader(io.StringIO(fruits_csv(two_fruit(), metres_per_unit=None))))
     assert [row["id"] for row in rows] == ["1", "2"]
     assert float(rows[0]["diameter_units"]) == pytest.approx(0.08)
-
-
-def test_the_glb_holds_one_named_mesh_a_fruit_with_up_along_y(tmp_path: Path) -> None:
-    write_glb(tmp_path / "fruits.glb", two_fruit(), up=np.array([0.0, 0.0, 1.0]))
-    scene = trimesh.load(tmp_path / "fruits.glb")
-    assert sorted(scene.geometry) == ["red apple.001", "red apple.002"]
-    low, high = scene.bounds
-    # z = -1 in the scene is y = -1 in glTF
-    assert (low[1] + high[1]) / 2 == pytest.approx(-1.0, abs=1e-3)
-    first = scene.geometry["red apple.001"].bounds  # 0.08 thick each way along its longest axis, the scene's z
-    assert first[1] - first[0] == pytest.approx([0.08, 0.04, 0.16], rel=0.02)
-    header = (tmp_path / "fruits.glb").read_bytes()
-    length = int.from_bytes(header[12:16], "little")
-    extras = json.loads(header[20 : 20 + length])["meshes"][0]["extras"]
-    assert extras["probability"] == 0.9
-
-
-def test_a_glb_without_fruit_is_a_valid_empty_scene(tmp_path: Path) -> None:
-    write_glb(tmp_path / "fruits.glb", NO_FRUIT, up=np.array([0.0, 0.0, 1.0]))
-    assert len(trimesh.load(tmp_path / "fruits.glb").geometry) == 0
-
-
-def test_points_carry_their_fruit(tmp_path: Path) -> None:
-    write_points_ply(tmp_path / "fruits.ply", two_fruit())
-    vertex = PlyData.read(str(tmp_path / "fruits.ply"))["vertex"]
-    assert vertex["fruit_id"].tolist() == [1, -1]
-    assert vertex["red"].tolist() == [200, 0]
 
 
 def test_neighbouring_ids_have_distinct_colours() -> None:

@@ -1,0 +1,96 @@
+"""Fruit in a picture: the ellipse that a camera makes of each ellipsoid, and how much of it nothing hides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..counting.fruit import Fruit
+from ..counting.visibility import draw, look_at
+from ..scene.camera import Camera
+from ..splatting.gaussians import Gaussians
+
+FloatArray = NDArray[np.float64]
+
+HIDDEN_BELOW = 0.1
+"""Share with nothing in front below which a fruit counts as hidden in this picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipse:
+    """A fruit's outline in a picture.
+
+    center: (2,) px; axes: (2, 2) rows are its half axes, px, longest first; depth: of the fruit's centre, scene units;
+    visible: share of it with nothing in front, in [0, 1].
+    """
+
+    id: int
+    center: FloatArray
+    axes: FloatArray
+    depth: float
+    visible: float
+
+    @property
+    def hidden(self) -> bool:
+        return self.visible < HIDDEN_BELOW
+
+    @property
+    def reach(self) -> FloatArray:
+        """(2,) px from the centre to the sides of its upright box."""
+        return np.linalg.norm(self.axes, axis=0)
+
+    def outline(self, corners: int = 64) -> FloatArray:
+        """(corners, 2) px along the ellipse."""
+        turns = 2.0 * np.pi * np.arange(corners) / corners
+        return self.center + np.stack([np.cos(turns), np.sin(turns)], axis=1) @ self.axes
+
+
+def ellipses(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> list[Ellipse]:
+    """The outlines of the fruit whose centres lie in the camera's picture, nearest first."""
+    found = [(fruit, shape) for fruit in fruits if (shape := projected(fruit.center, fruit.axes, camera)) is not None]
+    if not found:
+        return []
+    shares = shown(gaussians, [fruit for fruit, _ in found], camera)
+    outlines = [
+        Ellipse(fruit.id, center, axes, float(camera.project(fruit.center)[1]), float(share))
+        for (fruit, (center, axes)), share in zip(found, shares, strict=True)
+    ]
+    return sorted(outlines, key=lambda outline: (outline.depth, outline.id))
+
+
+def shown(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> FloatArray:
+    """(F,) the share of each fruit that nothing hides from the camera; 0 where half of it is out of the picture."""
+    looks = look_at(
+        draw(gaussians, np.zeros(len(gaussians)), [camera]),
+        np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3),
+        np.array([fruit.diameter / 2.0 for fruit in fruits], np.float64),
+        threshold=0.0,  # what lies on a fruit's skin is taken for the fruit: only depths tell
+    )
+    return np.nan_to_num(looks.visible_fractions)
+
+
+def projected(center: FloatArray, axes: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
+    """(2,) centre and (2, 2) half axes, px, of an ellipsoid's outline.
+
+    axes: (3, 3), rows are its half axes in scene units.
+
+    None where its centre is not in the picture or it is not all before the camera. The outline is the dual conic
+    K (Σ - c cᵀ) Kᵀ of Σ = AᵀA and the centre c in the camera's frame (Hartley and Zisserman 2004, 8.7).
+    """
+    place, depth = camera.project(center)
+    if not depth > 0.0 or not (0.0 <= place[0] < camera.width and 0.0 <= place[1] < camera.height):
+        return None
+    rotation = camera.world_to_camera[:3, :3]
+    middle = rotation @ center + camera.world_to_camera[:3, 3]
+    turned = axes @ rotation.T
+    conic = camera.K @ (turned.T @ turned - np.outer(middle, middle)) @ camera.K.T
+    if conic[2, 2] >= 0.0:
+        return None
+    conic = conic / conic[2, 2]
+    spread = np.outer(conic[:2, 2], conic[:2, 2]) - conic[:2, :2]
+    variances, directions = np.linalg.eigh(spread)
+    half = np.sqrt(np.maximum(variances, 0.0))[::-1, None] * directions.T[::-1]
+    return conic[:2, 2], half

@@ -1,0 +1,125 @@
+"""From where a picture shows a counted tree best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..counting.fruit import Fruit
+from ..counting.visibility import shrunk
+from ..scene.camera import Camera, Scene, looking
+from ..splatting.gaussians import Gaussians
+from ..splatting.viewpoints import LEAST_OPACITY, find_subject
+from .ellipses import HIDDEN_BELOW, shown
+
+FloatArray = NDArray[np.float64]
+
+VIEW_ANGLE = 40.0
+"""Degrees across the shorter side of the picture."""
+MARGIN = 0.05
+"""Share of the picture's half that stays free at each side."""
+TRIED = 10
+"""Directions that are compared: as many of the photos', as different as can be."""
+TRIED_WIDTH = 400
+"""Pixels across the pictures by which they are compared."""
+RISE = 10.0
+"""Degrees from which a tree without photos is looked down at."""
+_AROUND = 1.15
+"""Radii of the subject about its middle within which Gaussians are held to be of the tree."""
+_STEEP = 0.97
+"""Cosine to the upward direction from which a camera looks straight down, so that up does not say how it is held."""
+_EDGES = 0.002
+"""Share of the tree's Gaussians that may lie beyond each edge: strays do not make the tree small."""
+
+
+def framing(
+    scene: Scene, gaussians: Gaussians, fruits: Sequence[Fruit], *, width: int = 1600, height: int = 1200
+) -> Camera:
+    """A level camera of (height, width) pixels that shows the tree and all its fruit.
+
+    Of the directions in which the photos were taken it looks in the one that shows most fruit with nothing before them;
+    of a scene without cameras it looks from a side. It stands where the picture is filled. The same input gives the
+    same camera.
+    """
+    held, radii = _held(gaussians, fruits)
+    directions = _apart([camera.forward for camera in scene.cameras] or _sides(scene.up))
+    framed = [_filled(direction, scene.up, held, radii, width, height) for direction in directions]
+    if len(framed) == 1 or not fruits:
+        return framed[0]
+    factor = min(TRIED_WIDTH / width, 1.0)
+    scores = []
+    for camera in framed:
+        shares = shown(gaussians, fruits, shrunk(camera, factor))
+        scores.append((int((shares >= HIDDEN_BELOW).sum()), float(shares.sum())))
+    return framed[max(range(len(framed)), key=scores.__getitem__)]
+
+
+def _held(gaussians: Gaussians, fruits: Sequence[Fruit]) -> tuple[FloatArray, FloatArray]:
+    """(P, 3) and (P,) centres and radii of balls that the picture holds: the fruit, and the tree's Gaussians."""
+    centers = np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3)
+    radii = np.array([fruit.lengths.max() / 2.0 for fruit in fruits], np.float64)
+    if not len(gaussians):
+        return (centers, radii) if len(centers) else (np.zeros((1, 3)), np.ones(1))
+    subject = find_subject(gaussians)
+    means = gaussians.means.detach().double().numpy()
+    solid = gaussians.opacities.detach().numpy() >= LEAST_OPACITY
+    near = means[solid & (np.linalg.norm(means - subject.center, axis=1) <= _AROUND * subject.radius)]
+    if not len(near):
+        return np.vstack([centers, subject.center]), np.append(radii, subject.radius)
+    return np.vstack([centers, near]), np.append(radii, np.zeros(len(near)))
+
+
+def _sides(up: FloatArray) -> list[FloatArray]:
+    """Eight directions around a tree, a little downward."""
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    side /= np.linalg.norm(side)
+    ahead = np.cross(up, side)
+    rise = math.radians(RISE)
+    turns = [2.0 * math.pi * index / 8 for index in range(8)]
+    return [math.cos(rise) * (math.cos(turn) * side + math.sin(turn) * ahead) - math.sin(rise) * up for turn in turns]
+
+
+def _apart(directions: Sequence[FloatArray]) -> list[FloatArray]:
+    """At most TRIED of the directions: the first, then always the one farthest from those taken."""
+    rows = np.stack(directions)
+    taken = [0]
+    nearest = rows @ rows[0]
+    while len(taken) < min(TRIED, len(rows)):
+        taken.append(int(nearest.argmin()))
+        nearest = np.maximum(nearest, rows @ rows[taken[-1]])
+    return [rows[index] for index in taken]
+
+
+def _filled(
+    direction: FloatArray, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int
+) -> Camera:
+    """The camera that looks in `direction` from as near as all the balls allow."""
+    level = up if abs(float(direction @ up)) < _STEEP else np.eye(3)[np.argmin(np.abs(direction))]
+    turn = looking(np.zeros(3), direction, level)[:3, :3]
+    focal = 0.5 * min(width, height) / math.tan(math.radians(VIEW_ANGLE) / 2.0)
+    points = centers @ turn.T
+    x, width_depth = _between(points[:, 0], points[:, 2], radii, (1.0 - MARGIN) * width / 2.0 / focal)
+    y, height_depth = _between(points[:, 1], points[:, 2], radii, (1.0 - MARGIN) * height / 2.0 / focal)
+    place = np.array([x, y, min(width_depth, height_depth)]) @ turn
+    K = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
+    return Camera(K=K, world_to_camera=looking(place, direction, level), width=width, height=height)
+
+
+def _between(across: FloatArray, depths: FloatArray, radii: FloatArray, slope: float) -> tuple[float, float]:
+    """Where a wedge |across - a| ≤ slope · (depth - d) that holds all balls has its edge (a, d), d as large as can be.
+
+    A ball lies behind a side of the wedge where its centre does by radius · √(1 + slope²).
+    """
+    thick = radii * math.hypot(1.0, slope)
+    right = _edge(across - slope * depths + thick, radii)
+    left = _edge(-across - slope * depths + thick, radii)
+    return (right - left) / 2.0, -(right + left) / (2.0 * slope)
+
+
+def _edge(reaches: FloatArray, radii: FloatArray) -> float:
+    """The farthest reach of all fruit and of all but few of the tree's Gaussians, which have no radius."""
+    fruit, tree = reaches[radii > 0.0], reaches[radii <= 0.0]
+    return float(max([*fruit, *([np.quantile(tree, 1.0 - _EDGES)] if len(tree) else [])]))
