@@ -53,10 +53,12 @@ def project(
 def uncovered(boxes: NDArray[np.float64]) -> list[int]:
     """Which of boxes (N, 4) of x, y, width, height cover none that comes before them and stays, in their order."""
     low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
-    kept: list[int] = []
+    covers, kept = np.zeros(len(boxes), bool), []
     for index in range(len(boxes)):
-        if not ((low[kept] < high[index]) & (high[kept] > low[index])).all(axis=1).any():
+        if not covers[index]:
             kept.append(index)
+            apart = (low >= high[index]) | (high <= low[index])
+            covers |= ~(apart[:, 0] | apart[:, 1])
     return kept
 
 
