@@ -144,6 +144,7 @@ def _flat(given: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
         if isinstance(value, Mapping):
             yield from _flat(value, f"{full}.")
         elif isinstance(value, Sequence) and not isinstance(value, str):
-            yield full, ", ".join(map(str, value)) or "-"
+            parts = [" ".join(map(" ".join, _flat(part))) if isinstance(part, Mapping) else str(part) for part in value]
+            yield full, ", ".join(parts) or "-"
         else:
             yield full, "-" if value is None else str(value)

@@ -134,6 +134,11 @@ def test_how_it_was_made_is_folded(tmp_path: Path) -> None:
     assert "red apple, pear" in reader.text
 
 
+def test_a_list_of_records_is_told_without_brackets(tmp_path: Path) -> None:
+    records = [{"view": "1.jpg", "psnr": 23.1}, {"view": "9.jpg", "psnr": 24.0}]
+    assert "view 1.jpg psnr 23.1, view 9.jpg psnr 24.0" in page(tmp_path, provenance={"held_out": records}).text
+
+
 def test_the_same_count_gives_the_same_page(tmp_path: Path) -> None:
     page(tmp_path)
     first = (tmp_path / "report.html").read_bytes()
