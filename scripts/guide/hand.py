@@ -122,7 +122,7 @@ class Hand:
             while y > region.y + STEP:
                 yield from self.move(x, y)
                 if what in self.under_mouse():
-                    return x, y
+                    return x, y - STEP // 2  # its very edge takes no click
                 y -= STEP
             for _ in range(NOTCHES):
                 yield from self.press("WHEELDOWNMOUSE", x, region.y + region.height / 2)
