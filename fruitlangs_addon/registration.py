@@ -12,6 +12,7 @@ from ..operators import (
     caches,
     count,
     dependencies,
+    export,
     import_scene,
     jobs,
     label_drawing,
@@ -30,6 +31,7 @@ from . import (
     properties,
     step_ask,
     step_count,
+    step_export,
     step_reconstruct,
     step_review,
     step_scene,
@@ -49,6 +51,7 @@ CLASSES: tuple[Any, ...] = (
     *count.CLASSES,
     *review.CLASSES,
     *best_photo.CLASSES,
+    *export.CLASSES,
     *step_scene.CLASSES,
     *step_reconstruct.CLASSES,
     *step_ask.CLASSES,
@@ -56,6 +59,7 @@ CLASSES: tuple[Any, ...] = (
     *fruit_list.CLASSES,
     *step_review.CLASSES,
     *photos.CLASSES,
+    *step_export.CLASSES,
     *preferences.CLASSES,
 )
 
@@ -72,6 +76,7 @@ def register() -> None:
         bpy.utils.register_class(item)
     bpy.types.Scene.fruitlangs = bpy.props.PointerProperty(type=properties.FRUITLANGS_PG_settings)
     bpy.types.TOPBAR_MT_file_import.append(import_scene.menu_entry)
+    bpy.types.TOPBAR_MT_file_export.append(export.menu_entry)
     ask.register_handlers()
     photo_backgrounds.register_watch()
     label_drawing.register_drawing()
@@ -83,6 +88,7 @@ def unregister() -> None:
     label_drawing.unregister_drawing()
     photo_backgrounds.unregister_watch()
     ask.unregister_handlers()
+    bpy.types.TOPBAR_MT_file_export.remove(export.menu_entry)
     bpy.types.TOPBAR_MT_file_import.remove(import_scene.menu_entry)
     if hasattr(bpy.types.Scene, "fruitlangs"):
         del bpy.types.Scene.fruitlangs

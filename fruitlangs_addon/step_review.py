@@ -6,7 +6,7 @@ import bpy
 
 from ..operators.blender_data import owned_objects
 from ..operators.fruit_objects import REVIEW, fruit_collection
-from ..operators.keep_review import review_line
+from ..operators.keep_review import entry_text, review_line
 from ..operators.review import (
     FRUITLANGS_OT_add_fruit,
     FRUITLANGS_OT_confirm_fruit,
@@ -82,16 +82,6 @@ class FRUITLANGS_PT_review_log(SidebarPanel, bpy.types.Panel):
             draw_text(self.layout, entry_text(entry), context)
         if len(log) > LAST:
             self.layout.label(text=f"… and {len(log) - LAST} before")
-
-
-def entry_text(entry: bpy.types.PropertyGroup) -> str:
-    """'2026-05-01 10:00 merge 12, 15 → 121 (one apple)'."""
-    numbers = [", ".join(str(spot.number) for spot in spots) for spots in (entry.before, entry.after)]
-    if entry.action == "relabel":
-        numbers[1] = entry.after[0].label
-    told = " → ".join(number for number in numbers if number)
-    reason = f" ({entry.reason})" if entry.reason else ""
-    return f"{entry.time[:16].replace('T', ' ')} {entry.action} {told}{reason}"
 
 
 CLASSES = (FRUITLANGS_PT_review, FRUITLANGS_PT_review_log)

@@ -16,7 +16,7 @@ from .photo_backgrounds import PROBLEM, keep_only, show_photo
 from .photo_choice import Sight, Surface, best_sights
 from .photo_files import PHOTO, SIZE
 from .photo_view import look_through, remembers, restore_view, view_area
-from .write_cameras import read_camera
+from .read_cameras import read_camera
 
 
 def active_fruit(context: bpy.types.Context) -> bpy.types.Object | None:

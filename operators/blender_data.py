@@ -76,6 +76,12 @@ def linear_from_srgb(srgb: NDArray[Any] | Sequence[float]) -> NDArray[Any]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
+def srgb_from_linear(linear: NDArray[Any] | Sequence[float]) -> NDArray[Any]:
+    """The way back of `linear_from_srgb`."""
+    values = np.asarray(linear, dtype=np.float32)
+    return np.where(values <= 0.04045 / 12.92, values * 12.92, 1.055 * np.maximum(values, 0.0) ** (1 / 2.4) - 0.055)
+
+
 def rgba(rgb: NDArray[Any]) -> NDArray[Any]:
     """(N, 4) with alpha 1."""
     return np.concatenate([rgb, np.ones((len(rgb), 1), np.float32)], axis=1)

@@ -145,6 +145,7 @@ class JobOperator:
 
     title = ""
     _target: Target
+    _job: Any = None
 
     def prepare(self, context: bpy.types.Context) -> Work:
         """Read the settings and return the work; called on the main thread. May raise FruitLangsError.
@@ -217,9 +218,13 @@ class JobOperator:
         return self._conclude(context)
 
     def cancel(self: Any, context: bpy.types.Context) -> None:
-        """Called by Blender when the file or the window is closed: nothing is left to show the result in."""
-        self._job.cancel()
-        self._leave(context)
+        """Called by Blender when the file or the window is closed: nothing is left to show the result in.
+
+        Also when the file dialog that some open first is left without a choice: then there is no job yet.
+        """
+        if self._job is not None:
+            self._job.cancel()
+            self._leave(context)
 
     def _leave(self: Any, context: bpy.types.Context) -> None:
         """Take away what the running job showed."""

@@ -41,21 +41,47 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount) -> list[
     ]
 
 
-def review_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185, interval 178–196'; without the middle where nothing was reviewed."""
+def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
+    """Whether a person has decided anything about its fruit."""
+    return bool(len(bpy_scene.fruitlangs.review.log)) or any(
+        REVIEW in item for item in owned_objects(bpy_scene, "fruit")
+    )
+
+
+def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
+    """90 % interval of the visible fruit, narrowed by what has been looked at; None where the count tells none."""
     from ..engine.counting.review import corrected_interval
 
     shown = bpy_scene.fruitlangs.result
-    items = owned_objects(bpy_scene, "fruit")
+    if shown.high < 0:
+        return None
+    own = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) in (None, CONFIRMED, REJECTED)]
+    chances = np.array([float(item.get("probability", 1.0)) for item in own])
+    reviewed = np.array([REVIEW in item for item in own], bool)
+    rejected = sum(item.get(REVIEW) == REJECTED for item in own)
     after = len(standing(bpy_scene))
-    told = [f"machine {shown.count}"]
-    if any(REVIEW in item for item in items) or len(bpy_scene.fruitlangs.review.log):
-        told.append(f"after review {after}")
-    if shown.high >= 0:
-        own = [item for item in items if item.get(REVIEW) in (None, CONFIRMED, REJECTED)]
-        chances = np.array([float(item.get("probability", 1.0)) for item in own])
-        reviewed = np.array([REVIEW in item for item in own], bool)
-        rejected = sum(item.get(REVIEW) == REJECTED for item in own)
-        low, high = corrected_interval(shown.count, (shown.low, shown.high), chances, reviewed, rejected, after)
-        told.append(f"interval {low}–{high}")
+    return corrected_interval(shown.count, (shown.low, shown.high), chances, reviewed, rejected, after)
+
+
+def review_line(bpy_scene: bpy.types.Scene) -> str:
+    """'machine 182, after review 185, interval 178–196'; without the middle where nothing was reviewed."""
+    shown = bpy_scene.fruitlangs.result
+    told = [f"machine {shown.count}"] if shown.count >= 0 else []
+    if is_reviewed(bpy_scene):
+        told.append(f"after review {len(standing(bpy_scene))}")
+    elif not told:  # a .blend that the command line wrote
+        told.append(f"{len(standing(bpy_scene))} fruit")
+    interval = reviewed_interval(bpy_scene)
+    if interval is not None:
+        told.append(f"interval {interval[0]}–{interval[1]}")
     return ", ".join(told)
+
+
+def entry_text(entry: bpy.types.PropertyGroup) -> str:
+    """One decision of the log: '2026-05-01 10:00 merge 12, 15 → 121 (one apple)'."""
+    numbers = [", ".join(str(spot.number) for spot in spots) for spots in (entry.before, entry.after)]
+    if entry.action == "relabel":
+        numbers[1] = entry.after[0].label
+    told = " → ".join(number for number in numbers if number)
+    reason = f" ({entry.reason})" if entry.reason else ""
+    return f"{entry.time[:16].replace('T', ' ')} {entry.action} {told}{reason}"

@@ -17,7 +17,7 @@ from ..engine.report.words import length_unit, three_digits
 from .blender_data import owned_object, owned_objects
 from .pick_tool import PickTool
 from .settings import read_config
-from .write_fruits import LENGTHS, tell_unit
+from .write_fruits import MEASURED, tell_unit
 
 METRES = "metres_per_unit"
 """Custom property of the root: metres in a scene unit, 0 where they are not known."""
@@ -42,9 +42,8 @@ def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
     root.matrix_basis = Matrix.Scale(ratio, 4) @ root.matrix_basis
     root[METRES] = metres_per_unit
     for item in owned_objects(bpy_scene, "fruit"):
-        for key in ("diameter", *LENGTHS):
-            if key in item:
-                item[key] = item[key] * ratio
+        for key in (key for key in MEASURED if key in item):
+            item[key] = item[key] * ratio
         tell_unit(item, metres_per_unit)
     for item in owned_objects(bpy_scene, "camera"):
         item.data.clip_start *= ratio

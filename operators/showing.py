@@ -81,6 +81,8 @@ def keep_result(settings: Any, result: Result) -> None:
     _keep_gaussians(shown, len(result.gaussians), result.origin["training"], result.out / "features.safetensors")
     shown.count = fruit_count.count
     shown.low, shown.high = fruit_count.interval or (-1, -1)
+    shown.total = -1.0 if fruit_count.total is None else fruit_count.total
+    shown.total_low, shown.total_high = fruit_count.total_interval or (-1, -1)
     shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
     shown.unit, scale = length_unit(result.scene.metres_per_unit)
     shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .blender_data import in_scene_frame, new_object, owned_collection, owned_objects, remove_objects
+from .blender_data import new_object, owned_collection, owned_objects, remove_objects
 from .photo_backgrounds import remove_backgrounds
 from .photo_files import ASPECT, SIZE, keep_photo
 
@@ -66,21 +66,6 @@ def set_intrinsics(data: bpy.types.Camera, camera: Camera) -> None:
     data.lens = fx * SENSOR_WIDTH / camera.width
     data.shift_x = (0.5 * camera.width - cx) / camera.width
     data.shift_y = (cy - 0.5 * camera.height) / camera.width * (fx / fy)
-
-
-def read_camera(item: bpy.types.Object, root: bpy.types.Object) -> Camera:
-    """The engine's camera of a Blender camera of ours as it stands, in the scene's frame."""
-    from ..engine.scene.camera import Camera
-
-    data, (width, height), ratio = item.data, item[SIZE], item[ASPECT]
-    fx = data.lens * width / data.sensor_width
-    fy = fx / ratio
-    cx = width * (0.5 - data.shift_x)
-    cy = 0.5 * height + data.shift_y * width * fy / fx
-    placed = np.array(in_scene_frame(item, root))
-    placed[:3, :3] /= np.linalg.norm(placed[:3, :3], axis=0)
-    pose = np.linalg.inv(placed @ BLENDER_AXES)
-    return Camera(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), pose, int(width), int(height))
 
 
 def show_through(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import math
 import zlib
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,8 @@ LABEL_HUES = {
     "plum": 0.80,
 }
 LENGTHS = ("length", "width", "thickness")
+MEASURED = ("diameter", "diameter_sd", *LENGTHS)
+"""Custom properties that are lengths."""
 GOLDEN = 0.6180339887
 """Steps of the golden ratio spread any number of neighbours evenly."""
 
@@ -44,8 +47,8 @@ def write_fruits(
 
     Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
     world), turned and scaled as it is long, and carries the custom properties of its row in `fruits.json`: id, label,
-    diameter, length, width and thickness (metres where metres_per_unit is known, else scene units), probability,
-    visible_fraction (absent where not measured), views, color and kind, fallen and tree (absent where not known).
+    diameter, length, width and thickness (metres where metres_per_unit is known, else scene units), probability, views,
+    color and kind; absent where not known: diameter_sd (in the same unit), visible_fraction, fallen and tree.
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -113,6 +116,8 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
     item["id"] = int(fruit.id)
     item["label"] = fruit.label
     item["diameter"] = float(fruit.diameter) * (metres_per_unit or 1.0)
+    if math.isfinite(fruit.diameter_sd):
+        item["diameter_sd"] = float(fruit.diameter_sd) * (metres_per_unit or 1.0)
     for key, length in zip(LENGTHS, fruit.lengths, strict=True):
         item[key] = float(length) * (metres_per_unit or 1.0)
     item["probability"] = float(fruit.probability)
@@ -137,7 +142,7 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
 
 def tell_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
     """Say in a fruit's custom properties in which unit its lengths are."""
-    for key in ("diameter", *LENGTHS):
+    for key in (key for key in MEASURED if key in item):
         item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 
 

@@ -3,6 +3,7 @@
 The attributes are the stored truth. Their names follow Blender's native splats where it has one: `scale` (standard
 deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); beside them `opacity`,
 `probability` and `fruit_id` (-1 where the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`.
+The mesh's custom property `ANTIALIASED` says how they are drawn.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
 
+ANTIALIASED = "fruitlangs_antialiased"
+"""Custom property of the mesh: whether its Gaussians fade below a pixel's size (see `Gaussians`)."""
 REACH = 1.2
 """How far from the centre Gaussians are shown, in extents of the scene (about the cameras' distance)."""
 
@@ -78,6 +81,7 @@ def gaussian_mesh(
     set_attribute(mesh, "opacity", "FLOAT", array(gaussians.opacities))
     set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else array(probability))
     set_attribute(mesh, "fruit_id", "INT", fruit_ids(count, fruits))
+    mesh[ANTIALIASED] = bool(gaussians.antialiased)
     mesh.update()
     return mesh
 

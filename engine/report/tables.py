@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -30,12 +31,17 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
         visible = "" if fruit.visible_fraction is None else f"{fruit.visible_fraction:.4f}"
         writer.writerow(
             [fruit.id, fruit.label, *(f"{value:.6f}" for value in fruit.center)]
-            + [f"{value * scale:.{decimals}f}" for value in (fruit.diameter, fruit.diameter_sd, *fruit.lengths)]
+            + [_number(value * scale, decimals) for value in (fruit.diameter, fruit.diameter_sd, *fruit.lengths)]
             + [f"{fruit.volume * volume_scale:.6g}"]
             + [f"{fruit.probability:.4f}", visible, fruit.views, *fruit.color.tolist(), fruit.kind]
             + ["" if fruit.fallen is None else str(fruit.fallen).lower(), "" if fruit.tree is None else fruit.tree]
         )
     return text.getvalue()
+
+
+def _number(value: float, decimals: int) -> str:
+    """Empty where it is not known (NaN), as the deviation of a diameter that a person gave."""
+    return "" if math.isnan(value) else f"{value:.{decimals}f}"
 
 
 def summary(

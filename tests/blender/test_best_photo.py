@@ -21,8 +21,8 @@ from fruitlangs.operators.blender_data import owned_object, owned_objects
 from fruitlangs.operators.photo_backgrounds import PROBLEM, background_of, show_photo
 from fruitlangs.operators.photo_choice import Surface, best_sights
 from fruitlangs.operators.photo_files import FILE, photo_path
+from fruitlangs.operators.read_cameras import read_camera
 from fruitlangs.operators.showing import show_result, show_scene
-from fruitlangs.operators.write_cameras import read_camera
 
 RADIUS = 0.1
 BEND = 2.0

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks, unit
-from fruitlangs.fruitlangs_addon.step_review import entry_text
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.fruit_objects import REVIEW, read_log, standing
-from fruitlangs.operators.keep_review import review_line
+from fruitlangs.operators.keep_review import entry_text, review_line
 from fruitlangs.operators.showing import show_result
 
 

@@ -1,0 +1,50 @@
+"""Step 6, Export: what stands after the review, as files for people and for other programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..operators.export import NAMES
+from ..operators.export_file import TITLE
+from ..operators.export_pictures import FRUITLANGS_OT_export_report, FRUITLANGS_OT_export_still
+from ..operators.export_usd import WITHOUT, has_usd
+from ..operators.fruit_objects import standing
+from ..operators.keep_review import review_line
+from ..operators.read_fruits import counted
+from .panel_parts import State, StepPanel, draw_job, draw_text, work_state
+
+ICONS: dict[Any, str] = {FRUITLANGS_OT_export_report: "FILE_TEXT", FRUITLANGS_OT_export_still: "IMAGE_DATA"}
+
+
+class FRUITLANGS_PT_export(StepPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_export"
+    bl_label = "6 Export"
+    bl_order = 6
+
+    @staticmethod
+    def state(context: bpy.types.Context) -> State:
+        return work_state(context, TITLE, False, counted(context.scene))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.body()
+        if draw_job(layout, TITLE, context):
+            return
+        if not counted(context.scene):
+            draw_text(layout, "Count first; then the fruit can be exported", context)
+        else:
+            fruit = len(standing(context.scene))
+            draw_text(layout, f"Written are the {fruit} fruit that stand now", context)
+            draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
+        for item, icon in ICONS.items():
+            layout.operator(item.bl_idname, text=NAMES[item], icon=icon)
+        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+        for item, text in NAMES.items():
+            if item not in ICONS:
+                grid.operator(item.bl_idname, text=text, icon="EXPORT")
+        if not has_usd():
+            draw_text(layout, f"{WITHOUT}; use glTF", context, icon="INFO")
+
+
+CLASSES = (FRUITLANGS_PT_export,)
