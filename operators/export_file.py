@@ -74,7 +74,7 @@ class ExportFile(JobOperator):
         if not self._asked:
             return super().execute(context)
         # The dialog calls this when a place was chosen; started anew the operator works in a thread.
-        name = self.bl_idname.partition(".")[2]
+        name = type(self).bl_idname.partition(".")[2]
         getattr(bpy.ops.fruitlangs, name)(
             "INVOKE_DEFAULT", **self.as_keywords(ignore=("check_existing", "filter_glob"))
         )
