@@ -8,9 +8,11 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..operators.ask import suggestions, threshold_changed, words_changed
+from ..operators.gaussian_nodes import DIMMING
+from ..operators.look import look_changed
 from ..operators.settings import apply_preset, config_properties, stage_classes
 from . import review
 from .photos import FRUITLANGS_PG_photos
@@ -76,6 +78,38 @@ class FRUITLANGS_PG_answer(bpy.types.PropertyGroup):
     problem: StringProperty(name="Problem", description="Why there is no answer")
 
 
+class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
+    """How Gaussians look."""
+
+    style: EnumProperty(
+        name="Show",
+        items=[
+            ("SPLATS", "Splats", "As the photos show them, in every shading mode"),
+            ("ELLIPSOIDS", "Ellipsoids", "As Geometry Nodes render them; in colour in Material Preview and Rendered"),
+            ("NONE", "Nothing", "Not in viewports; renders show them still"),
+        ],
+        default="SPLATS",
+        update=look_changed,
+        description="How viewports show Gaussians; renders always show ellipsoids",
+    )
+    highlight: BoolProperty(
+        name="Highlight",
+        default=True,
+        update=look_changed,
+        description="Light what answers to the prompt, grey at the threshold to yellow where it is certain, and dim "
+        "the rest",
+    )
+    dimming: FloatProperty(
+        name="Dimming",
+        default=DIMMING,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        update=look_changed,
+        description="How much of its brightness loses what stays below the threshold",
+    )
+
+
 class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     """`scene.fruitlangs`."""
 
@@ -127,6 +161,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     failed: StringProperty(name="Failed", description="The work that went wrong, empty where none did")
     config: PointerProperty(type=FRUITLANGS_PG_config)
     answer: PointerProperty(type=FRUITLANGS_PG_answer)
+    look: PointerProperty(type=FRUITLANGS_PG_look)
     review: PointerProperty(type=FRUITLANGS_PG_review)
     photos: PointerProperty(type=FRUITLANGS_PG_photos)
     result: PointerProperty(type=FRUITLANGS_PG_result)
@@ -136,6 +171,7 @@ CLASSES = (
     *STAGES.values(),
     FRUITLANGS_PG_config,
     FRUITLANGS_PG_answer,
+    FRUITLANGS_PG_look,
     FRUITLANGS_PG_result,
     *review.CLASSES,
     FRUITLANGS_PG_photos,

@@ -17,15 +17,18 @@ from ..operators import (
     jobs,
     label_drawing,
     level,
+    look,
     package_folder,
     photo_backgrounds,
     reconstruct,
     region,
     review,
     scale,
+    splat_drawing,
 )
 from . import (
     fruit_list,
+    look_panel,
     photos,
     preferences,
     properties,
@@ -55,6 +58,7 @@ CLASSES: tuple[Any, ...] = (
     *step_scene.CLASSES,
     *step_reconstruct.CLASSES,
     *step_ask.CLASSES,
+    *look_panel.CLASSES,
     *step_count.CLASSES,
     *fruit_list.CLASSES,
     *step_review.CLASSES,
@@ -80,11 +84,15 @@ def register() -> None:
     ask.register_handlers()
     photo_backgrounds.register_watch()
     label_drawing.register_drawing()
+    look.register_handlers()
+    splat_drawing.register_handlers()
 
 
 def unregister() -> None:
     """Take everything away and leave nothing behind; a running job is asked to stop."""
     jobs.cancel_running(CANCEL_SECONDS)
+    splat_drawing.unregister_handlers()
+    look.unregister_handlers()
     label_drawing.unregister_drawing()
     photo_backgrounds.unregister_watch()
     ask.unregister_handlers()

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ..engine.errors import FruitLangsError, OutputError, SceneError
 from .blender_data import array, get_attribute, owned_object, set_attribute
 from .jobs import describe_error, redraw_sidebars
+from .look import apply_look, look_changed
 from .preload import preload_torch
 from .settings import read_config, read_prompts, read_words, stored_file
 from .viewport import redraw_viewports
@@ -243,6 +244,7 @@ def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], wo
     set_attribute(item.data, "probability", "FLOAT", probability)
     item.data.update()
     item.data[ASKED] = words
+    apply_look(bpy_scene)
     tell_answer(bpy_scene)
     redraw_viewports()
 
@@ -261,6 +263,7 @@ def tell_answer(bpy_scene: bpy.types.Scene) -> None:
 def threshold_changed(settings: Any, _context: Any = None) -> None:
     """Called when the threshold was edited."""
     tell_answer(settings.id_data)
+    look_changed(settings)
 
 
 def _tell(bpy_scene: bpy.types.Scene, problem: str) -> None:

@@ -13,8 +13,10 @@ import bpy
 
 from .blender_data import OWNER, linear_from_srgb
 
-VERSION = 1
+VERSION = 2
 """Raise when a node tree or material changes: those in older files are then left alone and new ones made."""
+
+GAUSSIAN_NODES = "gaussian nodes"
 
 ELLIPSOID_LIMIT = 100_000
 """Above this many Gaussians points are drawn; instances get too slow."""
@@ -29,8 +31,11 @@ PROBABILITY_RAMP = (
 )
 """Cividis (Nuñez et al. 2018): its lightness rises evenly, so it reads the same with any colour vision."""
 
-DIMMED = 0.35
-"""Brightness that an unlikely Gaussian keeps of its own colour."""
+RAMP_START = 0.5
+"""Where on the ramp a Gaussian at the threshold is; one that is certain is at its end. Below it none has its colour."""
+
+THRESHOLD, DIMMING = 0.5, 0.65
+"""Where the look does not say: probability from which a Gaussian fits, share of its brightness that another loses."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,12 @@ def _once(name: str, role: str, blocks: Any, make: Callable[[], Any]) -> Any:
 
 def gaussian_node_group() -> bpy.types.GeometryNodeTree:
     """Points with our attributes → ellipsoids (up to `ELLIPSOID_LIMIT`) or points, coloured by probability."""
-    return _once("FruitLangs Gaussians", "gaussian nodes", bpy.data.node_groups, _make_gaussian_group)
+    return _once("FruitLangs Gaussians", GAUSSIAN_NODES, bpy.data.node_groups, _make_gaussian_group)
+
+
+def is_gaussian_group(group: Any) -> bool:
+    """Whether a node group is `gaussian_node_group`'s, of any version."""
+    return str(group.get(OWNER, "")).startswith(GAUSSIAN_NODES)
 
 
 def point_node_group() -> bpy.types.GeometryNodeTree:
@@ -99,19 +109,47 @@ def color_material() -> bpy.types.Material:
 
 def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     """Set an input of a Geometry Nodes modifier by its name."""
+    identifier = _identifier(modifier, name)
+    if hasattr(modifier, "properties"):  # Blender 5.2
+        getattr(modifier.properties.inputs, identifier).value = value
+    else:
+        modifier[identifier] = value
+
+
+def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
+    """An input of a Geometry Nodes modifier by its name: a number, or a tuple of them."""
+    identifier = _identifier(modifier, name)
+    if hasattr(modifier, "properties"):  # Blender 5.2
+        value = getattr(modifier.properties.inputs, identifier).value
+    else:
+        value = modifier[identifier]
+    return tuple(value) if hasattr(value, "__len__") else value
+
+
+def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
     for socket in modifier.node_group.interface.items_tree:
         if socket.name == name and socket.in_out == "INPUT":
-            if hasattr(modifier, "properties"):  # Blender 5.2
-                getattr(modifier.properties.inputs, socket.identifier).value = value
-            else:
-                modifier[socket.identifier] = value
-            return
+            return str(socket.identifier)
     raise KeyError(f"{modifier.node_group.name} has no input {name}")
+
+
+def renew_nodes(modifier: bpy.types.NodesModifier) -> None:
+    """Give a modifier whose Gaussian nodes are of an older version the present ones; inputs stay as they were."""
+    group, old = gaussian_node_group(), modifier.node_group
+    if old == group:
+        return
+    names = [item.name for item in old.interface.items_tree if item.in_out == "INPUT" and item.name != "Geometry"]
+    kept = {name: get_input(modifier, name) for name in names}
+    modifier.node_group = group
+    for name, value in kept.items():
+        set_input(modifier, name, value)
 
 
 def _input(group: Any, name: str, kind: str, default: Any, low: Any, high: Any, description: str) -> None:
     socket = group.interface.new_socket(name, in_out="INPUT", socket_type=kind, description=description)
-    socket.default_value, socket.min_value, socket.max_value = default, low, high
+    socket.default_value = default
+    if low is not None:
+        socket.min_value, socket.max_value = low, high
 
 
 def _new_group() -> Any:
@@ -130,6 +168,10 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     _input(group, "Lowest Opacity", number, 0.1, 0.0, 1.0, "Hide Gaussians more transparent than this")
     _input(group, "Reach", number, 1e9, 0.0, 1e9, "Hide Gaussians farther than this from the centre, as of the sky")
     _input(group, "Centre", "NodeSocketVector", (0.0, 0.0, 0.0), -1e9, 1e9, "What the cameras look at")
+    _input(group, "Highlight", "NodeSocketBool", False, None, None, "Light Gaussians that fit the prompt, dim others")
+    _input(group, "Threshold", number, THRESHOLD, 0.0, 1.0, "Probability from which a Gaussian fits the prompt")
+    _input(group, "Dimming", number, DIMMING, 0.0, 1.0, "Share of its brightness that one that does not fit loses")
+    _input(group, "In Viewport", "NodeSocketBool", True, None, None, "Show them in viewports too, not in renders alone")
     _input(
         group, "Ellipsoids up to", whole, ELLIPSOID_LIMIT, 0, 10_000_000, "Draw points when there are more than this"
     )
@@ -149,6 +191,7 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     points = piece.node(
         "GeometryNodeMeshToPoints", 4, 1, {"Mesh": given["Geometry"], "Selection": shown, "Radius": radius}
     ).outputs[0]
+    points = _highlighted(piece, points, given)
 
     ellipsoids = _ellipsoids(piece, points, axes)
     dots = piece.node(
@@ -161,8 +204,41 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     chosen = piece.node(
         "GeometryNodeSwitch", 8, 0, {"Switch": many, "False": ellipsoids, "True": dots}, input_type="GEOMETRY"
     ).outputs[0]
-    piece.node("NodeGroupOutput", 9, 0, {0: chosen})
+    # Not the modifier's own display: the bare mesh would then show as black dots.
+    viewport = piece.node("GeometryNodeIsViewport", 8, 2).outputs[0]
+    hidden = piece.node("FunctionNodeBooleanMath", 9, 1, {0: viewport, 1: given["In Viewport"]}, operation="NIMPLY")
+    left = piece.node(
+        "GeometryNodeSwitch", 10, 0, {"Switch": hidden.outputs[0], "False": chosen}, input_type="GEOMETRY"
+    ).outputs[0]
+    piece.node("NodeGroupOutput", 11, 0, {0: left})
     return group
+
+
+def _highlighted(piece: Piece, points: Any, given: Any) -> Any:
+    """Points with the attributes `ramp` (place on `PROBABILITY_RAMP`, 0 for none) and `brightness` of the material.
+
+    The twin of the highlight in `splat_shader`.
+    """
+    probability = piece.attribute("probability", "FLOAT", 3, 8)
+    fits = piece.at_least(probability, given["Threshold"], 4, 8)
+    lit = piece.node("FunctionNodeBooleanMath", 5, 8, {0: fits, 1: given["Highlight"]}, operation="AND").outputs[0]
+    place = piece.node(
+        "ShaderNodeMapRange", 5, 9, {"Value": probability, 1: given["Threshold"], 2: 1.0, 3: RAMP_START, 4: 1.0}
+    ).outputs[0]
+    ramp = piece.node("ShaderNodeMath", 6, 8, {0: lit, 1: place}, operation="MULTIPLY").outputs[0]
+    dim = piece.node("FunctionNodeBooleanMath", 5, 10, {0: given["Highlight"], 1: fits}, operation="NIMPLY").outputs[0]
+    lost = piece.node("ShaderNodeMath", 6, 10, {0: dim, 1: given["Dimming"]}, operation="MULTIPLY").outputs[0]
+    brightness = piece.node("ShaderNodeMath", 7, 10, {0: 1.0, 1: lost}, operation="SUBTRACT").outputs[0]
+    for column, (name, value) in enumerate((("ramp", ramp), ("brightness", brightness))):
+        points = piece.node(
+            "GeometryNodeStoreNamedAttribute",
+            5 + column,
+            6,
+            {"Geometry": points, "Name": name, "Value": value},
+            data_type="FLOAT",
+            domain="POINT",
+        ).outputs[0]
+    return points
 
 
 def _ellipsoids(piece: Piece, points: Any, axes: Any) -> Any:
@@ -209,11 +285,13 @@ def _make_color_material() -> bpy.types.Material:
 
 def _make_probability_material(attribute_type: str) -> bpy.types.Material:
     material, piece, light = _new_light_material()
-    likely = piece.node("ShaderNodeAttribute", 0, 0, attribute_name="probability", attribute_type=attribute_type)
+    likely = piece.node("ShaderNodeAttribute", 0, 0, attribute_name="ramp", attribute_type=attribute_type)
+    bright = piece.node("ShaderNodeAttribute", 0, 2, attribute_name="brightness", attribute_type=attribute_type)
     own = piece.node("ShaderNodeAttribute", 0, 1, attribute_name="radiance:base", attribute_type=attribute_type)
     ramp = piece.node("ShaderNodeValToRGB", 1, 0, {"Fac": likely.outputs["Fac"]})
     _set_ramp(ramp.color_ramp)
-    dim = piece.node("ShaderNodeVectorMath", 1, 2, {0: own.outputs["Vector"], "Scale": DIMMED}, operation="SCALE")
+    dim = piece.node("ShaderNodeVectorMath", 1, 2, {0: own.outputs["Vector"]}, operation="SCALE")
+    piece.tree.links.new(bright.outputs["Fac"], dim.inputs["Scale"])
     mix = piece.node("ShaderNodeMix", 3, 0, data_type="RGBA")
     for source, target in ((ramp.outputs["Alpha"], 0), (dim.outputs[0], 6), (ramp.outputs["Color"], 7)):
         piece.tree.links.new(source, mix.inputs[target])

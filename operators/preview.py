@@ -6,9 +6,12 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import bpy
+import numpy as np
 
-from .blender_data import array, owned_object
-from .splat_drawing import Splats, show_preview
+from . import splat_drawing
+from .blender_data import array, in_scene_frame, owned_object, owned_objects
+from .splats import Splats, splats_in_training
+from .write_gaussians import REACH
 
 if TYPE_CHECKING:
     from ..engine.splatting.gaussians import Gaussians
@@ -25,6 +28,7 @@ class Preview:
         root = owned_object(bpy_scene, "root")
         self._scene = bpy_scene.session_uid
         self._matrix: Any = None if root is None else root.matrix_world.copy()
+        self._centre, self._reach = splat_drawing.EVERYWHERE if root is None else _room(bpy_scene, root)
         self._latest: Splats | None = None
         self._shown: Splats | None = None
         self._last = time.monotonic()
@@ -33,13 +37,13 @@ class Preview:
         """Keep a copy of the Gaussians; called by the training's thread."""
         if self._matrix is None:
             return
-        self._latest = Splats(
-            means=array(gaussians.means),
-            scales=array(gaussians.scales),
-            quats=array(gaussians.quats),
-            colors=array(gaussians.base_colors),
-            opacities=array(gaussians.opacities),
-            probability=None,
+        self._latest = splats_in_training(
+            array(gaussians.means),
+            array(gaussians.scales),
+            array(gaussians.quats),
+            array(gaussians.base_colors),
+            array(gaussians.opacities),
+            gaussians.antialiased,
         )
 
     def show(self) -> None:
@@ -47,8 +51,19 @@ class Preview:
         if self._latest is None or self._latest is self._shown or time.monotonic() - self._last < SHOW_SECONDS:
             return
         self._shown, self._last = self._latest, time.monotonic()
-        show_preview(self._scene, self._shown, self._matrix)
+        preview = splat_drawing.Interim(self._shown, self._matrix, self._centre, self._reach)
+        splat_drawing.show_preview(self._scene, preview)
 
     def remove(self) -> None:
         """Draw what the .blend holds again."""
-        show_preview(self._scene, None, self._matrix)
+        splat_drawing.show_preview(self._scene, None)
+
+
+def _room(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[tuple[float, ...], float]:
+    """Centre and reach of what is shown, about as `write_gaussians` will have them: the ring of the cameras."""
+    cameras = owned_objects(bpy_scene, "camera")
+    if len(cameras) < 2:
+        return splat_drawing.EVERYWHERE
+    places = np.array([in_scene_frame(item, root).translation for item in cameras])
+    middle = places.mean(0)
+    return tuple(middle.tolist()), 1.1 * REACH * float(np.linalg.norm(places - middle, axis=1).max())

@@ -11,12 +11,13 @@ from ..engine.report.words import length_unit, nothing_found, sureness, three_di
 from .ask import ASKED, ask_soon, tell_answer
 from .blender_data import owned_object
 from .keep_review import keep_decisions
+from .look import apply_look, look_of
 from .settings import stored_path
 from .viewport import look_at_scene, show_colors, shown_screens
 from .write import SET_ID, write_result
 from .write_cameras import write_cameras
 from .write_gaussians import write_gaussians
-from .write_points import write_points
+from .write_points import hide_points, write_points
 from .write_root import write_root
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
         write_points(bpy_scene, scene, root)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(bpy_scene.fruitlangs.result, scene)
-    show_colors(shown_screens(context))
+    show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
     look_at_scene(shown_screens(context), bpy_scene)
 
 
@@ -43,12 +44,14 @@ def show_reconstruction(
     first = owned_object(bpy_scene, "root") is None
     root = write_root(bpy_scene, made.scene)
     write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
+    hide_points(bpy_scene)
+    apply_look(bpy_scene)
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
     _keep_scene(shown, made.scene)
     _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
     shown.notices = "; ".join(stages.notices)
-    show_colors(shown_screens(context))
+    show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context), bpy_scene)
     if not bpy.app.background:
@@ -59,6 +62,8 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
     """Everything of a count."""
     first = owned_object(bpy_scene, "root") is None
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count)
+    hide_points(bpy_scene)
+    apply_look(bpy_scene)
     bpy_scene[SET_ID] = result.set_id
     item = owned_object(bpy_scene, "gaussians")
     assert item is not None
@@ -69,7 +74,7 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
         shown = bpy_scene.fruitlangs.result
         shown.notices = "; ".join([shown.notices, *lost] if shown.notices else lost)
     tell_answer(bpy_scene)
-    show_colors(shown_screens(context))
+    show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context), bpy_scene)
 

@@ -16,14 +16,17 @@ def shown_screens(context: bpy.types.Context) -> list[bpy.types.Screen]:
     return [] if bpy.app.background or context.screen is None else [context.screen]
 
 
-def show_colors(screens: Iterable[bpy.types.Screen]) -> None:
-    """Turn solid viewports to material shading (Solid shows no colour of an instance or a point).
+def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
+    """Let viewports show Gaussians in colour: splats do in every shading mode, ellipsoids and points in Material alone.
 
-    The dashed lines from every camera and fruit to the root are switched off.
+    Solid shows fruit in their own colour too, which is their object's. The dashed lines from every camera and fruit to
+    the root are switched off.
     """
     for space in _viewports(screens):
-        if space.shading.type in {"SOLID", "WIREFRAME"}:
+        if not splats and space.shading.type in {"SOLID", "WIREFRAME"}:
             space.shading.type = "MATERIAL"
+        if space.shading.color_type == "MATERIAL":
+            space.shading.color_type = "OBJECT"
         space.overlay.show_relationship_lines = False
 
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from ..engine.errors import OutputError
 from ..engine.files import replacing
 from .blender_data import OWNER, new_object, owned_collection
+from .gaussian_nodes import THRESHOLD
+from .look import set_threshold
 from .viewport import look_at_scene, show_colors
 from .write_cameras import write_cameras
 from .write_fruits import write_fruits
@@ -60,12 +62,14 @@ def write_blend(
     fruit_count: FruitCount,
     *,
     set_id: str = "",
+    threshold: float = THRESHOLD,
 ) -> None:
     """Write a result as a .blend of its own, lit and with a camera, ready to be opened or rendered.
 
     For the command line: it starts from an empty file, so it refuses to run where a person works. The file appears
     complete or not at all, and no .blend1 is left beside it. set_id names the set of
     result files it belongs to (see `fruits.json`); it becomes the scene's custom property `fruitlangs_set_id`.
+    threshold: probability from which Gaussians are lit.
 
     Raises:
         OutputError: the file cannot be written, or a window is open.
@@ -77,8 +81,9 @@ def write_blend(
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy_scene = bpy.context.scene
     root = write_result(bpy_scene, scene, gaussians, probability, fruit_count)
+    set_threshold(bpy_scene, threshold)
     light_scene(bpy_scene, root)
-    show_colors(bpy.data.screens)
+    show_colors(bpy.data.screens, splats=False)
     look_at_scene(bpy.data.screens, bpy_scene)
     if set_id:
         bpy_scene[SET_ID] = set_id

@@ -27,6 +27,7 @@ from .blender_data import (
     set_attribute,
 )
 from .gaussian_nodes import gaussian_node_group, set_input
+from .splats import ANTIALIASED
 from .write_root import looked_at
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def write_gaussians(
     set_input(modifier, "Centre", looked_at(scene).tolist())
     if len(scene.cameras):
         set_input(modifier, "Reach", REACH * scene.extent)
+    set_input(modifier, "Highlight", probability is not None)
     item.visible_shadow = False  # what they show is light already; the fruit among them need theirs
     return item
 

@@ -36,3 +36,12 @@ def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Objec
     modifier.node_group = point_node_group()
     set_input(modifier, "Radius", RADIUS * scene.extent if len(scene.cameras) else RADIUS)
     return item
+
+
+def hide_points(bpy_scene: bpy.types.Scene) -> None:
+    """Close the eye of the sparse cloud, and leave it out of renders: Gaussians show the same places better."""
+    for item in owned_objects(bpy_scene, "points"):
+        item.hide_render = True
+        for view_layer in bpy_scene.view_layers:
+            if item.name in view_layer.objects:
+                item.hide_set(True, view_layer=view_layer)

@@ -78,7 +78,15 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
         return {}
 
     def write(path: Path, result: Result) -> None:
-        write_blend(path, result.scene, result.gaussians, result.probability, result.fruit_count, set_id=result.set_id)
+        write_blend(
+            path,
+            result.scene,
+            result.gaussians,
+            result.probability,
+            result.fruit_count,
+            set_id=result.set_id,
+            threshold=result.config.count.threshold,
+        )
 
     return {"scene.blend": write}
 

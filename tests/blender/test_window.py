@@ -1,4 +1,4 @@
-"""A whole day in a real window: import, measure, reconstruct, ask, count, review, export, by clicks and keys.
+"""In a real window: a whole day, import to export, by clicks and keys, and splats.
 
 FRUITLANGS_WINDOW is the command that opens a Blender (4.2 or newer) with a window, for example
 `blender` on a desktop or `xvfb-run -a blender` without one. Its Python needs the engine's packages.
@@ -6,6 +6,7 @@ FRUITLANGS_WINDOW is the command that opens a Blender (4.2 or newer) with a wind
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import subprocess
@@ -28,3 +29,20 @@ def test_a_day_in_the_window_goes_as_it_should(balls, tmp_path):
     told = [line for line in done.stdout.splitlines() if line.startswith(("ok", "NOT TRUE"))]
     assert done.returncode == 0, "\n".join([*told, done.stderr[-2000:]])
     assert len(told) > 10
+
+
+@pytest.mark.skipif(not WINDOW, reason="set FRUITLANGS_WINDOW to a command that opens a Blender window to run this")
+def test_splats_are_drawn_and_measured_in_a_window(tmp_path):
+    out = tmp_path / "window.json"
+    script = [str(ROOT / "scripts" / "benchmark_window.py"), "--", "--gaussians", "500", "--repeats", "1"]
+    done = subprocess.run(
+        [*shlex.split(str(WINDOW)), "-P", *script, "--out", str(out)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    (row,) = json.loads(out.read_text())["rows"]
+    assert row["same"]
+    assert row["redraw_splats"] > 0

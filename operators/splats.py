@@ -1,0 +1,82 @@
+"""Splats: what the viewport draws of Gaussians, as plain arrays, from a mesh of ours or from training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from .blender_data import get_attribute, linear_from_srgb
+
+FloatArray = NDArray[np.float32]
+
+ANTIALIASED = "fruitlangs_antialiased"
+"""Custom property of the Gaussians' mesh: they were trained to fade below a pixel's size (`Gaussians.antialiased`)."""
+ATTRIBUTES = ("position", "scale", "quaternion", "radiance:base", "opacity", "probability")
+"""What a mesh must have to be drawn as splats."""
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """N Gaussians in an object's frame, float32.
+
+    means: (N, 3); covariances: (N, 6) xx, xy, xz, yy, yz, zz; colors: (N, 3) linear, without view dependence;
+    opacities: (N,); probability: (N,) of the prompt, None before one was answered; antialiased: they fade below a
+    pixel's size.
+    """
+
+    means: FloatArray
+    covariances: FloatArray
+    colors: FloatArray
+    opacities: FloatArray
+    probability: FloatArray | None
+    antialiased: bool = False
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def splats_of_mesh(mesh: bpy.types.Mesh) -> Splats | None:
+    """The splats of a Gaussian object's mesh; None while it is edited, or where an attribute is missing."""
+    if mesh.is_editmode or any(name not in mesh.attributes for name in ATTRIBUTES):
+        return None
+    probability = get_attribute(mesh, "probability")
+    return Splats(
+        means=get_attribute(mesh, "position"),
+        covariances=packed_covariances(get_attribute(mesh, "scale"), get_attribute(mesh, "quaternion")),
+        colors=get_attribute(mesh, "radiance:base")[:, :3],
+        opacities=get_attribute(mesh, "opacity"),
+        probability=probability if probability.any() else None,
+        antialiased=bool(mesh.get(ANTIALIASED, False)),
+    )
+
+
+def splats_in_training(means: Any, scales: Any, quats: Any, srgb: Any, opacities: Any, antialiased: bool) -> Splats:
+    """The splats of what training has made so far; copies, for training goes on changing its own."""
+    return Splats(
+        means=np.array(means, np.float32),
+        covariances=packed_covariances(np.asarray(scales, np.float32), np.asarray(quats, np.float32)),
+        colors=linear_from_srgb(srgb).astype(np.float32),
+        opacities=np.array(opacities, np.float32),
+        probability=None,
+        antialiased=antialiased,
+    )
+
+
+def packed_covariances(scales: FloatArray, quats: FloatArray) -> FloatArray:
+    """(N, 6) upper triangles xx, xy, xz, yy, yz, zz of R diag(σ²) Rᵀ.
+
+    scales: (N, 3) standard deviations σ; quats: (N, 4) rotations w, x, y, z, not necessarily unit.
+    """
+    w, x, y, z = (quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)).T
+    sx, sy, sz = scales.T
+    # Rows of R diag(σ).
+    a = ((1 - 2 * (y * y + z * z)) * sx, 2 * (x * y - w * z) * sy, 2 * (x * z + w * y) * sz)
+    b = (2 * (x * y + w * z) * sx, (1 - 2 * (x * x + z * z)) * sy, 2 * (y * z - w * x) * sz)
+    c = (2 * (x * z - w * y) * sx, 2 * (y * z + w * x) * sy, (1 - 2 * (x * x + y * y)) * sz)
+    pairs = ((a, a), (a, b), (a, c), (b, b), (b, c), (c, c))
+    packed = [p[0] * q[0] + p[1] * q[1] + p[2] * q[2] for p, q in pairs]
+    return np.ascontiguousarray(np.stack(packed, axis=1), np.float32)
