@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import FormatError
 from .blender_data import get_attribute, owned_object, srgb_from_linear
-from .write_gaussians import ANTIALIASED
+from .splats import ANTIALIASED
 
 if TYPE_CHECKING:
     from ..engine.splatting.gaussians import Gaussians

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
 
-ANTIALIASED = "fruitlangs_antialiased"
-"""Custom property of the mesh: whether its Gaussians fade below a pixel's size (see `Gaussians`)."""
 REACH = 1.2
 """How far from the centre Gaussians are shown, in extents of the scene (about the cameras' distance)."""
 
