@@ -145,10 +145,17 @@ def count(hand: Hand, day: Day) -> Steps:
 
 
 def review(hand: Hand, day: Day) -> Steps:
-    """Go to the doubtful fruit, reject it, undo that, confirm it."""
+    """Go to the doubtful fruit, look at it in a photo, reject it, undo that, do it again."""
     before = settings().result.count
     yield from hand.push("fruitlangs.next_doubtful")
     yield from picture(hand, day, "review")
+    yield from hand.push("fruitlangs.best_photo")
+    yield from hand.rest()
+    day.check("the viewport looks through a photo's camera", view_of(hand) == "CAMERA")
+    yield from picture(hand, day, "photo")
+    yield from hand.push("fruitlangs.free_view")
+    day.check("the view is free again", view_of(hand) != "CAMERA")
+    yield from hand.top()
     yield from hand.push("fruitlangs.reject_fruit")
     day.check("the fruit is rejected", counted() == before - 1)
     yield from hand.press("Z", *hand.aside, ctrl=True)
@@ -160,6 +167,10 @@ def review(hand: Hand, day: Day) -> Steps:
     day.check("the log has it", len(settings().review.log) == 1)
 
 
+def view_of(hand: Hand) -> str:
+    return str(hand.area.spaces.active.region_3d.view_perspective)
+
+
 def counted() -> int:
     return sum(item.get("review") != "rejected" for item in owned("fruit"))
 
@@ -167,7 +178,7 @@ def counted() -> int:
 def export(hand: Hand, day: Day) -> Steps:
     """Write the report and a table of what stands after the review."""
     window = bpy.context.window_manager.windows[0]
-    yield from hand.find("fruitlangs.export_report")
+    yield from hand.find("fruitlangs.export_ply")  # the last one: all are in sight
     yield from picture(hand, day, "export")
     with bpy.context.temp_override(window=window, area=hand.area, region=hand.region("WINDOW")):
         bpy.ops.fruitlangs.export_csv(filepath=str(day.work / "fruit.csv"))
