@@ -27,6 +27,8 @@ from guide.hand import Hand
 
 import fruitlangs
 
+TRIES = 20
+
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="picture_guide")
@@ -48,8 +50,13 @@ def visit(arguments: argparse.Namespace, untrue: list[str]) -> Iterator[float]:
     window = bpy.context.window_manager.windows[0]
     area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
     area.spaces.active.show_region_ui = True
-    yield 1.0
-    next(region for region in area.regions if region.type == "UI").active_panel_category = "Fruit"
+    sidebar = next(region for region in area.regions if region.type == "UI")
+    for _ in range(TRIES):  # it takes no tab before it was drawn for the first time
+        yield 0.5
+        sidebar.active_panel_category = "Fruit"
+        yield 0.5
+        if sidebar.active_panel_category == "Fruit":
+            break
     folder = (arguments.folder or Path(tempfile.mkdtemp())).resolve()
     scene = folder / arguments.scene.name
     shutil.copytree(arguments.scene, scene, dirs_exist_ok=True)
