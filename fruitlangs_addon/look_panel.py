@@ -13,6 +13,7 @@ class FRUITLANGS_PT_look(SidebarPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_look"
     bl_label = "Look"
     bl_parent_id = FRUITLANGS_PT_ask.bl_idname
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
