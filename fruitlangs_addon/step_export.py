@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..operators.export import NAMES
+from ..operators.export import NAMES, FRUITLANGS_OT_export_csv
 from ..operators.export_file import TITLE
 from ..operators.export_pictures import FRUITLANGS_OT_export_report, FRUITLANGS_OT_export_still
 from ..operators.export_usd import WITHOUT, has_usd
@@ -15,7 +15,12 @@ from ..operators.keep_review import review_line
 from ..operators.read_fruits import counted
 from .panel_parts import State, StepPanel, draw_job, draw_text, work_state
 
-ICONS: dict[Any, str] = {FRUITLANGS_OT_export_report: "FILE_TEXT", FRUITLANGS_OT_export_still: "IMAGE_DATA"}
+ICONS: dict[Any, str] = {
+    FRUITLANGS_OT_export_report: "FILE_TEXT",
+    FRUITLANGS_OT_export_still: "IMAGE_DATA",
+    FRUITLANGS_OT_export_csv: "SPREADSHEET",
+}
+"""Exports for people; the others are for programs."""
 
 
 class FRUITLANGS_PT_export(StepPanel, bpy.types.Panel):
@@ -35,7 +40,7 @@ class FRUITLANGS_PT_export(StepPanel, bpy.types.Panel):
             draw_text(layout, "Count first; then the fruit can be exported", context)
         else:
             fruit = len(standing(context.scene))
-            draw_text(layout, f"Written are the {fruit} fruit that stand now", context)
+            draw_text(layout, f"Writes the {fruit} fruit that stand now", context)
             draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
         for item, icon in ICONS.items():
             layout.operator(item.bl_idname, text=NAMES[item], icon=icon)

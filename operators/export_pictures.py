@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -16,7 +16,7 @@ from ..engine.progress import Progress, part
 from .blender_data import owned_object
 from .export_file import ExportFile, Write
 from .fruit_objects import metres_per_unit
-from .keep_review import entry_text, is_reviewed, review_line
+from .keep_review import counts_line, entry_text, is_reviewed
 from .read_cameras import active_camera, read_scene
 from .read_gaussians import StoredGaussians, read_gaussians
 from .write import SET_ID
@@ -86,7 +86,7 @@ class FRUITLANGS_OT_export_report(ExportFile, bpy.types.Operator):
         bpy_scene = context.scene
         scene, stored = read_scene(bpy_scene), read_gaussians(bpy_scene)
         told, scale, made = what(bpy_scene), metres_per_unit(bpy_scene), provenance(bpy_scene)
-        line = review_line(bpy_scene) if is_reviewed(bpy_scene) else ""
+        line = counts_line(bpy_scene) if is_reviewed(bpy_scene) else ""
         decisions = [entry_text(entry) for entry in bpy_scene.fruitlangs.review.log]
 
         def write(path: Path, progress: Progress) -> None:
@@ -153,12 +153,15 @@ def what(bpy_scene: bpy.types.Scene) -> str:
 
 
 def provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
-    """How the count was made, as far as a .blend knows; the result folder has all of it."""
+    """How the count was made, as far as a .blend knows; the result folder has all of it.
+
+    Folders are told by name alone: a report is passed on, and where a person keeps things is nobody else's business.
+    """
     settings, shown = bpy_scene.fruitlangs, bpy_scene.fruitlangs.result
     told = {
         "blend": Path(bpy.data.filepath).name,
-        "scene": settings.source,
-        "result folder": shown.folder,
+        "scene": PurePath(settings.source.rstrip("/\\")).name,
+        "result folder": PurePath(shown.folder.rstrip("/\\")).name,
         "result set": bpy_scene.get(SET_ID, ""),
         "prompts": settings.prompt,
         "negatives": settings.negative,

@@ -65,15 +65,18 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:
     """'machine 182, after review 185, interval 178–196'; without the middle where nothing was reviewed."""
+    interval = reviewed_interval(bpy_scene)
+    return counts_line(bpy_scene) + ("" if interval is None else f", interval {interval[0]}–{interval[1]}")
+
+
+def counts_line(bpy_scene: bpy.types.Scene) -> str:
+    """'machine 182, after review 185'; without the second where nothing was reviewed."""
     shown = bpy_scene.fruitlangs.result
     told = [f"machine {shown.count}"] if shown.count >= 0 else []
     if is_reviewed(bpy_scene):
         told.append(f"after review {len(standing(bpy_scene))}")
     elif not told:  # a .blend that the command line wrote
         told.append(f"{len(standing(bpy_scene))} fruit")
-    interval = reviewed_interval(bpy_scene)
-    if interval is not None:
-        told.append(f"interval {interval[0]}–{interval[1]}")
     return ", ".join(told)
 
 

@@ -91,10 +91,12 @@ def fruit_heads(metres_per_unit: float | None) -> list[str]:
 
 
 def fruit_cells(fruit: Fruit, metres_per_unit: float | None) -> list[str]:
-    """A fruit's diameter with its standard deviation, volume, probability and visible share, for people to read."""
+    """A fruit's diameter (± its standard deviation where known), volume, probability, visible share; for people to read."""
     _, scale = length_unit(metres_per_unit)
     volume = fruit.volume * _volume_scale(metres_per_unit)
-    size = f"{three_digits(fruit.diameter * scale)} ± {float(f'{fruit.diameter_sd * scale:.2g}'):g}"
+    size = three_digits(fruit.diameter * scale)
+    if not math.isnan(fruit.diameter_sd):
+        size += f" ± {float(f'{fruit.diameter_sd * scale:.2g}'):g}"
     return [size, three_digits(volume), f"{fruit.probability:.2f}", _visible(fruit)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 
 import bpy
 import numpy as np
@@ -141,7 +142,15 @@ def test_the_report_tells_the_corrected_count_and_every_decision(reviewed, tmp_p
     assert "a leaf" in text
     assert "pear" in text
     assert "data:image/jpeg;base64" in text
-    assert "nan" not in text.split("base64")[0]
+
+
+def test_a_report_tells_no_folders_and_no_deviation_of_a_size_that_a_person_gave(reviewed, tmp_path):
+    fruit(1).scale *= 2.0
+    export("export_report", tmp_path / "a.html")
+    text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", (tmp_path / "a.html").read_text(encoding="utf-8"))
+    assert str(tmp_path) not in text
+    assert "± nan" not in text
+    assert "<td>400</td>" in text.replace(' class="number"', "")
 
 
 def test_the_report_of_what_nobody_reviewed_does_not_speak_of_a_review(shown, tmp_path):
