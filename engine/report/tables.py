@@ -91,7 +91,7 @@ def fruit_heads(metres_per_unit: float | None) -> list[str]:
 
 
 def fruit_cells(fruit: Fruit, metres_per_unit: float | None) -> list[str]:
-    """A fruit's diameter (± its standard deviation where known), volume, probability, visible share; for people to read."""
+    """A fruit's diameter (± its deviation where known), volume, probability and visible share, for people to read."""
     _, scale = length_unit(metres_per_unit)
     volume = fruit.volume * _volume_scale(metres_per_unit)
     size = three_digits(fruit.diameter * scale)
