@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 from bpy.props import (
     BoolProperty,
@@ -17,7 +19,7 @@ from bpy.props import (
 
 from ..operators.best_photo import FRUITLANGS_OT_best_photo, FRUITLANGS_OT_free_view, FRUITLANGS_OT_next_photo
 from ..operators.photo_backgrounds import PROBLEM, opacity_changed
-from .panel_parts import SidebarPanel, draw_text
+from .panel_parts import draw_text
 
 
 class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
@@ -47,26 +49,20 @@ class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
     aspect: FloatVectorProperty(name="Aspect", size=2, description="The scene's pixel aspect before photos")
 
 
-class FRUITLANGS_PT_photos(SidebarPanel, bpy.types.Panel):
-    bl_idname = "FRUITLANGS_PT_photos"
-    bl_label = "Photos"
-    bl_parent_id = "FRUITLANGS_PT_review"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        photos = context.scene.fruitlangs.photos
-        row = self.layout.row(align=True)
-        row.operator(FRUITLANGS_OT_best_photo.bl_idname, icon="CAMERA_DATA")
-        row.operator(FRUITLANGS_OT_next_photo.bl_idname, icon="TRIA_LEFT", text="").step = -1
-        row.operator(FRUITLANGS_OT_next_photo.bl_idname, icon="TRIA_RIGHT", text="").step = 1
-        self.layout.operator(FRUITLANGS_OT_free_view.bl_idname, icon="LOOP_BACK")
-        row = self.layout.row(align=True)
+def draw_photos(layout: Any, context: bpy.types.Context) -> None:
+    """The buttons that look at the active fruit in its photos, and how strongly a photo is shown."""
+    photos, camera = context.scene.fruitlangs.photos, context.scene.camera
+    column = layout.column(align=True)
+    row = column.row(align=True)
+    row.operator(FRUITLANGS_OT_best_photo.bl_idname, icon="CAMERA_DATA")
+    row.operator(FRUITLANGS_OT_next_photo.bl_idname, icon="TRIA_LEFT", text="").step = -1
+    row.operator(FRUITLANGS_OT_next_photo.bl_idname, icon="TRIA_RIGHT", text="").step = 1
+    if FRUITLANGS_OT_free_view.poll(context):
+        column.operator(FRUITLANGS_OT_free_view.bl_idname, icon="LOOP_BACK")
+        row = column.row(align=True)
         row.prop(photos, "show", text="", icon="HIDE_OFF" if photos.show else "HIDE_ON")
         slider = row.row(align=True)
         slider.active = photos.show
         slider.prop(photos, "opacity", slider=True)
-        camera = context.scene.camera
-        if camera is not None and PROBLEM in camera:
-            draw_text(self.layout, camera[PROBLEM], context, icon="ERROR")
-
-
-CLASSES = (FRUITLANGS_PT_photos,)
+    if camera is not None and PROBLEM in camera:
+        draw_text(layout, camera[PROBLEM], context, icon="ERROR")

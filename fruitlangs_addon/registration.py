@@ -29,7 +29,6 @@ from ..operators import (
 from . import (
     fruit_list,
     look_panel,
-    photos,
     preferences,
     properties,
     step_ask,
@@ -62,7 +61,6 @@ CLASSES: tuple[Any, ...] = (
     *step_count.CLASSES,
     *fruit_list.CLASSES,
     *step_review.CLASSES,
-    *photos.CLASSES,
     *step_export.CLASSES,
     *preferences.CLASSES,
 )

@@ -19,6 +19,7 @@ from ..operators.review import (
 )
 from .fruit_list import FRUITLANGS_UL_fruits
 from .panel_parts import SidebarPanel, State, StepPanel, draw_text
+from .photos import draw_photos
 
 LAST = 8
 """Entries of the log that the panel shows."""
@@ -51,7 +52,8 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         layout.prop(review, "sort")
         layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
         layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
-        layout.row().prop(review, "labels", expand=True)
+        draw_photos(layout, context)
+        layout.prop(review, "labels")
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_confirm_fruit.bl_idname, icon="CHECKMARK")
         row.operator(FRUITLANGS_OT_reject_fruit.bl_idname, icon="X")

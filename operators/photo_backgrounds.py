@@ -85,6 +85,13 @@ def _settings(item: bpy.types.Object) -> Any:
     return None if scene is None or not hasattr(scene, "fruitlangs") else scene.fruitlangs.photos
 
 
+def photo_cover(space: Any, view: Any, bpy_scene: bpy.types.Scene) -> float:
+    """How much of what is reconstructed the photo covers in a viewport, 0 to 1; 0 where none is shown."""
+    item = _camera_of(space, view, bpy_scene)
+    slot = None if item is None or not item.data.show_background_images else background_of(item)
+    return float(slot.alpha) if slot is not None and slot.show_background_image else 0.0
+
+
 def looked_through() -> list[bpy.types.Object]:
     """The cameras of ours that the viewports of all windows look through."""
     found = []

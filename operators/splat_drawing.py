@@ -17,6 +17,7 @@ from mathutils import Matrix
 from .blender_data import owned_objects
 from .gaussian_nodes import get_input
 from .look import gaussian_modifiers, look_of
+from .photo_backgrounds import photo_cover
 from .splats import Splats, splats_of_mesh
 from .viewport import redraw_viewports
 
@@ -86,13 +87,17 @@ def draw_viewport() -> None:
     try:
         layers = _layers(bpy_scene, context.view_layer, space)
         if layers:
-            _draw(layers, bpy_scene, region, context.region_data)
+            # Splats are drawn after a camera's background and would hide the photo.
+            strength = 1.0 - photo_cover(space, context.region_data, bpy_scene)
+            _draw(layers, bpy_scene, region, context.region_data, strength)
     except Exception as error:  # one line; at every redraw it would be thousands
         _drawn.problem = f"{type(error).__name__}: {error}"
         print(f"FruitLangs cannot draw splats here, choose the look Ellipsoids: {_drawn.problem}", file=sys.stderr)
 
 
-def _draw(layers: list[tuple[SplatTextures, Matrix]], bpy_scene: Any, region: Any, view_data: Any) -> None:
+def _draw(
+    layers: list[tuple[SplatTextures, Matrix]], bpy_scene: Any, region: Any, view_data: Any, strength: float
+) -> None:
     from .splat_textures import Highlight, Picture, View, read_depths
 
     size = (region.width, region.height)
@@ -105,7 +110,7 @@ def _draw(layers: list[tuple[SplatTextures, Matrix]], bpy_scene: Any, region: An
     view = View(view_data.view_matrix.copy(), view_data.window_matrix.copy(), size)
     highlight = Highlight(look.highlight, look.threshold, look.dimming)
     picture.draw(layers, view, highlight, read_depths(size), key)
-    picture.show()
+    picture.show(strength)
     while len(_drawn.pictures) > KEPT_VIEWS:
         oldest = next(iter(_drawn.pictures))
         del _drawn.pictures[oldest]

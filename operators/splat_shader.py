@@ -116,7 +116,8 @@ void main()
     discard;
   }
   /* What is drawn over a viewport is shown as its 2.2nd root. */
-  result = vec4(pow(max(splats.rgb / splats.a, vec3(0.0)), vec3(2.2)) * splats.a, splats.a);
+  float alpha = splats.a * strength;
+  result = vec4(pow(max(splats.rgb / splats.a, vec3(0.0)), vec3(2.2)) * alpha, alpha);
 }
 """
 
@@ -171,6 +172,7 @@ def over_shader() -> gpu.types.GPUShader:
     import gpu
 
     info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("FLOAT", "strength")
     info.sampler(0, "FLOAT_2D", "picture")
     info.vertex_in(0, "VEC2", "corner")
     info.fragment_out(0, "VEC4", "result")

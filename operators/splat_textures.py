@@ -135,12 +135,13 @@ class Picture:
                 _draw_layer(textures, matrix, view, highlight, depths, name)
             gpu.state.blend_set("NONE")
 
-    def show(self) -> None:
-        """Put the picture over what is bound: a viewport's overlay."""
+    def show(self, strength: float = 1.0) -> None:
+        """Put the picture, that strongly, over what is bound: a viewport's overlay."""
         shader = _over_shader()
         gpu.state.depth_test_set("NONE")
         gpu.state.blend_set("ALPHA_PREMULT")
         shader.bind()
+        shader.uniform_float("strength", strength)
         shader.uniform_sampler("picture", self.texture)
         _square().draw(shader)
         gpu.state.blend_set("NONE")

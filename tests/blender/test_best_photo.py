@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import ball_scene
 import bpy
@@ -18,7 +19,7 @@ from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.operators.best_photo import fruit_sights
 from fruitlangs.operators.blender_data import owned_object, owned_objects
-from fruitlangs.operators.photo_backgrounds import PROBLEM, background_of, show_photo
+from fruitlangs.operators.photo_backgrounds import PROBLEM, background_of, photo_cover, show_photo
 from fruitlangs.operators.photo_choice import Surface, best_sights
 from fruitlangs.operators.photo_files import FILE, photo_path
 from fruitlangs.operators.read_cameras import read_camera
@@ -167,6 +168,17 @@ def test_photos_are_as_strong_as_the_slider_says(shown):
     assert slot.alpha == pytest.approx(0.25)
     shown.fruitlangs.photos.show = False
     assert not slot.show_background_image
+
+
+def test_splats_give_way_to_the_photo_where_it_is_looked_at(shown):
+    space, inside = SimpleNamespace(use_local_camera=False), SimpleNamespace(view_perspective="CAMERA")
+    assert photo_cover(space, inside, shown) == 0.0
+    bpy.ops.fruitlangs.best_photo()
+    shown.fruitlangs.photos.opacity = 0.25
+    assert photo_cover(space, inside, shown) == pytest.approx(0.25)
+    assert photo_cover(space, SimpleNamespace(view_perspective="PERSP"), shown) == 0.0
+    shown.fruitlangs.photos.show = False
+    assert photo_cover(space, inside, shown) == 0.0
 
 
 @pytest.fixture
