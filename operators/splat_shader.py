@@ -12,14 +12,33 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
 from .blender_data import linear_from_srgb
 from .gaussian_nodes import PROBABILITY_RAMP, RAMP_START
 
 if TYPE_CHECKING:
     import gpu
 
+# What all splats of an object share: more than cards promise to take as push constants.
+_VALUES = """
+struct SplatValues {
+  mat4 model_view;
+  mat4 projection;
+  vec2 size;
+  float nearest;
+  float threshold;
+  float dimming;
+  float highlight;
+  float antialiased;
+  float row;
+};
+"""
+
 # texel(i) of a texture that is read row by row.
-_TEXEL = "ivec2 texel(int index) { return ivec2(index % row, index / row); }"
+_TEXEL = "ivec2 texel(int index) { int row = int(values.row); return ivec2(index % row, index / row); }"
 
 _VERTEX = """
 void main()
@@ -32,18 +51,18 @@ void main()
   offset = vec2(0.0);
   shade = vec4(0.0);
 
-  vec4 seen = model_view * vec4(place.xyz, 1.0);
-  vec4 clip = projection * seen;
-  if (-seen.z < nearest) {
+  vec4 seen = values.model_view * vec4(place.xyz, 1.0);
+  vec4 clip = values.projection * seen;
+  if (-seen.z < values.nearest) {
     return;
   }
   vec2 screen = clip.xy / clip.w;
   /* The derivative of the projection to pixels, taken no farther outside than the linearisation holds. */
   vec2 held = clamp(screen, vec2(-1.3), vec2(1.3));
-  mat4 rows = transpose(projection);
-  vec3 jx = 0.5 * size.x / clip.w * (rows[0].xyz - held.x * rows[3].xyz);
-  vec3 jy = 0.5 * size.y / clip.w * (rows[1].xyz - held.y * rows[3].xyz);
-  mat3 back = transpose(mat3(model_view));
+  mat4 rows = transpose(values.projection);
+  vec3 jx = 0.5 * values.size.x / clip.w * (rows[0].xyz - held.x * rows[3].xyz);
+  vec3 jy = 0.5 * values.size.y / clip.w * (rows[1].xyz - held.y * rows[3].xyz);
+  mat3 back = transpose(mat3(values.model_view));
   vec3 ax = back * jx;
   vec3 ay = back * jy;
   mat3 covariance = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
@@ -56,7 +75,7 @@ void main()
   yy += 0.3;
   float whole = max(xx * yy - xy * xy, 0.09);
   float opacity = place.w;
-  if (antialiased != 0) {
+  if (values.antialiased != 0.0) {
     opacity *= max(sqrt(narrow / whole), 1e-6);
   }
   if (opacity < 1.0 / 255.0 || max(xx, yy) > 1e12) {
@@ -71,18 +90,18 @@ void main()
   float deviations = sqrt(2.0 * log(255.0 * opacity));
   offset = corner * deviations;
   vec2 pixels = offset.x * sqrt(long_one) * along + offset.y * sqrt(short_one) * vec2(-along.y, along.x);
-  gl_Position = vec4(screen + 2.0 * pixels / size, clip.z / clip.w, 1.0);
+  gl_Position = vec4(screen + 2.0 * pixels / values.size, clip.z / clip.w, 1.0);
 
   vec3 color = texelFetch(colors, texel(index), 0).rgb;
-  if (highlight != 0) {
+  if (values.highlight != 0.0) {
     float probability = texelFetch(likely, texel(index), 0).r;
-    if (probability >= threshold) {
-      float above = (probability - threshold) / max(1.0 - threshold, 1e-6);
+    if (probability >= values.threshold) {
+      float above = (probability - values.threshold) / max(1.0 - values.threshold, 1e-6);
       vec4 ramp = probability_ramp(RAMP_START + (1.0 - RAMP_START) * above);
       color = mix(color, ramp.rgb, ramp.a);
     }
     else {
-      color *= 1.0 - dimming;
+      color *= 1.0 - values.dimming;
     }
   }
   vec3 srgb = mix(12.92 * color, 1.055 * pow(max(color, vec3(1e-8)), vec3(1.0 / 2.4)) - 0.055,
@@ -136,26 +155,38 @@ def _vec4(values: Any) -> str:
     return f"vec4({', '.join(f'{value:.6f}' for value in values)})"
 
 
+def packed_values(
+    model_view: Matrix,
+    projection: Matrix,
+    size: tuple[int, int],
+    *,
+    nearest: float,
+    threshold: float,
+    dimming: float,
+    highlight: bool,
+    antialiased: bool,
+    row: int,
+) -> NDArray[np.float32]:
+    """(40,) the numbers of `SplatValues`, matrices by columns.
+
+    size: of the picture in px; nearest: depth in the world's unit up to which nothing is drawn; row: width of the
+    data's textures.
+    """
+    matrices = [np.array(matrix, np.float32).T.ravel() for matrix in (model_view, projection)]
+    rest = (*size, nearest, threshold, dimming, highlight, antialiased, row)
+    return np.concatenate([*matrices, np.array(rest, np.float32)])
+
+
 def splat_shader() -> gpu.types.GPUShader:
-    """Draws one splat an instance; `size` is the picture's in px, `row` the width of the data's textures."""
+    """Draws one splat an instance, by the numbers of `packed_values`."""
     import gpu
 
     between = gpu.types.GPUStageInterfaceInfo("fruitlangs_splat")
     between.smooth("VEC2", "offset")
     between.flat("VEC4", "shade")
     info = gpu.types.GPUShaderCreateInfo()
-    for kind, name in (
-        ("MAT4", "model_view"),
-        ("MAT4", "projection"),
-        ("VEC2", "size"),
-        ("FLOAT", "nearest"),
-        ("FLOAT", "threshold"),
-        ("FLOAT", "dimming"),
-        ("INT", "highlight"),
-        ("INT", "antialiased"),
-        ("INT", "row"),
-    ):
-        info.push_constant(kind, name)
+    info.typedef_source(_VALUES)
+    info.uniform_buf(0, "SplatValues", "values")
     for slot, name in enumerate(("order", "places", "upper_shapes", "lower_shapes", "colors", "likely", "depths")):
         info.sampler(slot, "FLOAT_2D", name)
     info.define("RAMP_START", f"{RAMP_START:.6f}")

@@ -13,7 +13,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from .splat_order import back_to_front, has_turned, near_distance, shown_indices
-from .splat_shader import over_shader, splat_shader
+from .splat_shader import over_shader, packed_values, splat_shader
 from .splats import Splats
 
 ROW = 4096
@@ -182,18 +182,22 @@ def _draw_layer(
         nearest = scale * near_distance(textures.splats.means, model_view.inverted_safe().translation)
     shader = _splat_shader()
     shader.bind()
-    shader.uniform_float("model_view", model_view)
-    shader.uniform_float("projection", view.projection)
-    shader.uniform_float("size", view.size)
-    shader.uniform_float("nearest", nearest)
-    shader.uniform_float("threshold", highlight.threshold)
-    shader.uniform_float("dimming", highlight.dimming)
-    shader.uniform_int("highlight", int(highlight.on and textures.splats.probability is not None))
-    shader.uniform_int("antialiased", int(textures.splats.antialiased))
-    shader.uniform_int("row", ROW)
+    values = packed_values(
+        model_view,
+        view.projection,
+        view.size,
+        nearest=nearest,
+        threshold=highlight.threshold,
+        dimming=highlight.dimming,
+        highlight=highlight.on and textures.splats.probability is not None,
+        antialiased=textures.splats.antialiased,
+        row=ROW,
+    )
+    block = gpu.types.GPUUniformBuf(_buffer(values))  # bound only as long as it lives
+    shader.uniform_block("values", block)
     shader.uniform_sampler("order", order.texture)
-    for texture, values in textures.shapes.items():
-        shader.uniform_sampler(texture, values)
+    for sampler, texture in textures.shapes.items():
+        shader.uniform_sampler(sampler, texture)
     shader.uniform_sampler("likely", textures.likely)
     shader.uniform_sampler("depths", depths)
     _square().draw_instanced(shader, instance_count=order.count)

@@ -304,3 +304,23 @@ def test_background_mode_draws_nothing_and_never_loads_the_gpu_module(extension,
     splat_drawing.show_preview(bpy.context.scene.session_uid, preview)
     assert not splat_drawing._drawn.previews
     assert not [name for name in sys.modules if name.endswith("operators.splat_textures")]
+
+
+def test_what_splats_share_fits_the_shaders_struct():
+    from fruitlangs.operators.splat_shader import packed_values
+
+    model_view = Matrix.Translation((1.0, 2.0, 3.0))
+    values = packed_values(
+        model_view,
+        Matrix.Identity(4),
+        (640, 480),
+        nearest=0.1,
+        threshold=0.5,
+        dimming=0.65,
+        highlight=True,
+        antialiased=False,
+        row=4096,
+    )
+    assert values.dtype == np.float32
+    assert values[12:15].tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(values[32:], [640, 480, 0.1, 0.5, 0.65, 1, 0, 4096])
