@@ -27,6 +27,8 @@ MOMENT = 0.06
 """Seconds in which Blender notices where the mouse is."""
 PAGES, NOTCHES = 12, 5
 """How often the sidebar is scrolled, and by how many notches of the wheel, before a button is not there."""
+SCROLLED = 1.5
+"""Seconds in which Blender has worked off a whole scroll; what the mouse does meanwhile it notices late."""
 KEYS = {" ": "SPACE", ",": "COMMA", ".": "PERIOD", "-": "MINUS"} | {
     str(digit): name
     for digit, name in enumerate(("ZERO", "ONE", "TWO", "THREE", "FOUR", "FIVE", "SIX", "SEVEN", "EIGHT", "NINE"))
@@ -110,11 +112,21 @@ class Hand:
         return manager.clipboard
 
     def find(self, what: str) -> Steps:
-        """(x, y) in the window of the sidebar's first button that does or holds `what`, scrolling down to it.
+        """(x, y) in the window of a button of the sidebar that does or holds `what`: the first from here down, or else
+        from the top.
 
         Raises:
             NotThere: there is none.
         """
+        for _ in range(2):
+            found = yield from self._below(what)
+            if found is not None:
+                return found
+            yield from self.top()
+        raise NotThere(f"no button '{what}' in the sidebar")
+
+    def _below(self, what: str) -> Steps:
+        """As `find`, from here down; None where there is none."""
         region = self.region("UI")
         x = region.x + region.width * 0.62
         for _ in range(PAGES):
@@ -126,7 +138,7 @@ class Hand:
                 y -= STEP
             for _ in range(NOTCHES):
                 yield from self.press("WHEELDOWNMOUSE", x, region.y + region.height / 2)
-        raise NotThere(f"no button '{what}' in the sidebar")
+        return None
 
     def top(self) -> Steps:
         """Scroll the sidebar to its top."""
@@ -135,7 +147,7 @@ class Hand:
             self.window.event_simulate(
                 type="WHEELUPMOUSE", value="PRESS", x=int(region.x + 30), y=int(region.y + region.height / 2)
             )
-        yield 2 * MOMENT
+        yield SCROLLED
 
     def push(self, what: str) -> Steps:
         """Find a button and click it."""
