@@ -11,8 +11,11 @@ from ..operators.blender_data import owned_object
 from ..operators.fruit_objects import REJECTED, REVIEW
 
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
-WIDTHS = (0.24, 0.32, 0.5, 0.5)
-"""Of what is left: name, diameter, probability, visible; the kind has the rest."""
+KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
+WIDTHS: tuple[float, ...] = (0.36, 0.4, 0.46)
+"""Of what is left: name, diameter, probability; the visible share has the rest, where the kind is a sign."""
+WIDE, WIDE_WIDTHS = 340, (0.26, 0.32, 0.36, 0.42)  # of these the kind has the rest
+"""Pixels of a sidebar from which there is room for the kind's name, before the interface's scale."""
 
 
 class FRUITLANGS_UL_fruits(bpy.types.UIList):
@@ -33,7 +36,11 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         row = layout.row(align=True)
         row.active = item.get(REVIEW) != REJECTED
         row.label(text="", icon=VERDICT_ICONS.get(item.get(REVIEW), "BLANK1"))
-        for text, share in zip(cells(item, unit(context.scene)), (*WIDTHS, None), strict=True):
+        texts, widths = cells(item, unit(context.scene)), WIDE_WIDTHS
+        if context.region.width / context.preferences.system.ui_scale < WIDE:
+            row.label(text="", icon=KIND_ICONS.get(texts.pop(), "BLANK1"))
+            widths = WIDTHS
+        for text, share in zip(texts, (*widths, None), strict=True):
             part = row if share is None else row.split(factor=share, align=True)
             part.label(text=text)
             row = part
