@@ -12,7 +12,7 @@ from ..operators.fruit_objects import REJECTED, REVIEW
 
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
 KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
-WIDTHS: tuple[float, ...] = (0.36, 0.4, 0.46)
+WIDTHS = (0.36, 0.4, 0.46)
 """Of what is left: name, diameter, probability; the visible share has the rest, where the kind is a sign."""
 WIDE, WIDE_WIDTHS = 340, (0.26, 0.32, 0.36, 0.42)  # of these the kind has the rest
 """Pixels of a sidebar from which there is room for the kind's name, before the interface's scale."""
@@ -36,7 +36,8 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         row = layout.row(align=True)
         row.active = item.get(REVIEW) != REJECTED
         row.label(text="", icon=VERDICT_ICONS.get(item.get(REVIEW), "BLANK1"))
-        texts, widths = cells(item, unit(context.scene)), WIDE_WIDTHS
+        texts = cells(item, unit(context.scene))
+        widths: tuple[float, ...] = WIDE_WIDTHS
         if context.region.width / context.preferences.system.ui_scale < WIDE:
             row.label(text="", icon=KIND_ICONS.get(texts.pop(), "BLANK1"))
             widths = WIDTHS
