@@ -24,7 +24,7 @@ from ..engine.errors import FruitLangsError, OutputError, SceneError
 from .blender_data import array, get_attribute, owned_object, set_attribute
 from .jobs import describe_error, redraw_sidebars
 from .look import apply_look, look_changed
-from .preload import preload_torch
+from .preload import preload_libraries
 from .settings import read_config, read_prompts, read_words, stored_file
 from .viewport import redraw_viewports
 
@@ -73,7 +73,7 @@ class Worker(threading.Thread):
 
     def run(self) -> None:
         try:
-            preload_torch()
+            preload_libraries()
             self.answer = answer(self.question, self._means)
         except BaseException as error:  # whatever it is, the main thread reports it
             self.error = error

@@ -16,7 +16,7 @@ import bpy
 
 from ..engine.errors import Cancelled, FruitLangsError
 from ..engine.progress import Progress, silent
-from .preload import preload_torch
+from .preload import preload_libraries
 from .target import Target
 
 REDRAW_SECONDS = 0.25
@@ -88,7 +88,7 @@ class Job:
 
     def _run(self) -> None:
         try:
-            preload_torch()
+            preload_libraries()
             self.result = self._work(self._progress)
         except BaseException as error:  # whatever it is, the main thread reports it
             self.error = error

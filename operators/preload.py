@@ -1,7 +1,7 @@
-"""PyTorch's library loaded so that the window lives on meanwhile.
+"""Large libraries loaded so that the window lives on meanwhile.
 
 Python holds its one lock while it loads an extension module, most of a second for PyTorch's; a foreign call gives the
-lock up. So the library is loaded by the system's own call first, and importing it then finds it there.
+lock up. So a library is loaded by the system's own call first, and importing it then finds it there.
 """
 
 from __future__ import annotations
@@ -13,14 +13,23 @@ import sys
 from contextlib import suppress
 from importlib.machinery import PathFinder
 
+LARGE = {"torch": "_C", "pycolmap": "_core"}
+"""{package: its extension module} of those that take a quarter of a second and more."""
 
-def preload_torch() -> None:
-    """Load it unless it is loaded, or is not installed; to be called in a thread. What fails here fails at the import,
-    which tells more."""
-    if "torch" in sys.modules or os.name != "posix":
+
+def preload_libraries() -> None:
+    """Load the large libraries that are installed and not loaded yet; to be called in a thread. What fails here fails
+    at the import, which tells more."""
+    if os.name != "posix":
         return
-    package = importlib.util.find_spec("torch")
-    extension = package and PathFinder.find_spec("_C", package.submodule_search_locations)
+    for name, module in LARGE.items():
+        if name not in sys.modules:
+            _preload(name, module)
+
+
+def _preload(name: str, module: str) -> None:
+    package = importlib.util.find_spec(name)
+    extension = package and PathFinder.find_spec(module, package.submodule_search_locations)
     if not extension or not extension.origin:
         return
     with suppress(OSError, AttributeError):
