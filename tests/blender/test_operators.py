@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import sys
 import types
 from pathlib import Path
@@ -32,6 +33,7 @@ def engine(monkeypatch, counted, result_of):
             raise calls.error
         return result_of(counted, out)
 
+    importlib.import_module("fruitlangs.engine.pipeline")  # what imports the real ones has them before these stand in
     source = types.SimpleNamespace(Source=Source, photos_alone=lambda path: None, pose_photos=None)
     pipeline = types.SimpleNamespace(count_scene=count_scene)
     monkeypatch.setitem(sys.modules, "fruitlangs.engine.scene.source", source)
