@@ -12,7 +12,7 @@ from ..operators.fruit_objects import REJECTED, REVIEW
 
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
 KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
-WIDTHS = (0.36, 0.4, 0.46)
+WIDTHS = (0.3, 0.37, 0.47)
 """Of what is left: name, diameter, probability; the visible share has the rest, where the kind is a sign."""
 WIDE, WIDE_WIDTHS = 340, (0.26, 0.32, 0.36, 0.42)  # of these the kind has the rest
 """Pixels of a sidebar from which there is room for the kind's name, before the interface's scale."""
@@ -35,12 +35,13 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
     ) -> None:
         row = layout.row(align=True)
         row.active = item.get(REVIEW) != REJECTED
-        row.label(text="", icon=VERDICT_ICONS.get(item.get(REVIEW), "BLANK1"))
-        texts = cells(item, unit(context.scene))
+        texts, sign = cells(item, unit(context.scene)), VERDICT_ICONS.get(item.get(REVIEW), "BLANK1")
         widths: tuple[float, ...] = WIDE_WIDTHS
         if context.region.width / context.preferences.system.ui_scale < WIDE:
-            row.label(text="", icon=KIND_ICONS.get(texts.pop(), "BLANK1"))
-            widths = WIDTHS
+            kind, widths = texts.pop(), WIDTHS
+            sign = KIND_ICONS.get(kind, "BLANK1") if sign == "BLANK1" else sign
+            texts[1] = texts[1].partition(" ")[0]  # the panel tells the unit above
+        row.label(text="", icon=sign)
         for text, share in zip(texts, (*widths, None), strict=True):
             part = row if share is None else row.split(factor=share, align=True)
             part.label(text=text)
