@@ -21,11 +21,12 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ..engine.errors import FruitLangsError, OutputError, SceneError
-from .blender_data import array, get_attribute, owned_object, set_attribute
+from .blender_data import array, gaussian_attributes, owned_object, set_attribute
 from .jobs import describe_error, redraw_sidebars
 from .look import apply_look, look_changed
 from .preload import preload_libraries
 from .settings import read_config, read_prompts, read_words, stored_file
+from .target import find_scene
 from .viewport import redraw_viewports
 
 if TYPE_CHECKING:
@@ -219,7 +220,7 @@ def _means(bpy_scene: bpy.types.Scene) -> NDArray[np.float32]:
 
 def _show(worker: Worker) -> None:
     """Write an answer into the scene that asked, unless the words, the scene or its Gaussians are others by now."""
-    bpy_scene = next((scene for scene in bpy.data.scenes if scene.session_uid == worker.question.scene), None)
+    bpy_scene = find_scene(worker.question.scene)
     if bpy_scene is None:
         return
     if worker.answer is None:
@@ -251,10 +252,10 @@ def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], wo
 
 def tell_answer(bpy_scene: bpy.types.Scene) -> None:
     """Say in the panel how many Gaussians reach the threshold."""
-    item, settings = owned_object(bpy_scene, "gaussians"), bpy_scene.fruitlangs
-    if item is None or item.mode == "EDIT" or "probability" not in item.data.attributes:
+    settings, found = bpy_scene.fruitlangs, gaussian_attributes(bpy_scene, "probability")
+    if found is None:
         return
-    probability = get_attribute(item.data, "probability")
+    probability = found[0]
     fit, highest = int((probability >= settings.config.count.threshold).sum()), float(probability.max(initial=0.0))
     settings.answer.problem = ""
     settings.answer.text = f"{fit:,} of {len(probability):,} Gaussians fit; highest probability {highest:.2f}"

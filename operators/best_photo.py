@@ -10,8 +10,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from .blender_data import get_attribute, in_scene_frame, owned_object, owned_objects
-from .jobs import describe_error
+from .blender_data import gaussian_attributes, in_scene_frame, owned_object, owned_objects
+from .jobs import describe_error, editing
 from .photo_backgrounds import PROBLEM, keep_only, show_photo
 from .photo_choice import Sight, Surface, best_sights
 from .photo_files import PHOTO, SIZE
@@ -45,10 +45,8 @@ def fruit_sights(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tup
 
 
 def _surface(bpy_scene: bpy.types.Scene) -> Surface | None:
-    item = owned_object(bpy_scene, "gaussians")
-    if item is None or item.mode == "EDIT" or "opacity" not in item.data.attributes:
-        return None
-    return Surface(*(get_attribute(item.data, name) for name in ("position", "scale", "quaternion", "opacity")))
+    found = gaussian_attributes(bpy_scene, "position", "scale", "quaternion", "opacity")
+    return None if found is None else Surface(*found)
 
 
 class _Look:
@@ -56,8 +54,7 @@ class _Look:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if context.scene is None or context.mode != "OBJECT":
-            cls.poll_message_set("Leave Edit Mode first (Tab)")
+        if editing(cls, context):
             return False
         if active_fruit(context) is None:
             cls.poll_message_set("Choose a fruit in the list or in the viewport")

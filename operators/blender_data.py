@@ -97,6 +97,15 @@ def owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
     return [item for item in scene.objects if item.get(OWNER) == role]
 
 
+def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any]] | None:
+    """These attributes of this Blender scene's Gaussians; None where there are none, where they are being edited, and
+    where one is missing."""
+    item = owned_object(scene, "gaussians")
+    if item is None or item.mode == "EDIT" or any(name not in item.data.attributes for name in names):
+        return None
+    return [get_attribute(item.data, name) for name in names]
+
+
 def owned_collection(scene: bpy.types.Scene, role: Role, name: str) -> bpy.types.Collection:
     """This Blender scene's collection with that role, made under its name where there is none."""
     for collection in scene.collection.children_recursive:
@@ -118,6 +127,17 @@ def new_object(
     item.parent = parent
     collection.objects.link(item)
     return item
+
+
+def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> None:
+    """Select these and nothing else, but for hidden ones, and make the first active."""
+    for item in context.selected_objects:
+        item.select_set(False)
+    for item in items:
+        if not item.hide_viewport:
+            item.select_set(True)
+    if items:
+        context.view_layer.objects.active = items[0]
 
 
 def in_scene_frame(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:

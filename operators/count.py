@@ -8,13 +8,13 @@ from typing import Any
 import bpy
 
 from ..engine.progress import Progress
-from .jobs import JobOperator, Work, busy
-from .preview import Preview
+from .jobs import Work
+from .preview import Preview, SceneJob
 from .settings import foreign_file, read_config, read_prompts, read_words, result_folder, source_folder
 from .showing import count_text, show_result
 
 
-class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
+class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
     bl_idname = "fruitlangs.count"
     bl_label = "Count Fruit"
     bl_description = "Train Gaussians from the photos, ask them the prompt and count; stages already done are reused"
@@ -24,10 +24,7 @@ class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls):
-            return False
-        if context.scene is None or not context.scene.fruitlangs.source:
-            cls.poll_message_set("Choose a scene first")
+        if not super().poll(context):
             return False
         if not context.scene.fruitlangs.prompt.strip(" ,"):
             cls.poll_message_set("Type what to count, for example apple")
@@ -59,12 +56,6 @@ class FRUITLANGS_OT_count(JobOperator, bpy.types.Operator):
             )
 
         return work
-
-    def ticked(self, context: bpy.types.Context) -> None:
-        self._preview.show()
-
-    def ended(self, context: bpy.types.Context) -> None:
-        self._preview.remove()
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)

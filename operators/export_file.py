@@ -35,7 +35,6 @@ class ExportFile(JobOperator):
     title = TITLE
     suffixes: tuple[str, ...] = ()
     """Of the files it writes; the first is the one that a name without any gets."""
-    _asked = False
 
     filepath: bpy.props.StringProperty(name="File", subtype="FILE_PATH", options=_PATH, description="Where to write")
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
@@ -57,11 +56,9 @@ class ExportFile(JobOperator):
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.filepath or bpy.app.background:
             return super().invoke(context, event)
-        self._asked = True
         self.filepath = str(default_path(context.scene, self.suffixes[0]))
         self.filter_glob = ";".join(f"*{suffix}" for suffix in self.suffixes)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return self.ask_where(context)
 
     def check(self: Any, _context: bpy.types.Context) -> bool:
         """Called by the dialog at every change: the name keeps a suffix that fits."""
@@ -69,16 +66,6 @@ class ExportFile(JobOperator):
         if Path(before).name and not before.endswith(("/", "\\")):
             self.filepath = str(with_suffix(Path(before), self.suffixes))
         return bool(self.filepath != before)
-
-    def execute(self: Any, context: bpy.types.Context) -> set[str]:
-        if not self._asked:
-            return super().execute(context)
-        # The dialog calls this when a place was chosen; started anew the operator works in a thread.
-        name = type(self).bl_idname.partition(".")[2]
-        getattr(bpy.ops.fruitlangs, name)(
-            "INVOKE_DEFAULT", **self.as_keywords(ignore=("check_existing", "filter_glob"))
-        )
-        return {"FINISHED"}
 
     def prepare(self: Any, context: bpy.types.Context) -> Work:
         path = chosen_file(self.filepath, self.suffixes)

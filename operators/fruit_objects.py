@@ -9,7 +9,14 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .blender_data import get_attribute, in_scene_frame, owned_collection, owned_object, owned_objects, set_attribute
+from .blender_data import (
+    gaussian_attributes,
+    in_scene_frame,
+    owned_collection,
+    owned_object,
+    owned_objects,
+    set_attribute,
+)
 from .write_fruits import write_fruit
 
 if TYPE_CHECKING:
@@ -99,20 +106,20 @@ def next_ids(bpy_scene: bpy.types.Scene, count: int) -> list[int]:
 
 def members(bpy_scene: bpy.types.Scene, number: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Indices (M,) of the Gaussians of a fruit, and their places (M, 3) in the scene's frame."""
-    item = owned_object(bpy_scene, "gaussians")
-    if item is None or item.mode == "EDIT" or "fruit_id" not in item.data.attributes:
+    found = gaussian_attributes(bpy_scene, "fruit_id", "position")
+    if found is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
-    own = np.flatnonzero(get_attribute(item.data, "fruit_id") == number)
-    return own, get_attribute(item.data, "position")[own].astype(np.float64)
+    owners, places = found
+    own = np.flatnonzero(owners == number)
+    return own, places[own].astype(np.float64)
 
 
 def give_members(bpy_scene: bpy.types.Scene, own: NDArray[np.int64], numbers: NDArray[np.int64] | int) -> None:
     """Make the Gaussians `own` (M,) those of the fruit with these numbers, (M,) or one."""
-    item = owned_object(bpy_scene, "gaussians")
-    if len(own) and item is not None and item.mode != "EDIT":
-        ids = get_attribute(item.data, "fruit_id")
-        ids[own] = numbers
-        set_attribute(item.data, "fruit_id", "INT", ids)
+    item, found = owned_object(bpy_scene, "gaussians"), gaussian_attributes(bpy_scene, "fruit_id")
+    if len(own) and item is not None and found is not None:
+        found[0][own] = numbers
+        set_attribute(item.data, "fruit_id", "INT", found[0])
 
 
 def now() -> str:

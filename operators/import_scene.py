@@ -34,7 +34,6 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     title = "Import"
     _show: Callable[..., None]
-    _asked = False
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
 
@@ -44,17 +43,8 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.directory and not context.scene.fruitlangs.source and not bpy.app.background:
-            self._asked = True
-            context.window_manager.fileselect_add(self)
-            return {"RUNNING_MODAL"}
+            return self.ask_where(context)
         return super().invoke(context, event)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        if not self._asked:
-            return super().execute(context)
-        # The dialog calls this when a folder was chosen; started anew the operator works in a thread.
-        bpy.ops.fruitlangs.import_scene("INVOKE_DEFAULT", directory=self.directory)
-        return {"FINISHED"}
 
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs

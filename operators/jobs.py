@@ -25,6 +25,8 @@ REDRAW_SECONDS = 0.25
 LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
 """How far and how long a job must have gone before the time that remains is told."""
 
+LEAVE_EDITING = "Leave Edit Mode first (Tab)"
+
 Work = Callable[[Progress], Any]
 
 
@@ -115,6 +117,14 @@ def busy(operator: Any) -> bool:
     return True
 
 
+def editing(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether a person is not in Object Mode, or there is no scene; the operator's poll then says so."""
+    if context.scene is not None and context.mode == "OBJECT":
+        return False
+    operator.poll_message_set(LEAVE_EDITING)
+    return True
+
+
 def cancel_running(wait: float = 0.0) -> None:
     """Ask the job at work to stop and wait up to so many seconds for it."""
     job = running()
@@ -146,6 +156,7 @@ class JobOperator:
     title = ""
     _target: Target
     _job: Any = None
+    _asked = False
 
     def prepare(self, context: bpy.types.Context) -> Work:
         """Read the settings and return the work; called on the main thread. May raise FruitLangsError.
@@ -171,7 +182,19 @@ class JobOperator:
     def ended(self, context: bpy.types.Context) -> None:
         """However the work ended, before `finish`: take away what `ticked` showed."""
 
+    def ask_where(self: Any, context: bpy.types.Context) -> set[str]:
+        """Open Blender's file dialog, which calls `execute` when a place was chosen; for an `invoke` to return."""
+        self._asked = True
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
     def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        if self._asked:  # started anew the operator works in a thread
+            name = type(self).bl_idname.partition(".")[2]
+            getattr(bpy.ops.fruitlangs, name)(
+                "INVOKE_DEFAULT", **self.as_keywords(ignore=("check_existing", "filter_glob"))
+            )
+            return {"FINISHED"}
         self._target = Target(context.scene)
         self.failed(context, "")
         try:

@@ -12,7 +12,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from .blender_data import get_attribute, owned_object
-from .jobs import busy, show_status
+from .jobs import LEAVE_EDITING, busy, show_status
 from .picking import pick_point, pick_surface
 
 REACH_PIXELS = 12
@@ -85,7 +85,7 @@ class PickTool:
             self.report({"ERROR"}, "Start this from a 3D viewport")
             return {"CANCELLED"}
         if context.mode != "OBJECT":
-            self.report({"ERROR"}, "Leave Edit Mode first (Tab)")
+            self.report({"ERROR"}, LEAVE_EDITING)
             return {"CANCELLED"}
         self._target3d = Target3D(context.scene)
         self._points: list[NDArray[np.float64]] = []

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .splats import rotation_rows
+
 FloatArray = NDArray[np.floating]
 
 SIGMAS = 3.0
@@ -34,7 +36,7 @@ def pick_surface(
     near = np.flatnonzero((along > -reach) & (apart < reach**2))
     if len(near) == 0:
         return None
-    turns = _rotations(quats[near].astype(np.float64))
+    turns = np.moveaxis(np.array(rotation_rows(quats[near].astype(np.float64))), -1, 0)
     widths = np.maximum(scales[near].astype(np.float64), 1e-12)
     start = -np.einsum("nij,ni->nj", turns, offsets[near].astype(np.float64)) / widths
     course = np.einsum("nij,i->nj", turns, direction) / widths
@@ -63,14 +65,3 @@ def pick_point(
     if len(near) == 0:
         return None
     return np.asarray(points[near[np.argmin(along[near])]], np.float64)
-
-
-def _rotations(quats: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 3, 3) rotations of quaternions (N, 4), w first, of any length; columns are the Gaussians' axes."""
-    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)

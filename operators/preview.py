@@ -10,6 +10,7 @@ import numpy as np
 
 from . import splat_drawing
 from .blender_data import array, in_scene_frame, owned_object, owned_objects
+from .jobs import JobOperator, busy
 from .splats import Splats, splats_in_training
 from .write_gaussians import REACH
 
@@ -57,6 +58,28 @@ class Preview:
     def remove(self) -> None:
         """Draw what the .blend holds again."""
         splat_drawing.show_preview(self._scene, None)
+
+
+class SceneJob(JobOperator):
+    """Mix into an operator that works on the chosen scene and shows what it trains meanwhile; `prepare` sets
+    `_preview`."""
+
+    _preview: Preview
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if busy(cls):
+            return False
+        if context.scene is None or not context.scene.fruitlangs.source:
+            cls.poll_message_set("Choose a scene first")
+            return False
+        return True
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        self._preview.show()
+
+    def ended(self, context: bpy.types.Context) -> None:
+        self._preview.remove()
 
 
 def _room(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[tuple[float, ...], float]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import CountingError
-from .blender_data import get_attribute, owned_object
+from .blender_data import gaussian_attributes, owned_object
 from .fruit_objects import LAST_ID, metres_per_unit, next_ids, spot_of, standing
 from .keep_review import is_reviewed, reviewed_interval
 
@@ -112,7 +112,5 @@ def _trees(fruits: list[Fruit]) -> list[Tree]:
 
 def _gaussian_attribute(bpy_scene: bpy.types.Scene, name: str, kind: type) -> NDArray[Any]:
     """(N,) an attribute of the Gaussians; empty where it cannot be had."""
-    item = owned_object(bpy_scene, "gaussians")
-    if item is None or item.mode == "EDIT" or name not in item.data.attributes:
-        return np.zeros(0, kind)
-    return get_attribute(item.data, name)
+    found = gaussian_attributes(bpy_scene, name)
+    return np.zeros(0, kind) if found is None else found[0]

@@ -7,28 +7,19 @@ from typing import Any
 import bpy
 
 from ..engine.progress import Progress
-from .jobs import JobOperator, Work, busy
-from .preview import Preview
+from .jobs import Work
+from .preview import Preview, SceneJob
 from .settings import foreign_file, read_config, result_folder, source_folder
 from .showing import show_reconstruction
 
 
-class FRUITLANGS_OT_reconstruct(JobOperator, bpy.types.Operator):
+class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
     bl_idname = "fruitlangs.reconstruct"
     bl_label = "Reconstruct"
     bl_description = "Train Gaussians from the photos and give them what words can ask; stages already done are reused"
     bl_options = {"UNDO"}
 
     title = "Reconstruct"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls):
-            return False
-        if context.scene is None or not context.scene.fruitlangs.source:
-            cls.poll_message_set("Choose a scene first")
-            return False
-        return True
 
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
@@ -43,12 +34,6 @@ class FRUITLANGS_OT_reconstruct(JobOperator, bpy.types.Operator):
             return reconstruct_scene(source, out, config=config, foreign=foreign, watch=watch, progress=progress)
 
         return work
-
-    def ticked(self, context: bpy.types.Context) -> None:
-        self._preview.show()
-
-    def ended(self, context: bpy.types.Context) -> None:
-        self._preview.remove()
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         made, stages = result

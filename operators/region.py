@@ -14,7 +14,15 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..engine.errors import ConfigError
-from .blender_data import in_scene_frame, new_object, owned_collection, owned_object, owned_objects, remove_objects
+from .blender_data import (
+    in_scene_frame,
+    new_object,
+    owned_collection,
+    owned_object,
+    owned_objects,
+    remove_objects,
+    select_only,
+)
 from .jobs import busy
 
 if TYPE_CHECKING:
@@ -78,10 +86,7 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
         placed = Matrix.LocRotScale(middle, None, half)
         box.matrix_basis = root.matrix_basis.inverted() @ placed
         if context.mode == "OBJECT":
-            for item in context.selected_objects:
-                item.select_set(False)
-            box.select_set(True)
-            context.view_layer.objects.active = box
+            select_only(context, [box])
         self.report({"INFO"}, "Counts are held to the box: move it with G, scale it with S, turn it with R Z")
         return {"FINISHED"}
 

@@ -14,7 +14,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from ..engine.errors import FruitLangsError
-from .blender_data import owned_object, owned_objects, remove_objects
+from .blender_data import owned_object, owned_objects, remove_objects, select_only
 from .fruit_objects import (
     CONFIRMED,
     REJECTED,
@@ -30,7 +30,7 @@ from .fruit_objects import (
     standing,
     write_log,
 )
-from .jobs import busy
+from .jobs import busy, editing
 from .pick_tool import PickTool
 from .viewport import look_at_point, shown_screens
 from .write_fruits import label_fruit
@@ -61,10 +61,7 @@ class Judgement:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls):
-            return False
-        if context.scene is None or context.mode != "OBJECT":
-            cls.poll_message_set("Leave Edit Mode first (Tab)")
+        if busy(cls) or editing(cls, context):
             return False
         if len(chosen(context)) < cls.needs:
             many = "a fruit" if cls.needs == 1 else f"{cls.needs} fruit or more (Shift and click)"
@@ -87,15 +84,6 @@ def _spots(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> lis
     root = owned_object(context.scene, "root")
     assert root is not None
     return [spot_of(item, root) for item in items]
-
-
-def _select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> None:
-    for item in context.selected_objects:
-        item.select_set(False)
-    for item in items:
-        item.select_set(True)
-    if items:
-        context.view_layer.objects.active = items[0]
 
 
 class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
@@ -146,7 +134,7 @@ class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
         item = context.view_layer.objects.active
         judge(item, "")
         self.log(context, "reopen", _spots(context, [item]))
-        _select_only(context, [item])
+        select_only(context, [item])
         return {"FINISHED"}
 
 
@@ -169,7 +157,7 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
         made = make_fruit(context.scene, whole, items[0])
         self.log(context, "merge", before, [whole])
         remove_objects(items)
-        _select_only(context, [made])
+        select_only(context, [made])
         return {"FINISHED"}
 
 
@@ -200,7 +188,7 @@ class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
         give_members(context.scene, own, np.array([spot.id for spot in spots])[owners] if len(own) else 0)
         self.log(context, "split", [before], spots)
         remove_objects([item])
-        _select_only(context, made)
+        select_only(context, made)
         return {"FINISHED"}
 
 
@@ -258,7 +246,7 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
         spot = ball(next_ids(context.scene, 1)[0], label, np.array(self.center), size)
         made = make_fruit(context.scene, spot, None)
         self.log(context, "add", after=[spot])
-        _select_only(context, [made])
+        select_only(context, [made])
         return {"FINISHED"}
 
 
@@ -277,10 +265,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls):
-            return False
-        if context.scene is None or context.mode != "OBJECT":
-            cls.poll_message_set("Leave Edit Mode first (Tab)")
+        if busy(cls) or editing(cls, context):
             return False
         if not any(REVIEW not in item for item in owned_objects(context.scene, "fruit")):
             cls.poll_message_set("Every fruit has been looked at")
@@ -289,7 +274,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         item = next_doubtful(context)
-        _select_only(context, [item])
+        select_only(context, [item])
         root = owned_object(context.scene, "root")
         if root is not None:
             place = root.matrix_world @ Vector(item.location)
@@ -319,12 +304,7 @@ def set_active_fruit(review: Any, index: int) -> None:
     collection = _shown_collection(review.id_data)
     if collection is None or bpy.context.mode != "OBJECT" or not 0 <= index < len(collection.objects):
         return
-    item = collection.objects[index]
-    for other in bpy.context.selected_objects:
-        other.select_set(False)
-    if not item.hide_viewport:
-        item.select_set(True)
-    bpy.context.view_layer.objects.active = item
+    select_only(bpy.context, [collection.objects[index]])
 
 
 def _shown_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:

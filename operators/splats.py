@@ -71,12 +71,21 @@ def packed_covariances(scales: FloatArray, quats: FloatArray) -> FloatArray:
 
     scales: (N, 3) standard deviations σ; quats: (N, 4) rotations w, x, y, z, not necessarily unit.
     """
-    w, x, y, z = (quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)).T
-    sx, sy, sz = scales.T
     # Rows of R diag(σ).
-    a = ((1 - 2 * (y * y + z * z)) * sx, 2 * (x * y - w * z) * sy, 2 * (x * z + w * y) * sz)
-    b = (2 * (x * y + w * z) * sx, (1 - 2 * (x * x + z * z)) * sy, 2 * (y * z - w * x) * sz)
-    c = (2 * (x * z - w * y) * sx, 2 * (y * z + w * x) * sy, (1 - 2 * (x * x + y * y)) * sz)
+    a, b, c = ([entry * size for entry, size in zip(row, scales.T, strict=True)] for row in rotation_rows(quats))
     pairs = ((a, a), (a, b), (a, c), (b, b), (b, c), (c, c))
     packed = [p[0] * q[0] + p[1] * q[1] + p[2] * q[2] for p, q in pairs]
     return np.ascontiguousarray(np.stack(packed, axis=1), np.float32)
+
+
+def rotation_rows(quats: NDArray[np.floating]) -> list[list[NDArray[np.floating]]]:
+    """The rotations of quaternions (N, 4), w first, of any length: rows of columns, (N,) each.
+
+    A Gaussian's own axes are the columns.
+    """
+    w, x, y, z = (quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)).T
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]

@@ -29,4 +29,9 @@ class Target:
 
     def find(self) -> bpy.types.Scene | None:
         """The scene as it is; None where it was deleted, or another file was opened."""
-        return next((scene for scene in bpy.data.scenes if scene.session_uid == self._uid), None)
+        return find_scene(self._uid)
+
+
+def find_scene(session_uid: int) -> bpy.types.Scene | None:
+    """The Blender scene of that session id; None where there is none any more."""
+    return next((scene for scene in bpy.data.scenes if scene.session_uid == session_uid), None)
