@@ -9,12 +9,10 @@ gap, with no job and then during Reconstruct and Count: what a job adds is the d
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 import time
-import traceback
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ import _checkout  # noqa: F401
 import bpy
 import numpy as np
 
-import fruitlangs
+from _window import arguments_of, open_panel, play, region_of, viewport
 
 TICK = 0.01
 JOBS = ("import", "reconstruct", "count")
@@ -38,7 +36,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--prompt", default="apple")
     parser.add_argument("--steps", type=int, default=300, help="of training")
     parser.add_argument("--idle", type=float, default=20.0, help="seconds to watch with no job")
-    return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])
+    return parser.parse_args(arguments_of())
 
 
 @dataclass
@@ -74,7 +72,7 @@ class Gaps:
         return "\n".join(rows)
 
 
-def visit(arguments: argparse.Namespace, gaps: Gaps) -> Iterator[float]:
+def visit(arguments: argparse.Namespace, gaps: Gaps) -> Generator[float, None, None]:
     """Each yield lets the window live on for so many seconds."""
     from fruitlangs.operators import jobs
 
@@ -94,14 +92,9 @@ def visit(arguments: argparse.Namespace, gaps: Gaps) -> Iterator[float]:
     def settings() -> Any:
         return window.scene.fruitlangs
 
-    fruitlangs.register()
-    bpy.data.batch_remove(list(bpy.data.objects))
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    area.spaces.active.show_region_ui = True
-    region = next(region for region in area.regions if region.type == "WINDOW")
-    yield 2.0
-    next(region for region in area.regions if region.type == "UI").active_panel_category = "Fruit"
+    yield from open_panel()
+    window, area = viewport()
+    region = region_of(area, "WINDOW")
     settings().source, settings().prompt = str(arguments.scene.resolve()), arguments.prompt
     settings().out = str(Path(tempfile.mkdtemp()) / "result")
     settings().config.train.steps = arguments.steps
@@ -115,25 +108,7 @@ def visit(arguments: argparse.Namespace, gaps: Gaps) -> Iterator[float]:
     print(gaps.table(), flush=True)
 
 
-def main() -> None:
-    bpy.context.preferences.view.show_splash = False
-    gaps = Gaps()
-    actions = visit(parse(), gaps)
-
-    def act() -> float | None:
-        try:
-            return next(actions)
-        except StopIteration:
-            code = 0
-        except BaseException:
-            traceback.print_exc()
-            code = 1
-        sys.stdout.flush()
-        os._exit(code)  # no question whether to save
-
-    bpy.app.timers.register(act, first_interval=1.5, persistent=True)
-    bpy.app.timers.register(gaps.tick, persistent=True)
-
-
 if __name__ == "__main__":
-    main()
+    watched = Gaps()
+    play(visit(parse(), watched))
+    bpy.app.timers.register(watched.tick, persistent=True)

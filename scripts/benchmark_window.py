@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 import time
-import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -30,6 +28,7 @@ import numpy as np
 from mathutils import Quaternion
 
 import fruitlangs
+from _window import arguments_of, play, viewport
 
 COUNTS = (20_000, 100_000, 500_000)
 ATTRIBUTES = ("position", "scale", "quaternion", "radiance:base", "opacity", "probability", "fruit_id")
@@ -61,7 +60,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--gaussians", type=int, nargs="+", default=list(COUNTS), help="numbers of Gaussians")
     parser.add_argument("--repeats", type=int, default=5, help="of each figure, of which the median (default 5)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the rows there as JSON")
-    return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])
+    return parser.parse_args(arguments_of())
 
 
 def tree(count: int) -> Any:
@@ -119,7 +118,7 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     yield 0.5
     bpy.data.batch_remove(list(bpy.data.objects))
     bpy_scene = bpy.context.scene
-    area = next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
+    _, area = viewport()
     view = area.spaces.active.region_3d
     view.view_location, view.view_distance = (0.0, 0.0, 1.2), 6.0
     random = np.random.default_rng(1)
@@ -208,7 +207,7 @@ def cell(value: bool | int | float) -> str:
     return f"{value:.3g}" if isinstance(value, float) else f"{value:,}"
 
 
-def visit(arguments: argparse.Namespace) -> Iterator[float]:
+def visit(arguments: argparse.Namespace) -> Generator[float, None, None]:
     """All numbers of Gaussians, one after the other."""
     fruitlangs.register()
     rows = []
@@ -226,23 +225,5 @@ def visit(arguments: argparse.Namespace) -> Iterator[float]:
         arguments.out.write_text(text + "\n", encoding="utf-8")
 
 
-def main() -> None:
-    bpy.context.preferences.view.show_splash = False
-    actions = visit(parse())
-
-    def tick() -> float | None:
-        try:
-            return next(actions)
-        except StopIteration:
-            code = 0
-        except BaseException:
-            traceback.print_exc()
-            code = 1
-        sys.stdout.flush()
-        os._exit(code)  # no question whether to save
-
-    bpy.app.timers.register(tick, first_interval=1.5, persistent=True)
-
-
 if __name__ == "__main__":
-    main()
+    play(visit(parse()))
