@@ -18,7 +18,7 @@ from bpy.props import (
 )
 
 from ..operators.best_photo import FRUITLANGS_OT_best_photo, FRUITLANGS_OT_free_view, FRUITLANGS_OT_next_photo
-from ..operators.photo_backgrounds import PROBLEM, opacity_changed
+from ..operators.photo_backgrounds import PROBLEM, is_awaited, opacity_changed
 from .panel_parts import draw_text
 
 
@@ -64,5 +64,7 @@ def draw_photos(layout: Any, context: bpy.types.Context) -> None:
         slider = row.row(align=True)
         slider.active = photos.show
         slider.prop(photos, "opacity", slider=True)
+    if camera is not None and is_awaited(camera):
+        layout.label(text="The photo is being undistorted", icon="TIME")
     if camera is not None and PROBLEM in camera:
         draw_text(layout, camera[PROBLEM], context, icon="ERROR")

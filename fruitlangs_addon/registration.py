@@ -16,6 +16,7 @@ from ..operators import (
     import_scene,
     jobs,
     label_drawing,
+    legend,
     level,
     look,
     package_folder,
@@ -81,7 +82,8 @@ def register() -> None:
     bpy.types.TOPBAR_MT_file_export.append(export.menu_entry)
     ask.register_handlers()
     photo_backgrounds.register_watch()
-    label_drawing.register_drawing()
+    label_drawing.drawing.start()
+    legend.drawing.start()
     look.register_handlers()
     splat_drawing.register_handlers()
 
@@ -91,7 +93,8 @@ def unregister() -> None:
     jobs.cancel_running(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     look.unregister_handlers()
-    label_drawing.unregister_drawing()
+    legend.drawing.stop()
+    label_drawing.drawing.stop()
     photo_backgrounds.unregister_watch()
     ask.unregister_handlers()
     bpy.types.TOPBAR_MT_file_export.remove(export.menu_entry)

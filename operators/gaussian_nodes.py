@@ -13,10 +13,10 @@ import bpy
 
 from .blender_data import OWNER, linear_from_srgb
 
-VERSION = 2
+VERSION = 3
 """Raise when a node tree or material changes: those in older files are then left alone and new ones made."""
 
-GAUSSIAN_NODES = "gaussian nodes"
+GAUSSIAN_NODES, POINT_NODES = "gaussian nodes", "point nodes"
 
 ELLIPSOID_LIMIT = 100_000
 """Above this many Gaussians points are drawn; instances get too slow."""
@@ -86,14 +86,15 @@ def gaussian_node_group() -> bpy.types.GeometryNodeTree:
     return _once("FruitLangs Gaussians", GAUSSIAN_NODES, bpy.data.node_groups, _make_gaussian_group)
 
 
-def is_gaussian_group(group: Any) -> bool:
-    """Whether a node group is `gaussian_node_group`'s, of any version."""
-    return str(group.get(OWNER, "")).startswith(GAUSSIAN_NODES)
-
-
 def point_node_group() -> bpy.types.GeometryNodeTree:
     """Points with `radiance:base` → small points in that colour."""
-    return _once("FruitLangs Points", "point nodes", bpy.data.node_groups, _make_point_group)
+    return _once("FruitLangs Points", POINT_NODES, bpy.data.node_groups, _make_point_group)
+
+
+def shown_by(item: bpy.types.Object) -> list[Any]:
+    """The modifiers with our nodes, of any version, that show Gaussians or sparse points."""
+    found = [modifier for modifier in item.modifiers if modifier.type == "NODES" and modifier.node_group is not None]
+    return [one for one in found if str(one.node_group.get(OWNER, "")).startswith((GAUSSIAN_NODES, POINT_NODES))]
 
 
 def probability_material(attribute_type: str) -> bpy.types.Material:
@@ -134,8 +135,9 @@ def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
 
 
 def renew_nodes(modifier: bpy.types.NodesModifier) -> None:
-    """Give a modifier whose Gaussian nodes are of an older version the present ones; inputs stay as they were."""
-    group, old = gaussian_node_group(), modifier.node_group
+    """Give one of the `shown_by` modifiers whose nodes are of an older version the present ones; inputs stay."""
+    old = modifier.node_group
+    group = point_node_group() if str(old[OWNER]).startswith(POINT_NODES) else gaussian_node_group()
     if old == group:
         return
     names = [item.name for item in old.interface.items_tree if item.in_out == "INPUT" and item.name != "Geometry"]
@@ -171,7 +173,7 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     _input(group, "Highlight", "NodeSocketBool", False, None, None, "Light Gaussians that fit the prompt, dim others")
     _input(group, "Threshold", number, THRESHOLD, 0.0, 1.0, "Probability from which a Gaussian fits the prompt")
     _input(group, "Dimming", number, DIMMING, 0.0, 1.0, "Share of its brightness that one that does not fit loses")
-    _input(group, "In Viewport", "NodeSocketBool", True, None, None, "Show them in viewports too, not in renders alone")
+    _viewport_input(group)
     _input(
         group, "Ellipsoids up to", whole, ELLIPSOID_LIMIT, 0, 10_000_000, "Draw points when there are more than this"
     )
@@ -204,14 +206,26 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     chosen = piece.node(
         "GeometryNodeSwitch", 8, 0, {"Switch": many, "False": ellipsoids, "True": dots}, input_type="GEOMETRY"
     ).outputs[0]
-    # Not the modifier's own display: the bare mesh would then show as black dots.
-    viewport = piece.node("GeometryNodeIsViewport", 8, 2).outputs[0]
-    hidden = piece.node("FunctionNodeBooleanMath", 9, 1, {0: viewport, 1: given["In Viewport"]}, operation="NIMPLY")
-    left = piece.node(
-        "GeometryNodeSwitch", 10, 0, {"Switch": hidden.outputs[0], "False": chosen}, input_type="GEOMETRY"
-    ).outputs[0]
-    piece.node("NodeGroupOutput", 11, 0, {0: left})
+    piece.node("NodeGroupOutput", 11, 0, {0: _where_shown(piece, chosen, given, 8)})
     return group
+
+
+def _viewport_input(group: Any) -> None:
+    _input(group, "In Viewport", "NodeSocketBool", True, None, None, "Show them in viewports too, not in renders alone")
+
+
+def _where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:
+    """The geometry, or none in viewports where "In Viewport" is off.
+
+    Not by the modifier's own display: the bare mesh would then show as black dots.
+    """
+    viewport = piece.node("GeometryNodeIsViewport", column, 2).outputs[0]
+    hidden = piece.node(
+        "FunctionNodeBooleanMath", column + 1, 1, {0: viewport, 1: given["In Viewport"]}, operation="NIMPLY"
+    ).outputs[0]
+    return piece.node(
+        "GeometryNodeSwitch", column + 2, 0, {"Switch": hidden, "False": geometry}, input_type="GEOMETRY"
+    ).outputs[0]
 
 
 def _highlighted(piece: Piece, points: Any, given: Any) -> Any:
@@ -257,11 +271,12 @@ def _ellipsoids(piece: Piece, points: Any, axes: Any) -> Any:
 def _make_point_group() -> bpy.types.GeometryNodeTree:
     group = _new_group()
     _input(group, "Radius", "NodeSocketFloat", 0.01, 0.0, 1e6, "Radius of a point, in units of the scene")
+    _viewport_input(group)
     piece = Piece(group)
     given = piece.node("NodeGroupInput", 0, 0).outputs
     points = piece.node("GeometryNodeMeshToPoints", 1, 0, {"Mesh": given["Geometry"], "Radius": given["Radius"]})
     shown = piece.node("GeometryNodeSetMaterial", 2, 0, {"Geometry": points.outputs[0], "Material": color_material()})
-    piece.node("NodeGroupOutput", 3, 0, {0: shown.outputs[0]})
+    piece.node("NodeGroupOutput", 6, 0, {0: _where_shown(piece, shown.outputs[0], given, 3)})
     return group
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import blf
 import bpy
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from ..engine.report.words import three_digits
 from .blender_data import owned_object
 from .fruit_objects import standing
+from .viewport import Drawing
 
 FONT, POINTS, BLUR = 0, 12.0, 5
 """Blender's default font, its size before the interface's scale, and how far the shadow behind it spreads."""
@@ -121,20 +121,4 @@ def _write(context: bpy.types.Context, items: Sequence[bpy.types.Object], kind: 
     blf.disable(FONT, blf.SHADOW)
 
 
-# A drawing function cannot live in a .blend.
-_handle: Any = None
-
-
-def register_drawing() -> None:
-    """Write in viewports from now on; in background mode there are none."""
-    global _handle
-    if not bpy.app.background and _handle is None:
-        _handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
-
-
-def unregister_drawing() -> None:
-    """Take back what `register_drawing` added."""
-    global _handle
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-        _handle = None
+drawing = Drawing(_draw, "POST_PIXEL")

@@ -1,4 +1,4 @@
-"""How Gaussians look: one set of choices a Blender scene, for the splats and for the Geometry Nodes alike.
+"""How Gaussians and sparse points look: one set of choices a Blender scene, for the splats and for the Geometry Nodes.
 
 While the extension is loaded in a window, the look decides what the viewport shows; a file on disk shows ellipsoids, so
 that it can be looked at without the extension. Renders always show ellipsoids.
@@ -13,8 +13,8 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .blender_data import get_attribute, owned_objects
-from .gaussian_nodes import DIMMING, THRESHOLD, get_input, is_gaussian_group, renew_nodes, set_input
-from .viewport import redraw_viewports
+from .gaussian_nodes import DIMMING, THRESHOLD, get_input, renew_nodes, set_input, shown_by
+from .viewport import in_window, redraw_viewports
 
 Style = Literal["SPLATS", "ELLIPSOIDS", "NONE"]
 
@@ -45,17 +45,21 @@ def look_of(bpy_scene: bpy.types.Scene) -> Look:
 
 
 def apply_look(bpy_scene: bpy.types.Scene) -> None:
-    """Give this Blender scene's Gaussian modifiers its look; those of an older version get the present nodes."""
+    """Give this Blender scene's modifiers its look; those of an older version get the present nodes."""
     look = look_of(bpy_scene)
-    in_viewport = look.style == "ELLIPSOIDS" or (look.style == "SPLATS" and not in_window())
+    as_splats = look.style == "SPLATS" and in_window()
+    for item in owned_objects(bpy_scene, "points"):
+        for modifier in shown_by(item):
+            renew_nodes(modifier)
+            _set_inputs(item, modifier, {"In Viewport": not as_splats})
     for item in owned_objects(bpy_scene, "gaussians"):
         values = {
             "Highlight": look.highlight and is_answered(item.data),
             "Threshold": look.threshold,
             "Dimming": look.dimming,
-            "In Viewport": in_viewport,
+            "In Viewport": look.style != "NONE" and not as_splats,
         }
-        for modifier in gaussian_modifiers(item):
+        for modifier in shown_by(item):
             renew_nodes(modifier)
             _set_inputs(item, modifier, values)
 
@@ -63,18 +67,13 @@ def apply_look(bpy_scene: bpy.types.Scene) -> None:
 def set_threshold(bpy_scene: bpy.types.Scene, threshold: float) -> None:
     """Light Gaussians from this probability on, in a file that is written without the extension's panel."""
     for item in owned_objects(bpy_scene, "gaussians"):
-        for modifier in gaussian_modifiers(item):
+        for modifier in shown_by(item):
             _set_inputs(item, modifier, {"Threshold": threshold})
 
 
 def is_answered(mesh: bpy.types.Mesh) -> bool:
     """Whether the Gaussians of this mesh hold probabilities of a prompt."""
     return not mesh.is_editmode and "probability" in mesh.attributes and bool(get_attribute(mesh, "probability").any())
-
-
-def in_window() -> bool:
-    """Whether there are viewports that splats can be drawn in."""
-    return not bpy.app.background
 
 
 def look_changed(settings: Any, _context: Any = None) -> None:
@@ -93,21 +92,6 @@ def _set_inputs(item: bpy.types.Object, modifier: Any, values: dict[str, Any]) -
         item.update_tag()
 
 
-def gaussian_modifiers(item: bpy.types.Object) -> list[Any]:
-    """The modifiers that show a Gaussian object: their Centre and Reach say what is hidden as background."""
-    found = [modifier for modifier in item.modifiers if modifier.type == "NODES" and modifier.node_group is not None]
-    return [modifier for modifier in found if is_gaussian_group(modifier.node_group)]
-
-
-def _show_in_viewports(shown: bool) -> None:
-    for bpy_scene in bpy.data.scenes:
-        if look_of(bpy_scene).style != "SPLATS" or not in_window():
-            continue
-        for item in owned_objects(bpy_scene, "gaussians"):
-            for modifier in gaussian_modifiers(item):
-                _set_inputs(item, modifier, {"In Viewport": shown})
-
-
 @persistent
 def apply_looks(_file: Any = None, _unused: Any = None) -> None:
     """After loading, saving, undo and redo: the look decides what viewports show."""
@@ -118,8 +102,13 @@ def apply_looks(_file: Any = None, _unused: Any = None) -> None:
 
 @persistent
 def show_ellipsoids(_file: Any = None, _unused: Any = None) -> None:
-    """Before saving, and when the extension goes: without it nothing else would show the Gaussians."""
-    _show_in_viewports(True)
+    """Before saving, and when the extension goes: without it nothing else would show Gaussians and points."""
+    for bpy_scene in bpy.data.scenes:
+        if look_of(bpy_scene).style != "SPLATS" or not in_window():
+            continue
+        for item in [*owned_objects(bpy_scene, "gaussians"), *owned_objects(bpy_scene, "points")]:
+            for modifier in shown_by(item):
+                _set_inputs(item, modifier, {"In Viewport": True})
 
 
 HANDLERS = {

@@ -1,12 +1,14 @@
 """Photos behind their cameras: each is put there when somebody looks through its camera, and taken away after the next.
 
 Hundreds of photos of 20 megapixels fit into no memory, so an import loads none. That a camera is looked through, by
-our buttons or by Blender's own keys, is noticed when a viewport is drawn.
+our buttons or by Blender's own keys, is noticed when a viewport is drawn. A photo of a lens that bends is undistorted
+in a thread, so that the window lives on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +16,24 @@ import bpy
 
 from .blender_data import OWNER
 from .jobs import describe_error
-from .photo_files import has_photo, viewed_file
+from .photo_files import has_photo, ready_file, undistorting, viewed_file
 from .settings import stored_path
-from .viewport import redraw_viewports
+from .viewport import Drawing, in_window, redraw_viewports
 
 PROBLEM = "photo_problem"
 """Custom property of a camera: why its photo is not shown."""
+WAIT = 0.1
+"""Seconds between two looks whether a photo is undistorted."""
+
+# Undistorting belongs to this session, not to the .blend: {session id of a camera: its photo in work}.
+_in_work: dict[int, Future[None]] = {}
+_worker: ThreadPoolExecutor | None = None
 
 
 def show_photo(item: bpy.types.Object) -> None:
     """Put the photo of a camera of ours behind it; nothing changes where it is there already.
+
+    In a window a photo that must be undistorted first comes when that is done (`is_awaited`); else this waits for it.
 
     Raises:
         SceneError: the photo is gone or cannot be decoded.
@@ -31,13 +41,43 @@ def show_photo(item: bpy.types.Object) -> None:
     if PROBLEM in item:
         del item[PROBLEM]
     if background_of(item) is None:
+        file = _file_soon(item) if in_window() else viewed_file(item)
+        if file is None:
+            return
         remove_backgrounds([item])
-        image = bpy.data.images.load(stored_path(viewed_file(item)))
+        image = bpy.data.images.load(stored_path(file))
         image[OWNER] = "photo"
         slot = item.data.background_images.new()
         slot.image, slot.frame_method, slot.display_depth = image, "STRETCH", "FRONT"
     item.data.show_background_images = True
     fade(item)
+
+
+def is_awaited(item: bpy.types.Object) -> bool:
+    """Whether the photo of a camera is being undistorted."""
+    return item.session_uid in _in_work
+
+
+def _file_soon(item: bpy.types.Object) -> Path | None:
+    """The picture that a camera sees; None while a thread makes it.
+
+    Raises:
+        SceneError: the photo is gone, or the thread could not decode it.
+    """
+    global _worker
+    work = _in_work.get(item.session_uid)
+    if work is not None:
+        if not work.done():
+            return None
+        del _in_work[item.session_uid]
+        work.result()
+    file = ready_file(item)
+    if file is None:
+        if _worker is None:
+            _worker = ThreadPoolExecutor(1, "fruitlangs-photo")
+        _in_work[item.session_uid] = _worker.submit(undistorting(item))
+        _show_soon()
+    return file
 
 
 def background_of(item: bpy.types.Object) -> Any:
@@ -117,39 +157,52 @@ def _watch() -> None:
     item = _camera_of(context.space_data, context.region_data, context.scene)
     if item is None or PROBLEM in item or background_of(item) is not None:
         return
+    _show_soon()
+
+
+def _show_soon() -> None:
     if not bpy.app.timers.is_registered(_show_looked_through):
         bpy.app.timers.register(_show_looked_through, first_interval=0.0)
 
 
-def _show_looked_through() -> None:
+def _show_looked_through() -> float | None:
     """Show the photos of the cameras that are looked through; why one is not shown stands in the panel."""
-    items = looked_through()
+    items, before = looked_through(), set(_in_work)
     if items:
         keep_only(items)
+    _forget_work(items)
     for item in items:
         try:
             show_photo(item)
         except Exception as error:
             item[PROBLEM] = describe_error(error)
-    redraw_viewports()
+    if not _in_work or set(_in_work) != before:
+        redraw_viewports()
+    return WAIT if _in_work else None
 
 
-# A drawing function cannot live in a .blend.
-_handle: Any = None
+def _forget_work(items: Iterable[bpy.types.Object]) -> None:
+    """Let go of photos that are in work for cameras other than these."""
+    wanted = {item.session_uid for item in items}
+    for uid in set(_in_work) - wanted:
+        _in_work.pop(uid).cancel()
+
+
+_drawing = Drawing(_watch, "POST_PIXEL")
 
 
 def register_watch() -> None:
     """Notice cameras that are looked through; in background mode nobody looks."""
-    global _handle
-    if not bpy.app.background and _handle is None:
-        _handle = bpy.types.SpaceView3D.draw_handler_add(_watch, (), "WINDOW", "POST_PIXEL")
+    _drawing.start()
 
 
 def unregister_watch() -> None:
     """Take back what `register_watch` added."""
-    global _handle
+    global _worker
+    _drawing.stop()
     if bpy.app.timers.is_registered(_show_looked_through):
         bpy.app.timers.unregister(_show_looked_through)
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-        _handle = None
+    _forget_work([])
+    if _worker is not None:
+        _worker.shutdown(wait=False)
+        _worker = None

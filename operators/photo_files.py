@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ PHOTO, FILE, LENS, SIZE, ASPECT = "photo", "photo_file", "photo_lens", "photo_si
 """Custom properties of a camera: its photo's name, its file, its lens where the file is not what the camera sees, the
 camera's width and height in pixels, and fx / fy."""
 LONGEST = 2048
-"""Pixels a side of an undistorted picture, at most: it is made while a person waits."""
+"""Pixels a side of an undistorted picture, at most: a person waits for it."""
 NEAR_BLEND = 2
 """Folders up from the .blend in which a photo that was moved is looked for."""
 
@@ -92,14 +93,39 @@ def viewed_file(item: bpy.types.Object) -> Path:
         SceneError: the photo is gone or cannot be decoded.
         ImportError: undistorting needs a package that is not installed.
     """
+    made = _viewed_name(item)
+    if not made.is_file():
+        undistorting(item)()
+    return made
+
+
+def ready_file(item: bpy.types.Object) -> Path | None:
+    """`viewed_file` where that takes no time; None where `undistorting` must be called first.
+
+    Raises:
+        SceneError: the photo is gone.
+    """
+    made = _viewed_name(item)
+    return made if made.is_file() else None
+
+
+def undistorting(item: bpy.types.Object) -> Callable[[], None]:
+    """What makes the picture that the camera sees; any thread may call it.
+
+    Raises (both this and what is returned):
+        SceneError: the photo is gone or cannot be decoded.
+        ImportError: a package is not installed.
+    """
+    photo, made = _file_photo(item, photo_path(item)), _viewed_name(item)
+    return lambda: _write_undistorted(photo, made)
+
+
+def _viewed_name(item: bpy.types.Object) -> Path:
     path = photo_path(item)
     if LENS not in item:
         return path
     text = f"{path} {path.stat().st_mtime_ns} {item[LENS]}"
-    made = Path(bpy.app.tempdir) / f"fruitlangs_{hashlib.sha256(text.encode()).hexdigest()[:16]}.png"
-    if not made.is_file():
-        _write_undistorted(_file_photo(item, path), made)
-    return made
+    return Path(bpy.app.tempdir) / f"fruitlangs_{hashlib.sha256(text.encode()).hexdigest()[:16]}.png"
 
 
 def _file_photo(item: bpy.types.Object, path: Path) -> FilePhoto:

@@ -31,6 +31,7 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
     root = write_root(bpy_scene, scene)
     if len(scene.points):
         write_points(bpy_scene, scene, root)
+    apply_look(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(bpy_scene.fruitlangs.result, scene)
     show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")

@@ -14,12 +14,12 @@ import bpy
 from bpy.app.handlers import persistent
 from mathutils import Matrix
 
-from .blender_data import owned_objects
-from .gaussian_nodes import get_input
-from .look import gaussian_modifiers, look_of
+from .blender_data import OWNER, owned_objects
+from .gaussian_nodes import get_input, shown_by
+from .look import look_of
 from .photo_backgrounds import photo_cover
-from .splats import Splats, splats_of_mesh
-from .viewport import redraw_viewports
+from .splats import Splats, splats_of_mesh, splats_of_points
+from .viewport import Drawing, redraw_viewports
 
 if TYPE_CHECKING:
     from .splat_textures import Picture, SplatTextures
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 KEPT_VIEWS = 12
 """Viewports whose picture and orders are kept."""
 EVERYWHERE = ((0.0, 0.0, 0.0), 1e9)
-"""Centre and reach where no modifier says."""
+"""Centre and reach that hide nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,6 @@ class Drawn:
 
 
 _drawn = Drawn()
-_handle: Any = None
 
 
 def show_preview(scene: int, preview: Interim | None) -> None:
@@ -71,6 +70,11 @@ def show_preview(scene: int, preview: Interim | None) -> None:
     else:
         _drawn.previews[scene] = preview
     redraw_viewports()
+
+
+def has_preview(bpy_scene: bpy.types.Scene) -> bool:
+    """Whether what a job trains is drawn in place of this Blender scene's Gaussians."""
+    return bpy_scene.session_uid in _drawn.previews
 
 
 def problem() -> str:
@@ -93,6 +97,9 @@ def draw_viewport() -> None:
     except Exception as error:  # one line; at every redraw it would be thousands
         _drawn.problem = f"{type(error).__name__}: {error}"
         print(f"FruitLangs cannot draw splats here, choose the look Ellipsoids: {_drawn.problem}", file=sys.stderr)
+
+
+_drawing = Drawing(draw_viewport, "POST_VIEW")
 
 
 def _draw(
@@ -125,7 +132,8 @@ def _layers(bpy_scene: Any, view_layer: Any, space: Any) -> list[tuple[SplatText
         return [(_preview_textures(bpy_scene.session_uid, preview), preview.matrix)]
     if look_of(bpy_scene).style != "SPLATS":
         return []
-    items = [item for item in owned_objects(bpy_scene, "gaussians") if item.type == "MESH"]
+    owned = [*owned_objects(bpy_scene, "points"), *owned_objects(bpy_scene, "gaussians")]
+    items = [item for item in owned if item.type == "MESH"]
     visible = [item for item in items if item.visible_get(view_layer=view_layer, viewport=space)]
     found = [(_mesh_textures(item), item.matrix_world.copy()) for item in visible]
     return [(textures, matrix) for textures, matrix in found if textures is not None]
@@ -146,15 +154,10 @@ def _mesh_textures(item: bpy.types.Object) -> SplatTextures | None:
     """An object's splats on the card, read anew where its mesh changed; as they were while it is edited."""
     from .splat_textures import SplatTextures
 
-    uid = item.data.session_uid
+    uid, (centre, reach) = item.data.session_uid, _room(item)
     textures = _drawn.meshes.get(uid)
-    modifiers = gaussian_modifiers(item)
-    if modifiers:
-        centre, reach = get_input(modifiers[0], "Centre"), get_input(modifiers[0], "Reach")
-    else:
-        centre, reach = EVERYWHERE
     if textures is None or uid in _drawn.stale:
-        splats = splats_of_mesh(item.data)
+        splats = _read(item)
         if splats is None:
             return textures
         _drawn.stale.discard(uid)
@@ -167,12 +170,33 @@ def _mesh_textures(item: bpy.types.Object) -> SplatTextures | None:
     return textures
 
 
+def _room(item: bpy.types.Object) -> tuple[tuple[float, ...], float]:
+    """Centre and reach of what is shown of an object."""
+    modifiers = [] if item[OWNER] == "points" else shown_by(item)
+    return (get_input(modifiers[0], "Centre"), get_input(modifiers[0], "Reach")) if modifiers else EVERYWHERE
+
+
+def _read(item: bpy.types.Object) -> Splats | None:
+    if item[OWNER] != "points":
+        return splats_of_mesh(item.data)
+    modifiers = shown_by(item)
+    return splats_of_points(item.data, get_input(modifiers[0], "Radius")) if modifiers else None
+
+
 @persistent
 def note_changes(_scene: Any, depsgraph: bpy.types.Depsgraph) -> None:
-    """After an update: meshes of which Blender says that their geometry changed are read anew when drawn next."""
+    """After an update: meshes of which Blender says that their geometry changed are read anew when drawn next.
+
+    So are sparse points whose modifier changed: it has their radius.
+    """
     for update in depsgraph.updates:
-        if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
-            _drawn.stale.add(update.id.original.session_uid)
+        if not update.is_updated_geometry:
+            continue
+        changed = update.id.original
+        if isinstance(changed, bpy.types.Object) and changed.get(OWNER) == "points":
+            changed = changed.data
+        if isinstance(changed, bpy.types.Mesh):
+            _drawn.stale.add(changed.session_uid)
 
 
 @persistent
@@ -201,28 +225,23 @@ HANDLERS = {
 
 def register_handlers() -> None:
     """Draw in every 3D viewport from now on; nothing in background mode."""
-    global _handle
     if bpy.app.background:
         return
     for name, function in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
-    _handle = bpy.types.SpaceView3D.draw_handler_add(draw_viewport, (), "WINDOW", "POST_VIEW")
-    redraw_viewports()
+    _drawing.start()
 
 
 def unregister_handlers() -> None:
     """Take back what `register_handlers` added."""
-    global _handle
     for name, function in HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if function in handlers:
             handlers.remove(function)
-    if _handle is None:
+    if bpy.app.background:
         return
-    bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-    _handle = None
+    _drawing.stop()
     forget_all()
     from .splat_textures import free
 
     free()
-    redraw_viewports()

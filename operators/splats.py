@@ -1,4 +1,4 @@
-"""Splats: what the viewport draws of Gaussians, as plain arrays, from a mesh of ours or from training."""
+"""Splats: what the viewport draws of Gaussians and sparse points, as plain arrays, from a mesh or from training."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ ANTIALIASED = "fruitlangs_antialiased"
 """Custom property of the Gaussians' mesh: they were trained to fade below a pixel's size (`Gaussians.antialiased`)."""
 ATTRIBUTES = ("position", "scale", "quaternion", "radiance:base", "opacity", "probability")
 """What a mesh must have to be drawn as splats."""
+POINT_ATTRIBUTES = ("position", "radiance:base")
+"""… and one of sparse points."""
+POINT_SIGMA, POINT_OPACITY = 0.5, 0.95
+"""Of a sparse point's splat: standard deviation in radii of the point, so that it looks about as wide; opacity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,21 @@ def splats_of_mesh(mesh: bpy.types.Mesh) -> Splats | None:
         opacities=get_attribute(mesh, "opacity"),
         probability=probability if probability.any() else None,
         antialiased=bool(mesh.get(ANTIALIASED, False)),
+    )
+
+
+def splats_of_points(mesh: bpy.types.Mesh, radius: float) -> Splats | None:
+    """Round splats of the sparse points of a mesh, of a radius in its frame; None as with `splats_of_mesh`."""
+    if mesh.is_editmode or any(name not in mesh.attributes for name in POINT_ATTRIBUTES):
+        return None
+    means = get_attribute(mesh, "position")
+    variance = np.float32((POINT_SIGMA * radius) ** 2)
+    return Splats(
+        means=means,
+        covariances=np.tile(variance * np.array([1, 0, 0, 1, 0, 1], np.float32), (len(means), 1)),
+        colors=get_attribute(mesh, "radiance:base")[:, :3],
+        opacities=np.full(len(means), POINT_OPACITY, np.float32),
+        probability=None,
     )
 
 

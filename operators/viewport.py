@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Literal
 
 import bpy
 from mathutils import Vector
@@ -11,9 +11,37 @@ from mathutils import Vector
 from .blender_data import owned_object, owned_objects
 
 
+class Drawing:
+    """A function that is called whenever a 3D viewport is drawn, from `start` to `stop`; never in background mode.
+
+    stage: POST_VIEW for what is drawn in the world, POST_PIXEL for the region's pixels. What is drawn cannot live in a
+    .blend.
+    """
+
+    def __init__(self, draw: Callable[[], None], stage: Literal["POST_VIEW", "POST_PIXEL"]) -> None:
+        self._draw, self._stage = draw, stage
+        self._handle: Any = None
+
+    def start(self) -> None:
+        if in_window() and self._handle is None:
+            self._handle = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", self._stage)
+            redraw_viewports()
+
+    def stop(self) -> None:
+        if self._handle is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
+            redraw_viewports()
+
+
+def in_window() -> bool:
+    """Whether there are viewports, as there are not in background mode."""
+    return not bpy.app.background
+
+
 def shown_screens(context: bpy.types.Context) -> list[bpy.types.Screen]:
     """The screen a person looks at; none in background mode."""
-    return [] if bpy.app.background or context.screen is None else [context.screen]
+    return [context.screen] if in_window() and context.screen is not None else []
 
 
 def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,9 +19,10 @@ from PIL import Image
 
 from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.scene.read import read_scene
+from fruitlangs.operators import photo_backgrounds, photo_files
 from fruitlangs.operators.best_photo import fruit_sights
 from fruitlangs.operators.blender_data import owned_object, owned_objects
-from fruitlangs.operators.photo_backgrounds import PROBLEM, background_of, photo_cover, show_photo
+from fruitlangs.operators.photo_backgrounds import PROBLEM, background_of, is_awaited, photo_cover, show_photo
 from fruitlangs.operators.photo_choice import Surface, best_sights
 from fruitlangs.operators.photo_files import FILE, photo_path
 from fruitlangs.operators.read_cameras import read_camera
@@ -236,12 +239,18 @@ def red(image: bpy.types.Image) -> np.ndarray:
     return (pixels[..., 0] > 0.35) & (pixels[..., 1] < 0.2)
 
 
-def test_the_photo_of_a_lens_that_bends_lies_on_the_fruit(extension, own_balls):
+@pytest.fixture
+def bent_balls(extension, own_balls):
+    """The folder of five balls whose photos a bending lens took, and shown."""
     lens = json.loads((own_balls / "transforms.json").read_text())
     (own_balls / "transforms.json").write_text(json.dumps({**lens, "camera_model": "OPENCV", "k1": BEND}))
     for path in (own_balls / "images").iterdir():
         Image.fromarray(bent(np.array(Image.open(path)), BEND)).save(path)
     show_scene(bpy.context, bpy.context.scene, read_scene(own_balls))
+    return own_balls
+
+
+def test_the_photo_of_a_lens_that_bends_lies_on_the_fruit(bent_balls):
     for item, pose in list(zip(owned_objects(bpy.context.scene, "camera"), ball_scene.poses(16), strict=True))[::5]:
         truth = ball_scene.look(pose)[1] > 0
         show_photo(item)
@@ -250,6 +259,60 @@ def test_the_photo_of_a_lens_that_bends_lies_on_the_fruit(extension, own_balls):
         as_taken = bpy.data.images.load(item[FILE])
         assert overlap(red(image), truth) > 0.88
         assert overlap(red(image), truth) > overlap(red(as_taken), truth) + 0.04
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """As if viewports looked through `window.items`; `window.wait()` lives on until no photo is awaited any more."""
+    window = SimpleNamespace(items=[], drawn=0)
+
+    def wait(seconds: float = 20.0) -> None:
+        end = time.monotonic() + seconds
+        while photo_backgrounds._show_looked_through() is not None:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+    def draw() -> None:
+        window.drawn += 1
+
+    window.wait = wait
+    monkeypatch.setattr(photo_backgrounds, "in_window", lambda: True)
+    monkeypatch.setattr(photo_backgrounds, "looked_through", lambda: window.items)
+    monkeypatch.setattr(photo_backgrounds, "redraw_viewports", draw)
+    yield window
+    photo_backgrounds.unregister_watch()
+    assert photo_backgrounds._worker is None
+
+
+def test_a_window_lives_on_while_a_photo_is_undistorted(bent_balls, window, monkeypatch):
+    hold = threading.Event()
+    write = photo_files._write_undistorted
+    monkeypatch.setattr(photo_files, "_write_undistorted", lambda *given: hold.wait(20.0) and write(*given))
+    first, second = window.items = owned_objects(bpy.context.scene, "camera")[:2]
+    show_photo(first)
+    assert is_awaited(first)
+    assert background_of(first) is None
+    for _ in range(5):
+        photo_backgrounds._show_looked_through()
+    assert window.drawn == 1  # when the second began to be awaited
+    window.items = [first]
+    photo_backgrounds._show_looked_through()
+    assert not is_awaited(second)
+    hold.set()
+    window.wait()
+    assert not is_awaited(first)
+    assert background_of(first) is not None
+    assert background_of(second) is None
+
+
+def test_a_photo_that_cannot_be_undistorted_in_a_window_is_told_in_words(bent_balls, window):
+    item = owned_objects(bpy.context.scene, "camera")[0]
+    data = Path(item[FILE]).read_bytes()
+    Path(item[FILE]).write_bytes(data[: len(data) // 2])
+    window.items = [item]
+    window.wait()
+    assert background_of(item) is None
+    assert Path(item[FILE]).name in item[PROBLEM]
 
 
 def test_fruit_are_where_the_photo_shows_them(shown, counted_balls):

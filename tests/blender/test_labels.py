@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-import fruitlangs
-from fruitlangs.operators import label_drawing, photo_backgrounds
+from fruitlangs.operators import label_drawing
 from fruitlangs.operators.blender_data import owned_objects
 from fruitlangs.operators.label_drawing import FONT, label_places, label_text, labelled, project, uncovered
 from fruitlangs.operators.showing import show_result
@@ -103,28 +102,3 @@ def test_a_label_stands_right_of_its_fruit(fruit):
     ((_, place),) = label_places(viewport(Matrix.Diagonal((0.5, 0.5, -0.1, 1.0))), fruit[:1], ["1"])
     radius = 0.5 * max(fruit[0].dimensions) * 0.5 * 0.5 * 400
     np.testing.assert_allclose(place, [200 + radius + label_drawing.GAP, 150], atol=1e-3)
-
-
-def test_background_mode_draws_nothing_and_nothing_stays_registered(monkeypatch):
-    added, removed = [], []
-    space = SimpleNamespace(
-        draw_handler_add=lambda *given: added.append(given) or len(added),
-        draw_handler_remove=lambda handle, region: removed.append(handle),
-    )
-    fruitlangs.register()
-    assert (label_drawing._handle, photo_backgrounds._handle) == (None, None)
-    fruitlangs.unregister()
-    window = SimpleNamespace(
-        app=SimpleNamespace(background=False, timers=bpy.app.timers), types=SimpleNamespace(SpaceView3D=space)
-    )
-    for module, register, unregister in (
-        (label_drawing, "register_drawing", "unregister_drawing"),
-        (photo_backgrounds, "register_watch", "unregister_watch"),
-    ):
-        monkeypatch.setattr(module, "bpy", window)
-        for _ in range(2):
-            getattr(module, register)()
-        for _ in range(2):
-            getattr(module, unregister)()
-    assert removed == [1, 2]
-    assert len(added) == 2

@@ -7,30 +7,20 @@ import itertools
 import bpy
 import numpy as np
 import pytest
+from blender_examples import imported, written
 from mathutils import Matrix
 
 import fruitlangs
 from fruitlangs.operators import look, splat_drawing
-from fruitlangs.operators.blender_data import owned_object, set_attribute
+from fruitlangs.operators.blender_data import linear_from_srgb, owned_object, set_attribute
 from fruitlangs.operators.gaussian_nodes import PROBABILITY_RAMP, get_input, set_input
 from fruitlangs.operators.splat_order import back_to_front, has_turned, near_distance, shown_indices
-from fruitlangs.operators.splats import packed_covariances, splats_in_training, splats_of_mesh
+from fruitlangs.operators.splats import POINT_SIGMA, packed_covariances, splats_in_training, splats_of_mesh
 
 
 def full(packed):
     """(N, 3, 3) of (N, 6)."""
     return packed[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-
-
-def written(counted, probability=True):
-    from fruitlangs.operators.write_gaussians import write_gaussians
-    from fruitlangs.operators.write_root import write_root
-
-    scene, gaussians, values, fruit_count = counted.parts()
-    root = write_root(bpy.context.scene, scene)
-    return write_gaussians(
-        bpy.context.scene, scene, gaussians, values if probability else None, fruit_count.fruits, root
-    )
 
 
 def test_covariances_are_the_engines(counted):
@@ -257,6 +247,63 @@ def test_a_window_hides_ellipsoids_but_not_in_the_file_on_disk(extension, counte
     assert get_input(owned_object(bpy.context.scene, "gaussians").modifiers[0], "In Viewport")
 
 
+def test_a_window_draws_sparse_points_as_splats_and_the_file_has_points(extension, counted, monkeypatch, tmp_path):
+    item = imported(counted)
+    look.apply_look(bpy.context.scene)
+    assert get_input(item.modifiers[0], "In Viewport")
+    monkeypatch.setattr(look, "in_window", lambda: True)
+    look.apply_look(bpy.context.scene)
+    assert not get_input(item.modifiers[0], "In Viewport")
+    for style in ("ELLIPSOIDS", "NONE"):
+        bpy.context.scene.fruitlangs.look.style = style
+        assert get_input(item.modifiers[0], "In Viewport")
+    bpy.context.scene.fruitlangs.look.style = "SPLATS"
+    look.show_ellipsoids()
+    assert get_input(item.modifiers[0], "In Viewport")
+
+
+def test_sparse_points_are_round_splats_of_their_colour(counted):
+    item = imported(counted)
+    set_input(item.modifiers[0], "Radius", 0.25)
+    splats = splat_drawing._read(item)
+    assert len(splats) == len(counted.scene.points) > 0
+    np.testing.assert_allclose(splats.means, counted.scene.points, rtol=1e-6)
+    sigma = POINT_SIGMA * 0.25
+    np.testing.assert_allclose(full(splats.covariances), np.tile(sigma**2 * np.eye(3), (len(splats), 1, 1)), rtol=1e-6)
+    np.testing.assert_allclose(splats.colors, linear_from_srgb(counted.scene.colors / 255.0), atol=1e-6)
+    assert splats.probability is None
+
+
+def test_sparse_points_are_read_anew_when_their_radius_changed(counted, monkeypatch):
+    monkeypatch.setattr(splat_drawing, "_drawn", splat_drawing.Drawn())
+    item = imported(counted)
+    bpy.context.view_layer.update()
+    bpy.app.handlers.depsgraph_update_post.append(splat_drawing.note_changes)
+    try:
+        item.location.x = 3.0
+        bpy.context.view_layer.update()
+        assert not splat_drawing._drawn.stale
+        set_input(item.modifiers[0], "Radius", 0.5)
+        item.update_tag()
+        bpy.context.view_layer.update()
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(splat_drawing.note_changes)
+    assert splat_drawing._drawn.stale == {item.data.session_uid}
+
+
+def test_nodes_of_sparse_points_of_an_older_version_are_renewed(extension, counted):
+    item = imported(counted)
+    old = item.modifiers[0].node_group.copy()
+    old["fruitlangs"] = "point nodes 1"
+    old.interface.remove(old.interface.items_tree["In Viewport"])
+    item.modifiers[0].node_group = old
+    set_input(item.modifiers[0], "Radius", 0.5)
+    look.apply_look(bpy.context.scene)
+    assert item.modifiers[0].node_group != old
+    assert get_input(item.modifiers[0], "Radius") == 0.5
+    assert get_input(item.modifiers[0], "In Viewport")
+
+
 def test_nodes_of_an_older_version_are_renewed_and_keep_their_inputs(extension, counted):
     item = written(counted)
     old = item.modifiers[0].node_group.copy()
@@ -301,7 +348,6 @@ def test_handlers_come_once_and_go():
 def test_background_mode_draws_nothing_and_never_loads_the_gpu_module(extension, counted):
     import sys
 
-    assert splat_drawing._handle is None
     splats = splats_of_mesh(written(counted).data)
     preview = splat_drawing.Interim(splats, Matrix.Identity(4), (0.0, 0.0, 0.0), 1.0)
     splat_drawing.show_preview(bpy.context.scene.session_uid, preview)
