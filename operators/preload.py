@@ -13,8 +13,8 @@ import sys
 from contextlib import suppress
 from importlib.machinery import PathFinder
 
-LARGE = {"torch": "_C", "pycolmap": "_core"}
-"""{package: its extension module} of those that take a quarter of a second and more."""
+LARGE = {"torch": "_C", "pycolmap": "_core", "llvmlite": "binding/libllvmlite"}
+"""{package: its library, without suffix} of those that take a quarter of a second and more."""
 
 
 def preload_libraries() -> None:
@@ -22,14 +22,16 @@ def preload_libraries() -> None:
     at the import, which tells more."""
     if os.name != "posix":
         return
-    for name, module in LARGE.items():
+    for name, library in LARGE.items():
         if name not in sys.modules:
-            _preload(name, module)
+            _preload(name, library)
 
 
-def _preload(name: str, module: str) -> None:
+def _preload(name: str, library: str) -> None:
     package = importlib.util.find_spec(name)
-    extension = package and PathFinder.find_spec(module, package.submodule_search_locations)
+    folder, _, stem = library.rpartition("/")
+    places = [os.path.join(place, folder) for place in (package and package.submodule_search_locations) or ()]
+    extension = PathFinder.find_spec(stem, places)
     if not extension or not extension.origin:
         return
     with suppress(OSError, AttributeError):

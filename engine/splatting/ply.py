@@ -119,7 +119,7 @@ def read_vertices(path: Path) -> Vertices:
         FormatError: the file is missing, cut short, not a `.ply`, or has no vertices.
     """
     try:
-        data = PlyData.read(str(path), mmap=False)
+        data = PlyData.read(str(path))  # mapped: what it reads without a map it reads number by number
         element = data["vertex"]
     except FileNotFoundError as error:
         raise FormatError(f"{path} is not there; give the .ply of a trained scene") from error
@@ -127,7 +127,7 @@ def read_vertices(path: Path) -> Vertices:
         raise FormatError(f"{path} has no vertices; give a .ply of Gaussians") from error
     except (PlyParseError, ValueError, OSError, UnicodeError, TypeError) as error:
         raise FormatError(f"{path} cannot be read as .ply ({error}); it is cut short or of another kind") from error
-    return Vertices(element.data, list(data.comments))
+    return Vertices(np.array(element.data), list(data.comments))
 
 
 def _columns(vertices: NDArray[np.void], names: tuple[str, ...] | list[str]) -> NDArray[np.float32]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from splats import random_gaussians
 
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.splatting.gaussians import PARAMETERS
-from fruitlangs.engine.splatting.ply import read_ply, write_ply
+from fruitlangs.engine.splatting.ply import read_ply, read_vertices, write_ply
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -43,6 +44,17 @@ def test_the_layout_is_that_of_3dgs(tmp_path: Path) -> None:
 def test_no_gaussians_can_be_written_and_read(tmp_path: Path) -> None:
     write_ply(tmp_path / "g.ply", random_gaussians(0, 2))
     assert len(read_ply(tmp_path / "g.ply")) == 0
+
+
+def test_a_large_file_is_read_at_once_and_its_values_outlive_it(tmp_path: Path) -> None:
+    """Number by number 100,000 Gaussians would take seven seconds and more."""
+    written = random_gaussians(100_000, 2)
+    write_ply(tmp_path / "g.ply", written)
+    start = time.perf_counter()
+    read = read_vertices(tmp_path / "g.ply")
+    assert time.perf_counter() - start < 2.0
+    write_ply(tmp_path / "g.ply", random_gaussians(1, 0))
+    np.testing.assert_array_equal(read.table["x"], written.means[:, 0].numpy())
 
 
 def test_any_order_of_properties_is_read(tmp_path: Path) -> None:

@@ -1,0 +1,36 @@
+"""Large libraries are in memory before Python imports them, which would stop the window."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fruitlangs.operators.preload import LARGE
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import _checkout
+from fruitlangs.operators.preload import preload_libraries
+before = set(sys.modules)
+preload_libraries()
+print(*(set(sys.modules) - before))
+print(open("/proc/self/maps").read())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what is in memory is read from Linux's /proc")
+def test_libraries_are_loaded_without_importing_their_packages():
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(ROOT / "scripts")], capture_output=True, text=True, check=True
+    )
+    imported, maps = done.stdout.split("\n", 1)
+    assert not set(LARGE) & set(imported.split())
+    for package, library in LARGE.items():
+        folder = Path(importlib.util.find_spec(package).origin).parent
+        assert str(folder / library) in maps
