@@ -6,10 +6,12 @@ The thread runs engine functions only. Everything of bpy is touched on the main 
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
@@ -90,10 +92,25 @@ class Job:
 
     def _run(self) -> None:
         try:
-            preload_libraries()
-            self.result = self._work(self._progress)
+            with without_full_collections():
+                preload_libraries()
+                self.result = self._work(self._progress)
         except BaseException as error:  # whatever it is, the main thread reports it
             self.error = error
+
+
+@contextmanager
+def without_full_collections() -> Iterator[None]:
+    """Let Python look for garbage among young objects alone.
+
+    A look among all of them stops the window for half a second while kernels are compiled for the first time.
+    """
+    young, middle, full = gc.get_threshold()
+    gc.set_threshold(young, middle, 1_000_000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(young, middle, full)
 
 
 # A thread cannot live in a .blend, so the one running job is the one thing kept here. It is not forgotten before its

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import threading
 
 import pytest
@@ -54,6 +55,21 @@ def test_cancel_stops_at_the_next_report(started):
     job.wait(5)
     assert isinstance(job.error, Cancelled)
     assert jobs.running() is None
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_while_a_job_runs_garbage_is_looked_for_among_young_objects_alone(started, fails):
+    def work(progress):
+        meanwhile.append(gc.get_threshold())
+        if fails:
+            raise SceneError("gone")
+
+    before, meanwhile = gc.get_threshold(), []
+    started(work).wait(5)
+    ((*young, full),) = meanwhile
+    assert young == list(before[:2])
+    assert full >= 1_000_000
+    assert gc.get_threshold() == before
 
 
 def test_a_job_is_not_forgotten_before_its_thread_ends(started):
