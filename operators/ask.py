@@ -28,14 +28,13 @@ from .preload import preload_libraries
 from .settings import read_config, read_prompts, read_words, stored_file
 from .target import find_scene
 from .viewport import redraw_viewports
+from .write_gaussians import ASKED, asked_words
 
 if TYPE_CHECKING:
     from ..engine.config import CountConfig, EmbedConfig
     from ..engine.language.embedder import Embedder
     from ..engine.language.features import Features
 
-ASKED = "fruitlangs_asked"
-"""Custom property of the Gaussians' mesh: the words that its attribute `probability` answers."""
 PAUSE = 0.15
 """Seconds after the last edit before the question is asked."""
 LOOK_AGAIN = 0.05
@@ -59,7 +58,7 @@ class Question:
     @property
     def words(self) -> str:
         """What the mesh remembers of it."""
-        return f"{', '.join(self.prompts)} | {', '.join(self.negatives)}"
+        return asked_words(self.prompts, self.negatives)
 
 
 class Worker(threading.Thread):

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import blf
 import bpy
 
-from .ask import ASKED
 from .blender_data import owned_object
 from .gaussian_nodes import PROBABILITY_RAMP, RAMP_START
 from .look import look_of
 from .splat_drawing import has_preview
 from .viewport import Drawing
+from .write_gaussians import ASKED
 
 FONT, POINTS = 0, 11.0
 WIDTH, HEIGHT, MARGIN, PAD = 200.0, 10.0, 24.0, 6.0

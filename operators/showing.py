@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ..engine.report.words import length_unit, nothing_found, sureness, three_digits, whereabouts
-from .ask import ASKED, ask_soon, tell_answer
+from .ask import ask_soon, tell_answer
 from .blender_data import owned_object
 from .keep_review import keep_decisions
 from .look import apply_look, look_of
@@ -16,7 +16,7 @@ from .settings import stored_path
 from .viewport import look_at_scene, show_colors, shown_screens
 from .write import SET_ID, write_result
 from .write_cameras import write_cameras
-from .write_gaussians import write_gaussians
+from .write_gaussians import asked_words, write_gaussians
 from .write_points import hide_points, write_points
 from .write_root import write_root
 
@@ -62,13 +62,11 @@ def show_reconstruction(
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Everything of a count."""
     first = owned_object(bpy_scene, "root") is None
-    write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count)
+    asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
+    write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
     hide_points(bpy_scene)
     apply_look(bpy_scene)
     bpy_scene[SET_ID] = result.set_id
-    item = owned_object(bpy_scene, "gaussians")
-    assert item is not None
-    item.data[ASKED] = f"{', '.join(result.origin['prompts'])} | {', '.join(result.origin.get('negatives', ()))}"
     keep_result(bpy_scene.fruitlangs, result)
     lost = keep_decisions(bpy_scene, result.fruit_count)
     if lost:

@@ -41,14 +41,16 @@ def write_result(
     gaussians: Gaussians,
     probability: Tensor | NDArray[Any] | None,
     fruit_count: FruitCount,
+    asked: str = "",
 ) -> bpy.types.Object:
     """Put a counted scene into a Blender scene and return its root empty.
 
     Everything an earlier call put there is replaced; nothing else is touched. Coordinates below the root are those of
-    the input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian.
+    the input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian; asked: the prompt, of
+    `asked_words`.
     """
     root = write_root(bpy_scene, scene)
-    write_gaussians(bpy_scene, scene, gaussians, probability, fruit_count.fruits, root)
+    write_gaussians(bpy_scene, scene, gaussians, probability, fruit_count.fruits, root, asked)
     write_fruits(bpy_scene, fruit_count, root, metres_per_unit=scene.metres_per_unit)
     write_cameras(bpy_scene, scene, root)
     return root
@@ -61,6 +63,7 @@ def write_blend(
     probability: Tensor | NDArray[Any] | None,
     fruit_count: FruitCount,
     *,
+    asked: str = "",
     set_id: str = "",
     threshold: float = THRESHOLD,
 ) -> None:
@@ -69,7 +72,7 @@ def write_blend(
     For the command line: it starts from an empty file, so it refuses to run where a person works. The file appears
     complete or not at all, and no .blend1 is left beside it. set_id names the set of
     result files it belongs to (see `fruits.json`); it becomes the scene's custom property `fruitlangs_set_id`.
-    threshold: probability from which Gaussians are lit.
+    asked: the prompt, of `asked_words`; threshold: probability from which Gaussians are lit.
 
     Raises:
         OutputError: the file cannot be written, or a window is open.
@@ -80,7 +83,7 @@ def write_blend(
         )
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy_scene = bpy.context.scene
-    root = write_result(bpy_scene, scene, gaussians, probability, fruit_count)
+    root = write_result(bpy_scene, scene, gaussians, probability, fruit_count, asked)
     set_threshold(bpy_scene, threshold)
     light_scene(bpy_scene, root)
     show_colors(bpy.data.screens, splats=False)

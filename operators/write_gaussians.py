@@ -3,7 +3,7 @@
 The attributes are the stored truth. Their names follow Blender's native splats where it has one: `scale` (standard
 deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); beside them `opacity`,
 `probability` and `fruit_id` (-1 where the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`.
-The mesh's custom property `ANTIALIASED` says how they are drawn.
+The mesh's custom properties say how they are drawn (`ANTIALIASED`) and which words `probability` answers (`ASKED`).
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
 
+ASKED = "fruitlangs_asked"
+"""Custom property of the mesh: the words that its attribute `probability` answers, as `asked_words` has them."""
 REACH = 1.2
 """How far from the centre Gaussians are shown, in extents of the scene (about the cameras' distance)."""
 
@@ -48,13 +50,16 @@ def write_gaussians(
     probability: Tensor | NDArray[Any] | None,  # (N,) of the prompt
     fruits: Sequence[Fruit],
     root: bpy.types.Object,
+    asked: str = "",
 ) -> bpy.types.Object:
     """Replace this Blender scene's Gaussian object.
 
-    Gaussians outside the cameras' ring (sky, far background) are hidden by the modifier's Reach, not left out.
+    Gaussians outside the cameras' ring (sky, far background) are hidden by the modifier's Reach, not left out. asked:
+    what the probability answers, of `asked_words`.
     """
     remove_objects(owned_objects(bpy_scene, "gaussians"))
     mesh = gaussian_mesh(gaussians, probability, fruits)
+    mesh[ASKED] = asked
     collection = owned_collection(bpy_scene, "scene", "FruitLangs")
     item = new_object("Gaussians", mesh, "gaussians", collection, root)
     modifier = item.modifiers.new("Gaussians", "NODES")
@@ -65,6 +70,11 @@ def write_gaussians(
     set_input(modifier, "Highlight", probability is not None)
     item.visible_shadow = False  # what they show is light already; the fruit among them need theirs
     return item
+
+
+def asked_words(prompts: Sequence[str], negatives: Sequence[str]) -> str:
+    """'apple, plum | leaf': what was asked for, and what not."""
+    return f"{', '.join(prompts)} | {', '.join(negatives)}"
 
 
 def gaussian_mesh(

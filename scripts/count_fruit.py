@@ -73,6 +73,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
         return {}
     try:
         from fruitlangs.operators.write import write_blend
+        from fruitlangs.operators.write_gaussians import asked_words
     except ImportError as error:
         print(f"scene.blend is left out: bpy cannot be imported ({error}); pip install bpy", file=sys.stderr)
         return {}
@@ -84,6 +85,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
             result.gaussians,
             result.probability,
             result.fruit_count,
+            asked=asked_words(result.origin["prompts"], result.origin["negatives"]),
             set_id=result.set_id,
             threshold=result.config.count.threshold,
         )

@@ -11,6 +11,7 @@ import pytest
 
 from fruitlangs.operators import ask
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.write_gaussians import ASKED
 
 
 @pytest.fixture
@@ -81,7 +82,7 @@ def test_the_timer_answers_the_last_of_several_edits(opened):
         ask.ask_soon(bpy.context.scene)
     attend()
     item = owned_object(bpy.context.scene, "gaussians")
-    assert item.data[ask.ASKED] == "grass | "
+    assert item.data[ASKED] == "grass | "
     by_timer = probability()
     bpy.ops.fruitlangs.ask()
     np.testing.assert_array_equal(by_timer, probability())
@@ -94,7 +95,7 @@ def test_an_answer_to_words_edited_meanwhile_is_asked_anew(opened):
     assert ask._attend() is not None
     settings.prompt = "grass"
     attend()
-    assert owned_object(bpy.context.scene, "gaussians").data[ask.ASKED] == "grass | "
+    assert owned_object(bpy.context.scene, "gaussians").data[ASKED] == "grass | "
 
 
 def test_an_answer_for_a_scene_deleted_meanwhile_is_dropped(opened):

@@ -10,9 +10,9 @@ from blender_examples import written
 
 import fruitlangs
 from fruitlangs.operators import label_drawing, legend, look, photo_backgrounds, splat_drawing, viewport
-from fruitlangs.operators.ask import ASKED
 from fruitlangs.operators.gaussian_nodes import PROBABILITY_RAMP
 from fruitlangs.operators.viewport import Drawing
+from fruitlangs.operators.write_gaussians import ASKED
 
 DRAWINGS = (label_drawing.drawing, legend.drawing, photo_backgrounds._drawing, splat_drawing._drawing)
 

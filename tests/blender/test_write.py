@@ -15,6 +15,7 @@ from fruitlangs.engine.language.vocabulary import FRUITS
 from fruitlangs.operators.blender_data import get_attribute
 from fruitlangs.operators.write import save_blend, write_blend, write_result
 from fruitlangs.operators.write_fruits import LABEL_HUES
+from fruitlangs.operators.write_gaussians import ASKED, asked_words
 from fruitlangs.operators.write_points import write_points
 from fruitlangs.operators.write_root import looked_at, write_root
 
@@ -239,13 +240,14 @@ def test_sparse_points_carry_their_linear_colour(counted):
 
 def test_a_saved_result_reloads_equal(counted, tmp_path):
     path = tmp_path / "scene.blend"
-    write_blend(path, *counted.parts(), set_id="abc")
+    write_blend(path, *counted.parts(), asked=asked_words(["apple", "plum"], ["leaf"]), set_id="abc")
     assert [file.name for file in tmp_path.iterdir()] == ["scene.blend"]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(path))
     assert bpy.context.scene["fruitlangs_set_id"] == "abc"
     mesh = bpy.data.objects["Gaussians"].data
     np.testing.assert_array_equal(get_attribute(mesh, "probability"), counted.probability)
+    assert mesh[ASKED] == "apple, plum | leaf"
     assert bpy.data.objects["apple.003"].parent == bpy.data.objects["FruitLangs"]
     assert bpy.context.scene.camera is not None
     assert [item.type for item in bpy.data.objects].count("LIGHT") == 1
