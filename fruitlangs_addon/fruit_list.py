@@ -6,9 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.report.words import three_digits
-from ..operators.blender_data import owned_object
-from ..operators.fruit_objects import REJECTED, REVIEW
+from ..operators.fruit_objects import REJECTED, REVIEW, diameter_text, metres_per_unit
 
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
 KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
@@ -35,7 +33,8 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
     ) -> None:
         row = layout.row(align=True)
         row.active = item.get(REVIEW) != REJECTED
-        texts, sign = cells(item, unit(context.scene)), VERDICT_ICONS.get(item.get(REVIEW), "BLANK1")
+        texts = cells(item, metres_per_unit(context.scene) is not None)
+        sign = VERDICT_ICONS.get(item.get(REVIEW), "BLANK1")
         widths: tuple[float, ...] = WIDE_WIDTHS
         if context.region.width / context.preferences.system.ui_scale < WIDE:
             kind, widths = texts.pop(), WIDTHS
@@ -54,18 +53,12 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         return flags, ranks(items, review.sort)
 
 
-def unit(bpy_scene: bpy.types.Scene) -> tuple[str, float]:
-    """What diameters are told in, and how many of it the custom property's unit is: mm of metres, else 1."""
-    root = owned_object(bpy_scene, "root")
-    return ("mm", 1000.0) if root is not None and root.get("metres_per_unit") else ("", 1.0)
-
-
-def cells(item: Any, unit: tuple[str, float]) -> list[str]:
-    """Number and label, diameter, probability, visible share and kind of a fruit object."""
+def cells(item: Any, metric: bool) -> list[str]:
+    """Number and label, diameter, probability, visible share and kind of a fruit object. metric: lengths are metres."""
     visible = item.get("visible_fraction")
     return [
         f"{item.get('id', 0)} {item.get('label', '')}",
-        f"{three_digits(unit[1] * float(item.get('diameter', 0.0)))} {unit[0]}".strip(),
+        diameter_text(item, metric),
         f"{float(item.get('probability', 1.0)):.2f}",
         "" if visible is None else f"{float(visible):.0%}",
         str(item.get("kind", "")),

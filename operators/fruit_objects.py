@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.report.words import three_digits
 from .blender_data import (
     gaussian_attributes,
     in_scene_frame,
@@ -44,6 +45,12 @@ def metres_per_unit(bpy_scene: bpy.types.Scene) -> float | None:
     """Metres in a unit of the scene's frame; None where the scale is not known."""
     root = owned_object(bpy_scene, "root")
     return None if root is None else float(root.get("metres_per_unit", 0.0)) or None
+
+
+def diameter_text(item: bpy.types.Object, metric: bool) -> str:
+    """A fruit's diameter for people: '81.2 mm' where lengths are metres (`metres_per_unit`), else '0.0812'."""
+    size = float(item.get("diameter", 0.0))
+    return f"{three_digits(1000.0 * size)} mm" if metric else three_digits(size)
 
 
 def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:

@@ -9,9 +9,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.report.words import three_digits
-from .blender_data import owned_object
-from .fruit_objects import standing
+from .fruit_objects import diameter_text, metres_per_unit, standing
 from .viewport import Drawing
 
 FONT, POINTS, BLUR = 0, 12.0, 5
@@ -27,8 +25,7 @@ def label_text(item: bpy.types.Object, kind: str, metric: bool) -> str:
     if kind == "NAME":
         return f"{item.get('label', 'fruit')} {number}"
     if kind == "SIZE" and "diameter" in item:
-        size = float(item["diameter"])
-        return f"{number}: {three_digits(1000.0 * size)} mm" if metric else f"{number}: {three_digits(size)}"
+        return f"{number}: {diameter_text(item, metric)}"
     return number
 
 
@@ -106,8 +103,7 @@ def _draw() -> None:
 
 
 def _write(context: bpy.types.Context, items: Sequence[bpy.types.Object], kind: str) -> None:
-    root, active = owned_object(context.scene, "root"), context.view_layer.objects.active
-    metric = root is not None and bool(root.get("metres_per_unit", 0.0))
+    active, metric = context.view_layer.objects.active, metres_per_unit(context.scene) is not None
     texts = [label_text(item, kind, metric) for item in items]
     blf.size(FONT, POINTS * context.preferences.system.ui_scale)
     middle = 0.5 * blf.dimensions(FONT, "0")[1]

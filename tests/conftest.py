@@ -12,7 +12,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-sys.path[:0] = [str(Path(__file__).resolve().parent.parent / "scripts"), str(Path(__file__).resolve().parent)]
+TESTS = Path(__file__).resolve().parent
+sys.path[:0] = [str(folder) for folder in (TESTS.parent / "scripts", TESTS, TESTS / "engine")]
 
 import _checkout  # noqa: F401
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks, unit
+from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.fruit_objects import REVIEW, read_log, standing
 from fruitlangs.operators.keep_review import entry_text, review_line
@@ -248,8 +248,8 @@ def test_a_fruit_that_a_person_moved_is_decided_on_where_it_stands(shown):
 
 
 def test_rows_tell_number_size_probability_share_and_kind(shown):
-    assert cells(fruit(2), unit(shown)) == ["2 apple", "0.2", "0.60", "25%", "single"]
-    assert cells(fruit(1), ("mm", 1000.0))[1] == "100 mm"
+    assert cells(fruit(2), metric=False) == ["2 apple", "0.2", "0.60", "25%", "single"]
+    assert cells(fruit(1), metric=True)[1] == "100 mm"
 
 
 def test_the_list_filters_by_doubt_and_sorts(shown):

@@ -274,21 +274,35 @@ def test_sparse_points_are_round_splats_of_their_colour(counted):
     assert splats.probability is None
 
 
-def test_sparse_points_are_read_anew_when_their_radius_changed(counted, monkeypatch):
-    monkeypatch.setattr(splat_drawing, "_drawn", splat_drawing.Drawn())
-    item = imported(counted)
-    bpy.context.view_layer.update()
-    bpy.app.handlers.depsgraph_update_post.append(splat_drawing.note_changes)
-    try:
-        item.location.x = 3.0
+@pytest.fixture
+def changes(monkeypatch):
+    """What is to be read anew after an object was moved, which asks for nothing, and then changed by a function."""
+
+    def changes(item, change) -> set[int]:
         bpy.context.view_layer.update()
-        assert not splat_drawing._drawn.stale
+        monkeypatch.setattr(splat_drawing, "_drawn", splat_drawing.Drawn())
+        bpy.app.handlers.depsgraph_update_post.append(splat_drawing.note_changes)
+        try:
+            item.location.x = 3.0
+            bpy.context.view_layer.update()
+            assert not splat_drawing._drawn.stale
+            change()
+            bpy.context.view_layer.update()
+        finally:
+            bpy.app.handlers.depsgraph_update_post.remove(splat_drawing.note_changes)
+        return splat_drawing._drawn.stale
+
+    return changes
+
+
+def test_sparse_points_are_read_anew_when_their_radius_changed(changes, counted):
+    item = imported(counted)
+
+    def widen():
         set_input(item.modifiers[0], "Radius", 0.5)
         item.update_tag()
-        bpy.context.view_layer.update()
-    finally:
-        bpy.app.handlers.depsgraph_update_post.remove(splat_drawing.note_changes)
-    assert splat_drawing._drawn.stale == {item.data.session_uid}
+
+    assert changes(item, widen) == {item.data.session_uid}
 
 
 def test_nodes_of_sparse_points_of_an_older_version_are_renewed(extension, counted):
@@ -318,21 +332,14 @@ def test_nodes_of_an_older_version_are_renewed_and_keep_their_inputs(extension, 
     assert get_input(item.modifiers[0], "Highlight")
 
 
-def test_a_changed_mesh_is_read_anew_and_a_moved_object_is_not(counted, monkeypatch):
-    monkeypatch.setattr(splat_drawing, "_drawn", splat_drawing.Drawn())
+def test_a_changed_mesh_is_read_anew_and_a_moved_object_is_not(changes, counted):
     item = written(counted)
-    bpy.context.view_layer.update()
-    bpy.app.handlers.depsgraph_update_post.append(splat_drawing.note_changes)
-    try:
-        item.location.x = 3.0
-        bpy.context.view_layer.update()
-        assert not splat_drawing._drawn.stale
+
+    def answer():
         set_attribute(item.data, "probability", "FLOAT", np.ones(20, np.float32))
         item.data.update()
-        bpy.context.view_layer.update()
-    finally:
-        bpy.app.handlers.depsgraph_update_post.remove(splat_drawing.note_changes)
-    assert splat_drawing._drawn.stale == {item.data.session_uid}
+
+    assert changes(item, answer) == {item.data.session_uid}
 
 
 def test_handlers_come_once_and_go():

@@ -12,11 +12,8 @@ from types import SimpleNamespace
 import huggingface_hub
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from checkpoints import write_clip, write_sam
+from safetensors.torch import load_file, save_file
 
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.checkpoints import CLIP, SAM, open_checkpoint

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from colmap_models import ring_of_poses, write_model, write_photo
 from PIL import Image
 
 from fruitlangs.engine.config import SceneConfig
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.scene.colmap import read_colmap
-
-sys.path.insert(0, str(Path(__file__).parent))
-from colmap_models import ring_of_poses, write_model, write_photo
 
 MODEL_FILES = ("cameras", "images", "points3D")
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated_fruit as sim
 import torch
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -20,9 +19,6 @@ from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians, harmonics_of
-
-sys.path.insert(0, str(Path(__file__).parent))
-import simulated_fruit as sim
 
 CONFIG = CountConfig(sample_budget=4_000)
 SMALL = sim.Setting(fruit=8, clump=3, sheets=0, floaters=8, views=8)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-
-sys.path.insert(0, str(Path(__file__).parent))
 from splats import random_gaussians
 
 from fruitlangs.engine.splatting.densify import DensifyRules, Pulls, densify, hold_sizes, reset_opacity

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import ball_scene
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-import ball_scene
 from checkpoints import DIMENSION, write_clip
 
 from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, TrainConfig

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated_fruit as sim
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,9 +17,6 @@ from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.ground import lying_on_ground
 from fruitlangs.engine.counting.visibility import Visibility
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
-
-sys.path.insert(0, str(Path(__file__).parent))
-import simulated_fruit as sim
 
 FloatArray = NDArray[np.float64]
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated_fruit as sim
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
@@ -28,9 +27,6 @@ from fruitlangs.engine.counting.interval import (
 )
 from fruitlangs.engine.report.audit import audit_text
 from fruitlangs.engine.report.words import sureness, whereabouts
-
-sys.path.insert(0, str(Path(__file__).parent))
-import simulated_fruit as sim
 
 SURE = Evidence(100.0, 0.0, np.zeros(len(TELLING)))
 

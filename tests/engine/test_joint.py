@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from splats import drawn_scene, random_gaussians
 from torch import Tensor
 from torch.nn import functional
-
-sys.path.insert(0, str(Path(__file__).parent))
-from splats import drawn_scene, random_gaussians
 
 from fruitlangs.engine.config import EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, EncoderError, SceneError

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from splats import random_gaussians, ring_camera
 from torch import Tensor
 from torch.nn import functional
-
-sys.path.insert(0, str(Path(__file__).parent))
-from splats import random_gaussians, ring_camera
 
 from fruitlangs.engine.errors import Cancelled, EncoderError, SceneError
 from fruitlangs.engine.language.features import Features

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from fruit_examples import NO_FRUIT, count_of, fruit
 from plyfile import PlyData
 
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.report.meshes import id_color, write_fruit_meshes_ply, write_glb, write_obj, write_points_ply
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from fruit_examples import NO_FRUIT, count_of, fruit
 
 UP = np.array([0.0, 0.0, 1.0])
 TWO = count_of(fruit(1, 0.0), fruit(7, 1.0))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import sys
 import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fruit_examples import NO_FRUIT, count_of, fruit
 from PIL import Image
 
 from fruitlangs.engine.counting.fruit import Tree
@@ -17,10 +17,6 @@ from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.report.histogram import drawing, histogram
 from fruitlangs.engine.report.page import Reviewed, write_page
 from fruitlangs.engine.report.words import nothing_found, sureness
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from fruit_examples import NO_FRUIT, count_of, fruit
 
 ROOT = Path(__file__).resolve().parents[2]
 TWO = count_of(

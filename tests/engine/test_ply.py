@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 
@@ -10,8 +9,6 @@ import numpy as np
 import pytest
 import torch
 from plyfile import PlyData
-
-sys.path.insert(0, str(Path(__file__).parent))
 from splats import random_gaussians
 
 from fruitlangs.engine.errors import FormatError, OutputError

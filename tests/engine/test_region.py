@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated_fruit as sim
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,9 +19,6 @@ from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import unit_directions
 from fruitlangs.engine.counting.template import split_by_template
 from fruitlangs.engine.errors import ConfigError, CountingError
-
-sys.path.insert(0, str(Path(__file__).parent))
-import simulated_fruit as sim
 
 UP = np.array([0.0, 0.0, 1.0])
 CONFIG = CountConfig(sample_budget=5_000)

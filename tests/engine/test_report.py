@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fruit_examples import count_of, fruit
 
-from fruitlangs.engine.counting.fruit import AuditEntry, Fruit, FruitCount, Tree
+from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color
@@ -20,30 +21,10 @@ from fruitlangs.engine.report.tables import fruits_csv, summary
 from fruitlangs.engine.report.words import nothing_found, whereabouts
 
 
-def fruit(number: int, x: float) -> Fruit:
-    return Fruit(
-        id=number,
-        label="red apple",
-        center=np.array([x, 0.5, -1.0]),
-        diameter=0.08,
-        diameter_sd=0.004,
-        volume=0.08**3 * np.pi / 6,
-        axes=np.array([[0.0, 0.0, 0.08], [0.04, 0.0, 0.0], [0.0, 0.02, 0.0]]),
-        probability=0.9,
-        visible_fraction=0.75,
-        views=12,
-        color=np.array([180, 40, 30], np.uint8),
-        kind="single",
-        members=np.array([1, 2]),
-    )
-
-
 def two_fruit() -> FruitCount:
-    return FruitCount(
-        fruits=[fruit(1, 0.0), fruit(2, 1.0)],
-        audit=[AuditEntry(1, "kept", "fits a sphere", (0.0, 0.5, -1.0), 40, (1,))],
-        max_probability=0.97,
-        mean_diameter=0.08,
+    return count_of(
+        fruit(1, 0.0),
+        fruit(2, 1.0),
         points=np.array([[0.0, 0.54, -1.0], [9.0, 9.0, 9.0]]),
         point_colors=np.array([[200, 10, 10], [0, 0, 0]], np.uint8),
         point_fruit_ids=np.array([1, -1]),

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from colmap_models import ring_of_poses, write_model, write_photo
 
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.files import files_hash
 from fruitlangs.engine.scene.read import read_scene, scene_files, scene_hash
 from fruitlangs.engine.scene.transforms import read_transforms
-
-sys.path.insert(0, str(Path(__file__).parent))
-from colmap_models import ring_of_poses, write_model, write_photo
 
 
 def write_transforms(folder: Path, **values: object) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +10,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parent))
 from splats import drawn_scene, random_gaussians, ring_camera
 
 from fruitlangs.engine.config import TrainConfig

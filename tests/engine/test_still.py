@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from fruit_examples import fruit
 from PIL import Image
 
 from fruitlangs.engine.counting.fruit import Fruit
@@ -17,10 +17,6 @@ from fruitlangs.engine.report.labels import place_labels, round_length
 from fruitlangs.engine.report.still import draw_still, save_still
 from fruitlangs.engine.scene.camera import Camera, Scene, looking
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from fruit_examples import fruit
 
 UP = np.array([0.0, 0.0, 1.0])
 RADIUS = 0.04

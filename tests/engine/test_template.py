@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated_fruit as sim
 import trimesh
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -23,9 +23,6 @@ from fruitlangs.engine.counting.sample import SurfacePoints, spread_out
 from fruitlangs.engine.counting.template import split_by_template
 from fruitlangs.engine.counting.template_shape import Template, ball
 from fruitlangs.engine.errors import Cancelled, FormatError
-
-sys.path.insert(0, str(Path(__file__).parent))
-import simulated_fruit as sim
 
 ROADS = [split_by_template, cluster_as_fruitnerf]
 EVERY_ROAD = pytest.mark.parametrize("road", ROADS, ids=["template", "fruitnerf"])

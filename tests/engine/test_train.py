@@ -16,8 +16,6 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
-sys.path.insert(0, str(Path(__file__).parent))
 from splats import drawn_scene
 
 from fruitlangs.engine.config import PRESETS, SceneConfig, TrainConfig

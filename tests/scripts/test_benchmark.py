@@ -12,12 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-sys.path.insert(0, str(ROOT / "tests" / "engine"))
-import _checkout  # noqa: F401
-
 from checkpoints import write_clip
 
 from fruitlangs.benchmarks import peer_torch
@@ -48,6 +42,8 @@ from fruitlangs.engine.splatting.photos import PhotoShelf
 from fruitlangs.engine.splatting.ply import write_ply
 from fruitlangs.engine.splatting.rasterize import render
 from fruitlangs.engine.splatting.workspace import Workspace
+
+ROOT = Path(__file__).resolve().parents[2]
 
 SAMPLE = ROOT / "examples" / "orchard_tree"
 SMALL = SceneConfig(downscale=6)

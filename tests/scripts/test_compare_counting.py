@@ -9,14 +9,9 @@ from functools import partial
 from pathlib import Path
 
 import ball_scene
+import compare_counting
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import _checkout  # noqa: F401
-
-import compare_counting
 
 from fruitlangs.benchmarks.crowns import scene_crown
 from fruitlangs.benchmarks.rivals import METHODS, NONE, Found, Surface, ours, surface_of
@@ -32,6 +27,8 @@ from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.truth import Truth, read_truth
 from fruitlangs.engine.progress import silent
+
+ROOT = Path(__file__).resolve().parents[2]
 
 FEW = Setting(fruits=(25, 25), leaves=60, views=10)
 

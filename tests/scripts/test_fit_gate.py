@@ -9,20 +9,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import ball_scene
+import fit_gate
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import _checkout  # noqa: F401
-
-import fit_gate
 from encoder.pictures import LEAST_WALK
 from fitting.cases import Case, surface_cases, walk_cases
 
 from fruitlangs.benchmarks.simulated import Setting, simulate
 from fruitlangs.engine.counting.gate import WEIGHED
 from fruitlangs.engine.errors import FormatError
+
+ROOT = Path(__file__).resolve().parents[2]
 
 FEW = Setting(fruits=(25, 25), leaves=400, wrong=0.1, views=10)
 

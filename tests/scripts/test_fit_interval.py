@@ -6,18 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fit_interval
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-import _checkout  # noqa: F401
-
-import fit_interval
 from fitting.cases import Case
 
 from fruitlangs.benchmarks.simulated import SETTINGS, Setting, any_setting, simulate
 from fruitlangs.engine.counting.interval import TELLING, TRAINED, Evidence
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def scene(seed: int, spread: float = 0.1, faint: float = 0.0) -> fit_interval.Example:
