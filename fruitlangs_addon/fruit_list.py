@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..operators.blender_data import OWNER
 from ..operators.fruit_objects import REJECTED, REVIEW, diameter_text, metres_per_unit
 
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
@@ -66,7 +67,9 @@ def cells(item: Any, metric: bool) -> list[str]:
 
 
 def is_shown(item: Any, show: str, doubt: float, name: str) -> bool:
-    """Whether the list shows a fruit object."""
+    """Whether the list shows an object: a fruit, as the review says."""
+    if item.get(OWNER) != "fruit":
+        return False
     verdict = item.get(REVIEW)
     if name and name.casefold() not in item.name.casefold():
         return False

@@ -27,7 +27,7 @@ from .look import apply_look, look_changed
 from .preload import preload_libraries
 from .settings import read_config, read_prompts, read_words, stored_file
 from .target import find_scene
-from .viewport import redraw_viewports
+from .viewport import in_window, redraw_viewports
 from .write_gaussians import ASKED, asked_words
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
 
 def words_changed(settings: Any, _context: Any = None) -> None:
     """Called when the prompt or what it is not was edited: ask soon, and say at once what is wrong with a word."""
-    if settings.id_data.library is None and not bpy.app.background:
+    if settings.id_data.library is None and in_window():
         ask_soon(settings.id_data)
 
 
@@ -166,8 +166,10 @@ def ask_soon(bpy_scene: bpy.types.Scene) -> None:
 
 
 def stop_asking() -> None:
-    """Forget every question; called when the extension is disabled."""
+    """Forget every question, and what answers need; called when the extension is disabled."""
     _waiting.clear()
+    _embedder.cache_clear()
+    _features.cache_clear()
     if bpy.app.timers.is_registered(_attend):
         bpy.app.timers.unregister(_attend)
 
@@ -197,10 +199,15 @@ def _waiting_scenes() -> Iterator[bpy.types.Scene]:
 
 
 def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
-    """Begin to answer; None where there is nothing to ask, which is no error while a person still sets things up."""
-    if owned_object(bpy_scene, "gaussians") is None:
+    """Begin to answer; None where there is nothing to ask, which is no error while a person still sets things up, and
+    where the words are answered already."""
+    item, settings = owned_object(bpy_scene, "gaussians"), bpy_scene.fruitlangs
+    if item is None:
         return None
     try:
+        if item.data.get(ASKED) == asked_words(read_prompts(settings), read_words(settings.negative)):
+            tell_answer(bpy_scene)
+            return None
         worker = Worker(question_of(bpy_scene), _means(bpy_scene))
     except FruitLangsError as error:
         _tell(bpy_scene, str(error))
@@ -250,9 +257,10 @@ def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], wo
 
 
 def tell_answer(bpy_scene: bpy.types.Scene) -> None:
-    """Say in the panel how many Gaussians reach the threshold."""
-    settings, found = bpy_scene.fruitlangs, gaussian_attributes(bpy_scene, "probability")
-    if found is None:
+    """Say in the panel how many Gaussians reach the threshold; nothing where none was asked yet."""
+    settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
+    found = gaussian_attributes(bpy_scene, "probability")
+    if item is None or found is None or not item.data.get(ASKED):
         return
     probability = found[0]
     fit, highest = int((probability >= settings.config.count.threshold).sum()), float(probability.max(initial=0.0))
@@ -277,7 +285,7 @@ def ask_where_words_differ(_file: Any = None, _unused: Any = None) -> None:
     """After undo, redo and loading: ask every scene whose highlight answers other words than its panel shows."""
     for bpy_scene in bpy.data.scenes:
         item = owned_object(bpy_scene, "gaussians")
-        if item is None or bpy.app.background:
+        if item is None or not in_window():
             continue
         try:
             if item.data.get(ASKED) != question_of(bpy_scene).words:
@@ -331,6 +339,12 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        if in_window():  # loading what answers need would stop it
+            item = owned_object(context.scene, "gaussians")
+            assert item is not None
+            item.data[ASKED] = ""
+            ask_soon(context.scene)
+            return {"FINISHED"}
         try:
             question = question_of(context.scene)
             show_answer(context.scene, answer(question, _means(context.scene)), question.words)

@@ -20,6 +20,8 @@ OWNER = "fruitlangs"
 Role = Literal[
     "root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "region", "light", "world"
 ]
+MESHES = ("gaussians", "points", "fruit")
+"""Roles of objects that are meshes."""
 AttributeType = Literal["FLOAT", "INT", "FLOAT_VECTOR", "FLOAT_COLOR", "QUATERNION"]
 
 _FIELDS: dict[AttributeType, tuple[str, int]] = {
@@ -89,12 +91,18 @@ def rgba(rgb: NDArray[Any]) -> NDArray[Any]:
 
 def owned_object(scene: bpy.types.Scene, role: Role) -> bpy.types.Object | None:
     """This Blender scene's object with that role."""
-    return next((item for item in scene.objects if item.get(OWNER) == role), None)
+    return next((item for item in scene.objects if _has_role(item, role)), None)
 
 
 def owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
     """All of this Blender scene's objects with that role."""
-    return [item for item in scene.objects if item.get(OWNER) == role]
+    return [item for item in scene.objects if _has_role(item, role)]
+
+
+def _has_role(item: bpy.types.Object, role: Role) -> bool:
+    """Whether an object is ours and has that role: not where it is linked from another file, which nothing here may
+    change, nor where a person made something else than a mesh of it."""
+    return item.get(OWNER) == role and item.library is None and (item.type == "MESH" or role not in MESHES)
 
 
 def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any]] | None:
@@ -106,9 +114,14 @@ def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any
     return [get_attribute(item.data, name) for name in names]
 
 
+def local_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """All collections of this Blender scene below its own, but for those linked from another file."""
+    return [each for each in scene.collection.children_recursive if each.library is None]
+
+
 def owned_collection(scene: bpy.types.Scene, role: Role, name: str) -> bpy.types.Collection:
     """This Blender scene's collection with that role, made under its name where there is none."""
-    for collection in scene.collection.children_recursive:
+    for collection in local_collections(scene):
         if collection.get(OWNER) == role:
             return collection
     parent = scene.collection if role == "scene" else owned_collection(scene, "scene", "FruitLangs")
@@ -130,14 +143,20 @@ def new_object(
 
 
 def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> None:
-    """Select these and nothing else, but for hidden ones, and make the first active."""
-    for item in context.selected_objects:
-        item.select_set(False)
-    for item in items:
+    """Select these and nothing else, but for hidden ones, and make the first active.
+
+    What this view layer leaves out cannot be selected.
+    """
+    there = context.view_layer.objects
+    for item in there:
+        if item is not None and item.select_get():  # None where it was just deleted
+            item.select_set(False)
+    found = [item for item in items if there.get(item.name) == item]
+    for item in found:
         if not item.hide_viewport:
             item.select_set(True)
-    if items:
-        context.view_layer.objects.active = items[0]
+    if found:
+        there.active = found[0]
 
 
 def in_scene_frame(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:

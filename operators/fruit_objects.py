@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..engine.report.words import three_digits
 from .blender_data import (
+    OWNER,
     gaussian_attributes,
     in_scene_frame,
-    owned_collection,
+    local_collections,
     owned_object,
     owned_objects,
     set_attribute,
@@ -31,9 +32,12 @@ LAST_ID = "fruitlangs_last_id"
 
 
 def fruit_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The collection of the fruit objects; None before there are any."""
-    first = next((item for item in bpy_scene.objects if item.get("fruitlangs") == "fruit"), None)
-    return None if first is None else owned_collection(bpy_scene, "fruits", "Fruits")
+    """The collection of the fruit objects, or of the first of them where a person took it away; None without fruit."""
+    first = owned_object(bpy_scene, "fruit")
+    if first is None:
+        return None
+    made = (each for each in local_collections(bpy_scene) if each.get(OWNER) == "fruits")
+    return next(made, first.users_collection[0])
 
 
 def standing(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -10,8 +10,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from .blender_data import owned_object, owned_objects
+from .blender_data import in_scene_frame, owned_object, owned_objects
 from .pick_tool import PickTool
+from .region import stand_upright
 from .viewport import look_at_scene, shown_screens
 from .write_root import GROUND
 
@@ -62,7 +63,11 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
             return {"CANCELLED"}
         bpy_scene.fruitlangs.config.scene.up = up.tolist()
         bpy_scene[GROUND] = points.mean(axis=0).tolist()
+        box = owned_object(bpy_scene, "region")
+        place = None if box is None else in_scene_frame(box, root).translation
         level(root, up, points.mean(axis=0))
+        if box is not None and place is not None:
+            stand_upright(box, root, root.matrix_basis @ place, box.matrix_basis.to_scale())
         look_at_scene(shown_screens(context), bpy_scene)
         self.report({"INFO"}, "The ground is level, at height 0; the next count uses it")
         return {"FINISHED"}

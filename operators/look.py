@@ -117,6 +117,7 @@ HANDLERS = {
     "redo_post": apply_looks,
     "save_pre": show_ellipsoids,
     "save_post": apply_looks,
+    "save_post_fail": apply_looks,
 }
 
 
@@ -124,10 +125,14 @@ def register_handlers() -> None:
     """Let the look decide what viewports show, but for files on disk."""
     for name, function in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
+    if in_window():  # while an extension is registered nothing of the .blend may be changed
+        bpy.app.timers.register(apply_looks, first_interval=0.0)
 
 
 def unregister_handlers() -> None:
     """Take back what `register_handlers` added; the viewports show ellipsoids again."""
+    if bpy.app.timers.is_registered(apply_looks):
+        bpy.app.timers.unregister(apply_looks)
     for name, function in HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if function in handlers:

@@ -83,12 +83,17 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
         middle, half = around(bpy_scene, root)
         box = new_object("Region", None, "region", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
         box.empty_display_type = "CUBE"
-        placed = Matrix.LocRotScale(middle, None, half)
-        box.matrix_basis = root.matrix_basis.inverted() @ placed
+        stand_upright(box, root, middle, half)
         if context.mode == "OBJECT":
             select_only(context, [box])
         self.report({"INFO"}, "Counts are held to the box: move it with G, scale it with S, turn it with R Z")
         return {"FINISHED"}
+
+
+def stand_upright(box: bpy.types.Object, root: bpy.types.Object, middle: Vector, half: Vector) -> None:
+    """Put the box upright there, in the world, its sides in Blender's sidebar as they are seen."""
+    box.matrix_parent_inverse = root.matrix_basis.inverted()
+    box.matrix_basis = Matrix.LocRotScale(middle, box.matrix_basis.to_quaternion(), half)
 
 
 def around(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[Vector, Vector]:

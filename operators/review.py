@@ -13,12 +13,14 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ..engine.errors import FruitLangsError
-from .blender_data import owned_object, owned_objects, remove_objects, select_only
+from ..engine.errors import CountingError
+from .blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
 from .fruit_objects import (
+    ADDED,
     CONFIRMED,
     REJECTED,
     REVIEW,
+    fruit_collection,
     give_members,
     judge,
     make_fruit,
@@ -30,7 +32,7 @@ from .fruit_objects import (
     standing,
     write_log,
 )
-from .jobs import busy, editing
+from .jobs import busy, describe_error, editing
 from .pick_tool import PickTool
 from .viewport import look_at_point, shown_screens
 from .write_fruits import label_fruit
@@ -44,9 +46,17 @@ CLOSE = 8.0
 
 def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The selected fruit, the active one first."""
-    own = [item for item in context.selected_objects if item.get("fruitlangs") == "fruit"]
+    own = [item for item in context.selected_objects if item.get(OWNER) == "fruit"]
     active = context.view_layer.objects.active
     return sorted(own, key=lambda item: (item != active, item.get("id", 0)))
+
+
+def has_root(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether the scene's root is there; the operator's poll says so where it is not."""
+    if owned_object(context.scene, "root") is not None:
+        return True
+    operator.poll_message_set("The empty that holds the scene is gone; undo that, or import or count again")
+    return False
 
 
 class Judgement:
@@ -61,13 +71,29 @@ class Judgement:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or editing(cls, context):
+        if busy(cls) or editing(cls, context) or not has_root(cls, context):
             return False
         if len(chosen(context)) < cls.needs:
             many = "a fruit" if cls.needs == 1 else f"{cls.needs} fruit or more (Shift and click)"
             cls.poll_message_set(f"Select {many} in the list or in the viewport")
             return False
         return True
+
+    def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        try:
+            self.decide(context)
+        except Exception as error:
+            self.report({"ERROR"}, describe_error(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def decide(self, context: bpy.types.Context) -> None:
+        """Do it; whatever is raised is told in words, so it must come before anything changes.
+
+        Raises:
+            FruitLangsError: it cannot be done.
+        """
+        raise NotImplementedError
 
     def log(
         self: Any, context: bpy.types.Context, action: Action, before: Sequence[Spot] = (), after: Sequence[Spot] = ()
@@ -92,12 +118,11 @@ class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
     bl_description = "Say that the selected fruit are fruit; rejected ones come back"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         items = chosen(context)
-        for item in items:
-            judge(item, CONFIRMED if item.get(REVIEW) != "added" else "added")
         self.log(context, "confirm", _spots(context, items))
-        return {"FINISHED"}
+        for item in items:
+            judge(item, CONFIRMED if item.get(REVIEW) != ADDED else ADDED)
 
 
 class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
@@ -106,12 +131,11 @@ class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
     bl_description = "Say that the selected things are no fruit: they are hidden and no longer counted"
     bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         items = chosen(context)
         self.log(context, "reject", _spots(context, items))
         for item in items:
             judge(item, REJECTED)
-        return {"FINISHED"}
 
 
 class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
@@ -122,20 +146,19 @@ class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls):
+        if busy(cls) or not has_root(cls, context):
             return False
         item = context.view_layer.objects.active
-        if item is None or item.get("fruitlangs") != "fruit" or item.get(REVIEW) not in (CONFIRMED, REJECTED):
+        if item is None or item.get(OWNER) != "fruit" or item.get(REVIEW) not in (CONFIRMED, REJECTED):
             cls.poll_message_set("Choose a confirmed or rejected fruit in the list")
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         item = context.view_layer.objects.active
-        judge(item, "")
         self.log(context, "reopen", _spots(context, [item]))
+        judge(item, "")
         select_only(context, [item])
-        return {"FINISHED"}
 
 
 class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
@@ -146,7 +169,7 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
 
     needs = 2
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         from ..engine.counting.review import merged
 
         items = chosen(context)
@@ -158,7 +181,6 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
         self.log(context, "merge", before, [whole])
         remove_objects(items)
         select_only(context, [made])
-        return {"FINISHED"}
 
 
 class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
@@ -173,23 +195,18 @@ class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
         self.parts = context.scene.fruitlangs.review.parts
         return self.execute(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         from ..engine.counting.review import split
 
         item = chosen(context)[0]
         before = _spots(context, [item])[0]
         own, places = members(context.scene, before.id)
-        try:
-            spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts))
-        except FruitLangsError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts))
         made = [make_fruit(context.scene, spot, item) for spot in spots]
         give_members(context.scene, own, np.array([spot.id for spot in spots])[owners] if len(own) else 0)
         self.log(context, "split", [before], spots)
         remove_objects([item])
         select_only(context, made)
-        return {"FINISHED"}
 
 
 class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
@@ -200,18 +217,17 @@ class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
 
     label: bpy.props.StringProperty(name="Label", options={"SKIP_SAVE"}, description="Empty takes the panel's")
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         label = " ".join((self.label or context.scene.fruitlangs.review.label).split())
         if not label:
-            self.report({"ERROR"}, "Type the label first")
-            return {"CANCELLED"}
+            raise CountingError("Type the label first")
+        self.reason = self.reason or context.scene.fruitlangs.review.reason
         for item in chosen(context):
             before = _spots(context, [item])
             label_fruit(item, label, context.scene)
-            if item.get(REVIEW) != "added":
+            if item.get(REVIEW) != ADDED:
                 judge(item, CONFIRMED)
             self.log(context, "relabel", before, _spots(context, [item]))
-        return {"FINISHED"}
 
 
 class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
@@ -235,19 +251,17 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
         self.center = (points[0] + 0.5 * usual_diameter(context.scene) * direction).tolist()
         return self.execute(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def decide(self, context: bpy.types.Context) -> None:
         from ..engine.counting.review import ball
 
         label = context.scene.fruitlangs.result.label or context.scene.fruitlangs.prompt
         size = self.diameter or usual_diameter(context.scene)
         if not size > 0.0:
-            self.report({"ERROR"}, "There is no fruit whose size the new one could have; give a diameter")
-            return {"CANCELLED"}
+            raise CountingError("There is no fruit whose size the new one could have; give a diameter")
         spot = ball(next_ids(context.scene, 1)[0], label, np.array(self.center), size)
         made = make_fruit(context.scene, spot, None)
         self.log(context, "add", after=[spot])
         select_only(context, [made])
-        return {"FINISHED"}
 
 
 def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
@@ -275,6 +289,9 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         item = next_doubtful(context)
         select_only(context, [item])
+        if context.view_layer.objects.active != item:
+            self.report({"WARNING"}, f"{item.name} is in no collection of this view layer; tick it in the Outliner")
+            return {"CANCELLED"}
         root = owned_object(context.scene, "root")
         if root is not None:
             place = root.matrix_world @ Vector(item.location)
@@ -294,21 +311,17 @@ def next_doubtful(context: bpy.types.Context) -> bpy.types.Object:
 
 def get_active_fruit(review: Any) -> int:
     """Index of the active object among the fruit; -1 where another one is active."""
-    collection = _shown_collection(review.id_data)
+    collection = fruit_collection(review.id_data)
     active = bpy.context.view_layer.objects.active if bpy.context.view_layer else None
     return -1 if collection is None or active is None else collection.objects.find(active.name)
 
 
 def set_active_fruit(review: Any, index: int) -> None:
     """Select the fruit of that index alone."""
-    collection = _shown_collection(review.id_data)
+    collection = fruit_collection(review.id_data)
     if collection is None or bpy.context.mode != "OBJECT" or not 0 <= index < len(collection.objects):
         return
     select_only(bpy.context, [collection.objects[index]])
-
-
-def _shown_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    return next((each for each in bpy_scene.collection.children_recursive if each.get("fruitlangs") == "fruits"), None)
 
 
 CLASSES = (

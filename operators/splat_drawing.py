@@ -132,8 +132,7 @@ def _layers(bpy_scene: Any, view_layer: Any, space: Any) -> list[tuple[SplatText
         return [(_preview_textures(bpy_scene.session_uid, preview), preview.matrix)]
     if look_of(bpy_scene).style != "SPLATS":
         return []
-    owned = [*owned_objects(bpy_scene, "points"), *owned_objects(bpy_scene, "gaussians")]
-    items = [item for item in owned if item.type == "MESH"]
+    items = [*owned_objects(bpy_scene, "points"), *owned_objects(bpy_scene, "gaussians")]
     visible = [item for item in items if item.visible_get(view_layer=view_layer, viewport=space)]
     found = [(_mesh_textures(item), item.matrix_world.copy()) for item in visible]
     return [(textures, matrix) for textures, matrix in found if textures is not None]

@@ -73,7 +73,7 @@ def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) 
     if old.users == 0:
         bpy.data.meshes.remove(old)
     item["label"] = label
-    item.name = _name(label, item["id"], bpy_scene)
+    item.name = _name(label, item["id"], bpy_scene, item)
     item.color = fruit_color(label, item["id"])
 
 
@@ -106,10 +106,11 @@ def fruit_color(label: str, number: int) -> tuple[float, float, float, float]:
     return (float(red), float(green), float(blue), 1.0)
 
 
-def _name(label: str, number: int, bpy_scene: bpy.types.Scene) -> str:
+def _name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:
+    """What a fruit is called, `own` where it is there already."""
     name = fruit_name(label, number)
     # Taken, by another Blender scene's fruit or by the user: Blender would count on and give a name with another id.
-    return name if name not in bpy.data.objects else f"{bpy_scene.name} {name}"
+    return name if bpy.data.objects.get(name) in (None, own) else f"{bpy_scene.name} {name}"
 
 
 def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float | None) -> None:

@@ -167,8 +167,14 @@ def corrected_interval(
 
 
 def merged(spots: Sequence[Spot], number: int) -> Spot:
-    """One fruit for several: the solid ellipsoid with the centre and second moments of theirs together."""
+    """One fruit for several: the solid ellipsoid with the centre and second moments of theirs together.
+
+    Raises:
+        CountingError: none of them has a size.
+    """
     volumes = np.array([spot.diameter**3 for spot in spots])
+    if not volumes.sum() > 0.0:
+        raise CountingError("The fruit have no size; scale one of them up first")
     weights = volumes / volumes.sum()
     center = weights @ np.stack([spot.center for spot in spots])
     spread = np.zeros((3, 3))

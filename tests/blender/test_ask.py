@@ -8,9 +8,10 @@ import time
 import bpy
 import numpy as np
 import pytest
+from blender_examples import written
 
 from fruitlangs.operators import ask
-from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects, set_attribute
 from fruitlangs.operators.write_gaussians import ASKED
 
 
@@ -51,6 +52,34 @@ def test_another_word_changes_the_highlight_and_what_is_said_of_it(opened, count
     assert bpy.ops.fruitlangs.ask() == {"FINISHED"}
     assert np.corrcoef(before, probability())[0, 1] < 0.0
     assert settings.answer.text != said
+
+
+def test_what_is_answered_is_not_asked_again_and_an_old_problem_goes(opened, monkeypatch):
+    settings = bpy.context.scene.fruitlangs
+    before, said = probability(), settings.answer.text
+    settings.answer.problem = "durian is no word"
+    monkeypatch.setattr(ask, "answer", lambda *_: pytest.fail("asked"))
+    ask.ask_soon(bpy.context.scene)
+    attend()
+    np.testing.assert_array_equal(probability(), before)
+    assert (settings.answer.problem, settings.answer.text) == ("", said)
+
+
+def test_the_button_asks_again_without_stopping_the_window(opened, monkeypatch):
+    before = probability()
+    monkeypatch.setattr(ask, "in_window", lambda: True)
+    item = owned_object(bpy.context.scene, "gaussians")
+    set_attribute(item.data, "probability", "FLOAT", np.zeros(len(before), np.float32))
+    assert bpy.ops.fruitlangs.ask() == {"FINISHED"}
+    assert not probability().any()
+    attend()
+    np.testing.assert_allclose(probability(), before, atol=1e-6)
+
+
+def test_a_threshold_moved_before_anything_was_asked_tells_nothing(extension, counted):
+    written(counted)
+    bpy.context.scene.fruitlangs.config.count.threshold = 0.7
+    assert bpy.context.scene.fruitlangs.answer.text == ""
 
 
 def test_an_unknown_word_is_said_and_the_highlight_stays(opened):

@@ -8,10 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
+from fruitlangs.engine.errors import CountingError
 from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.fruit_objects import REVIEW, read_log, standing
+from fruitlangs.operators.fruit_objects import REVIEW, fruit_collection, read_log, standing
 from fruitlangs.operators.keep_review import entry_text, review_line
+from fruitlangs.operators.read_fruits import read_fruits
 from fruitlangs.operators.showing import show_result
 
 
@@ -135,6 +137,81 @@ def test_relabelling_to_nothing_is_an_error(shown):
     select(1)
     with pytest.raises(RuntimeError, match="Type the label"):
         bpy.ops.fruitlangs.relabel_fruit()
+
+
+def test_relabelling_several_logs_the_reason_for_each(shown):
+    select(1, 2)
+    shown.fruitlangs.review.reason = "another tree"
+    bpy.ops.fruitlangs.relabel_fruit(label="pear")
+    assert [entry.reason for entry in read_log(shown)] == ["another tree", "another tree"]
+    assert shown.fruitlangs.review.reason == ""
+
+
+def test_a_fruit_that_gets_the_label_it_has_keeps_its_name(shown):
+    select(2)
+    bpy.ops.fruitlangs.relabel_fruit(label="apple")
+    assert fruit(2).name == "apple.002"
+
+
+def test_what_cannot_be_done_is_said_and_changes_nothing(shown, monkeypatch):
+    def missing(*_):
+        raise ModuleNotFoundError("No module named 'sklearn'", name="sklearn")
+
+    monkeypatch.setattr("fruitlangs.engine.counting.review.split", missing)
+    select(1)
+    with pytest.raises(RuntimeError, match="sklearn"):
+        bpy.ops.fruitlangs.split_fruit(parts=2)
+    fruit(1).scale = fruit(2).scale = (0.0, 0.0, 0.0)
+    select(1, 2)
+    with pytest.raises(RuntimeError, match="The fruit have no size; scale one of them up first"):
+        bpy.ops.fruitlangs.merge_fruit()
+    assert numbers() == [1, 2, 3]
+    assert read_log(shown) == []
+
+
+def test_without_the_scenes_root_nothing_is_decided_and_an_export_says_what_is_gone(shown):
+    select(1)
+    bpy.data.objects.remove(owned_object(shown, "root"))
+    for name in ("confirm_fruit", "reject_fruit", "add_fruit", "reopen_fruit"):
+        assert not getattr(bpy.ops.fruitlangs, name).poll()
+    with pytest.raises(CountingError, match="empty that holds the scene is gone"):
+        read_fruits(shown)
+
+
+def test_a_collection_that_the_view_layer_leaves_out_is_named_and_an_added_fruit_is_kept(shown):
+    layer = bpy.context.view_layer.layer_collection.children["FruitLangs"].children["Fruits"]
+    layer.exclude = True
+    assert bpy.ops.fruitlangs.next_doubtful() == {"CANCELLED"}
+    shown.fruitlangs.review.active_fruit = 1
+    assert bpy.ops.fruitlangs.add_fruit(center=(1.0, 2.0, 3.0)) == {"FINISHED"}
+    assert numbers() == [1, 2, 3, 4]
+    assert len(read_log(shown)) == 1
+
+
+def test_fruit_whose_collection_was_deleted_are_listed_where_they_are(shown):
+    collection = fruit_collection(shown)
+    for item in list(collection.objects):
+        shown.collection.objects.link(item)
+    bpy.data.collections.remove(collection)
+    before = len(bpy.data.collections)
+    assert fruit_collection(shown) == shown.collection
+    assert len(bpy.data.collections) == before
+    select(2)
+    assert shown.collection.objects[shown.fruitlangs.review.active_fruit] == fruit(2)
+    assert not is_shown(owned_object(shown, "root"), "ALL", 0.5, "")
+    assert is_shown(fruit(2), "ALL", 0.5, "")
+
+
+def test_fruit_of_a_linked_file_are_nobodys_here(shown, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "a.blend"), link=True) as (_, wanted):
+        wanted.collections = ["FruitLangs"]
+    bpy.context.scene.collection.children.link(bpy.data.collections["FruitLangs"])
+    assert "apple.001" in bpy.context.scene.objects
+    assert owned_objects(bpy.context.scene, "fruit") == []
+    assert fruit_collection(bpy.context.scene) is None
+    assert not bpy.ops.fruitlangs.next_doubtful.poll()
 
 
 def test_next_doubtful_goes_from_the_least_likely_upwards_and_skips_what_was_looked_at(shown):

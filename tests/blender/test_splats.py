@@ -342,6 +342,16 @@ def test_a_changed_mesh_is_read_anew_and_a_moved_object_is_not(changes, counted)
     assert changes(item, answer) == {item.data.session_uid}
 
 
+def test_gaussians_that_a_person_made_something_else_of_are_left_alone(extension, counted):
+    item = written(counted)
+    bpy.context.view_layer.objects.active = item
+    item.select_set(True)
+    bpy.ops.object.convert(target="POINTCLOUD")
+    assert bpy.context.view_layer.objects.active.type == "POINTCLOUD"
+    assert owned_object(bpy.context.scene, "gaussians") is None
+    look.apply_look(bpy.context.scene)
+
+
 def test_handlers_come_once_and_go():
     before = {name: list(getattr(bpy.app.handlers, name)) for name in {**look.HANDLERS, **splat_drawing.HANDLERS}}
     fruitlangs.register()

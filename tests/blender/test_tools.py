@@ -11,7 +11,7 @@ from mathutils import Matrix, Vector
 
 from fruitlangs.engine.counting.region import region_of
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.operators.blender_data import owned_object, owned_objects
+from fruitlangs.operators.blender_data import in_scene_frame, owned_object, owned_objects
 from fruitlangs.operators.level import plane_up
 from fruitlangs.operators.region import in_region
 from fruitlangs.operators.settings import read_config
@@ -103,7 +103,7 @@ def test_a_moved_turned_and_scaled_box_is_the_region_that_is_counted(shown):
     bpy.ops.fruitlangs.add_region()
     box, root = owned_object(shown, "region"), owned_object(shown, "root")
     world = Matrix.LocRotScale((0.4, -0.2, 1.0), Matrix.Rotation(0.7, 3, "Z"), (0.5, 0.2, 0.3))
-    box.matrix_basis = root.matrix_basis.inverted() @ world
+    box.matrix_basis = world
     region = region_of(read_config(shown.fruitlangs).count, UP)
     local = np.random.default_rng(0).uniform(-2.0, 2.0, (500, 3))
     scene = np.array([root.matrix_basis.inverted() @ (world @ Vector(place)) for place in local.tolist()])
@@ -112,14 +112,27 @@ def test_a_moved_turned_and_scaled_box_is_the_region_that_is_counted(shown):
 
 def test_a_tilted_or_flat_box_is_an_error_that_says_what_to_do(shown):
     bpy.ops.fruitlangs.add_region()
-    box, root = owned_object(shown, "region"), owned_object(shown, "root")
-    upright = root.matrix_basis @ box.matrix_basis
-    box.matrix_basis = root.matrix_basis.inverted() @ Matrix.Rotation(0.3, 4, "X") @ upright
+    box = owned_object(shown, "region")
+    box.rotation_euler.x = 0.3
     with pytest.raises(ConfigError, match="tilted"):
         read_config(shown.fruitlangs)
-    box.matrix_basis = root.matrix_basis.inverted() @ Matrix.LocRotScale(None, None, (1.0, 1.0, 0.0))
+    box.rotation_euler.x = 0.0  # as the message says
+    read_config(shown.fruitlangs)
+    box.scale.z = 0.0
     with pytest.raises(ConfigError, match="flat"):
         read_config(shown.fruitlangs)
+
+
+def test_a_box_stays_upright_where_it_is_in_the_scene_when_the_ground_is_set(shown):
+    bpy.ops.fruitlangs.add_region()
+    box, root = owned_object(shown, "region"), owned_object(shown, "root")
+    box.rotation_euler.z = 0.4
+    before = in_scene_frame(box, root)
+    bpy.ops.fruitlangs.set_ground(points=(0.0, 1.0, 0.2, 2.0, 1.0, 0.5, 0.0, 3.0, 0.1))
+    after = in_scene_frame(box, root)
+    np.testing.assert_allclose(after.translation, before.translation, atol=1e-5)
+    np.testing.assert_allclose(after.to_scale(), before.to_scale(), rtol=1e-5)
+    assert read_config(shown.fruitlangs).count.polygon is not None
 
 
 def test_without_the_box_counts_are_everywhere_again(shown):
