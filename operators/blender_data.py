@@ -7,6 +7,7 @@ has become, in this Blender scene only, and nothing of the user's is ever replac
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Literal
 
 import bpy
@@ -145,18 +146,18 @@ def new_object(
 def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> None:
     """Select these and nothing else, but for hidden ones, and make the first active.
 
-    What this view layer leaves out cannot be selected.
+    What this view layer leaves out cannot be selected. Its own list of objects is not gone through: in 5.0 it holds
+    dangling ones where some were just deleted.
     """
-    there = context.view_layer.objects
-    for item in there:
-        if item is not None and item.select_get():  # None where it was just deleted
+    for item in context.scene.objects:
+        if item.select_get():
             item.select_set(False)
-    found = [item for item in items if there.get(item.name) == item]
-    for item in found:
-        if not item.hide_viewport:
-            item.select_set(True)
-    if found:
-        there.active = found[0]
+    for item in items:
+        with suppress(RuntimeError):  # this view layer leaves it out
+            item.select_set(not item.hide_viewport)
+    if items:
+        with suppress(RuntimeError):
+            context.view_layer.objects.active = items[0]
 
 
 def in_scene_frame(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import bpy
@@ -43,5 +44,5 @@ def hide_points(bpy_scene: bpy.types.Scene) -> None:
     for item in owned_objects(bpy_scene, "points"):
         item.hide_render = True
         for view_layer in bpy_scene.view_layers:
-            if item.name in view_layer.objects:
+            with suppress(RuntimeError):  # this view layer leaves it out
                 item.hide_set(True, view_layer=view_layer)

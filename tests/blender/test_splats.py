@@ -342,12 +342,12 @@ def test_a_changed_mesh_is_read_anew_and_a_moved_object_is_not(changes, counted)
     assert changes(item, answer) == {item.data.session_uid}
 
 
-def test_gaussians_that_a_person_made_something_else_of_are_left_alone(extension, counted):
-    item = written(counted)
-    bpy.context.view_layer.objects.active = item
-    item.select_set(True)
-    bpy.ops.object.convert(target="POINTCLOUD")
-    assert bpy.context.view_layer.objects.active.type == "POINTCLOUD"
+def test_what_has_the_gaussians_role_and_is_no_mesh_is_left_alone(extension, counted):
+    """As where a person converted the Gaussians to a point cloud."""
+    bpy.data.objects.remove(written(counted))
+    item = bpy.data.objects.new("Gaussians", None)
+    item["fruitlangs"] = "gaussians"
+    bpy.context.scene.collection.objects.link(item)
     assert owned_object(bpy.context.scene, "gaussians") is None
     look.apply_look(bpy.context.scene)
 
