@@ -115,13 +115,22 @@ def next_ids(bpy_scene: bpy.types.Scene, count: int) -> list[int]:
     return list(range(last + 1, last + 1 + count))
 
 
-def members(bpy_scene: bpy.types.Scene, number: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices (M,) of the Gaussians of a fruit, and their places (M, 3) in the scene's frame."""
+def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Indices (M,) of the Gaussians of a fruit, and their places (M, 3) in the scene's frame.
+
+    A copy that a person made of a fruit has its number: of those each has the Gaussians that are nearest to it.
+    """
     found = gaussian_attributes(bpy_scene, "fruit_id", "position")
     if found is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     owners, places = found
-    own = np.flatnonzero(owners == number)
+    own = np.flatnonzero(owners == item["id"])
+    root, same = owned_object(bpy_scene, "root"), [item]
+    same += [each for each in owned_objects(bpy_scene, "fruit") if each.get("id") == item["id"] and each != item]
+    if len(same) > 1 and root is not None:
+        centers = np.array([in_scene_frame(each, root).translation for each in same])
+        nearest = np.linalg.norm(places[own, None] - centers, axis=2).argmin(axis=1)
+        own = own[nearest == 0]
     return own, places[own].astype(np.float64)
 
 

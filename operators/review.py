@@ -175,8 +175,8 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
         items = chosen(context)
         before = _spots(context, items)
         whole = merged(before, next_ids(context.scene, 1)[0])
-        for spot in before:
-            give_members(context.scene, members(context.scene, spot.id)[0], whole.id)
+        own = np.concatenate([members(context.scene, item)[0] for item in items])
+        give_members(context.scene, own, whole.id)
         made = make_fruit(context.scene, whole, items[0])
         self.log(context, "merge", before, [whole])
         remove_objects(items)
@@ -200,7 +200,7 @@ class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
 
         item = chosen(context)[0]
         before = _spots(context, [item])[0]
-        own, places = members(context.scene, before.id)
+        own, places = members(context.scene, item)
         spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts))
         made = [make_fruit(context.scene, spot, item) for spot in spots]
         give_members(context.scene, own, np.array([spot.id for spot in spots])[owners] if len(own) else 0)

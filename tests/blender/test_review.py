@@ -11,7 +11,7 @@ import pytest
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.fruit_objects import REVIEW, fruit_collection, read_log, standing
+from fruitlangs.operators.fruit_objects import REVIEW, fruit_collection, members, read_log, standing
 from fruitlangs.operators.keep_review import entry_text, review_line
 from fruitlangs.operators.read_fruits import read_fruits
 from fruitlangs.operators.showing import show_result
@@ -110,6 +110,23 @@ def test_a_split_fruit_becomes_as_many_as_asked(shown):
     volume = sum(fruit(number)["diameter"] ** 3 for number in (4, 5, 6))
     assert volume == pytest.approx(0.3**3, rel=1e-4)
     assert [spot.id for spot in read_log(shown)[0].after] == [4, 5, 6]
+
+
+def test_a_copy_of_a_fruit_is_split_where_it_is_and_takes_no_gaussians(shown):
+    item = fruit(1)
+    copy = item.copy()
+    shown.objects[item.name].users_collection[0].objects.link(copy)
+    copy.location.z += 5.0
+    own = set(members(shown, item)[0])
+    assert own
+    assert not len(members(shown, copy)[0])
+    for each in shown.objects:
+        each.select_set(each == copy)
+    bpy.context.view_layer.objects.active = copy
+    assert bpy.ops.fruitlangs.split_fruit(parts=2) == {"FINISHED"}
+    made = [each for each in standing(shown) if each.get(REVIEW) == "added"]
+    assert {round(each.location.z, 3) for each in made} == {round(item.location.z + 5.0, 3)}
+    assert set(members(shown, item)[0]) == own
 
 
 def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
