@@ -21,6 +21,7 @@ from ..operators import (
     look,
     package_folder,
     photo_backgrounds,
+    pick_tool,
     reconstruct,
     region,
     review,
@@ -89,7 +90,8 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take everything away and leave nothing behind; a running job is asked to stop."""
+    """Take everything away and leave nothing behind; what waits for clicks ends, a running job is asked to stop."""
+    pick_tool.end_waiting()
     jobs.cancel_running(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     look.unregister_handlers()

@@ -317,9 +317,15 @@ def duration(seconds: float) -> str:
 
 
 def show_status(context: bpy.types.Context, text: str | None) -> None:
-    """Say it in the status bar; None brings back what Blender says there. While a file closes there may be none."""
-    if context.workspace is not None:
-        context.workspace.status_text_set(text)
+    """Say it in the status bar, of which there may be none while a file closes.
+
+    None brings back what Blender says there, in every workspace: a person may have gone to another one meanwhile.
+    """
+    if context.workspace is None:
+        return
+    for workspace in [context.workspace] if text is not None else bpy.data.workspaces:
+        with context.temp_override(workspace=workspace):
+            workspace.status_text_set(text)
 
 
 def redraw_sidebars(context: bpy.types.Context) -> None:
