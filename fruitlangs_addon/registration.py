@@ -92,7 +92,7 @@ def register() -> None:
 def unregister() -> None:
     """Take everything away and leave nothing behind; what waits for clicks ends, a running job is asked to stop."""
     pick_tool.end_waiting()
-    jobs.cancel_running(CANCEL_SECONDS)
+    jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     look.unregister_handlers()
     legend.drawing.stop()

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ..engine.progress import Progress, silent
-from .jobs import JobOperator, Work, busy
+from .jobs import JobOperator, Work, busy, start
 from .package_folder import packages_folder, use_packages
 from .package_install import InstallError, install_packages
 from .package_versions import CPU_INDEX, REQUIRED, UNPACKED, download_megabytes
@@ -140,8 +140,7 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
             box.label(text="or choose a folder that holds the wheels.")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy.ops.fruitlangs.install_dependencies("INVOKE_DEFAULT", wheels=self.wheels)
-        return {"FINISHED"}
+        return start(self, "install_dependencies", wheels=self.wheels)
 
 
 class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):

@@ -150,6 +150,13 @@ def test_nothing_is_downloaded_without_consent_to_go_online(extension, home, mon
     assert "may not go online" in bpy.context.scene.fruitlangs.error
 
 
+def test_the_dialog_says_in_words_why_an_install_cannot_start(extension, home, monkeypatch):
+    monkeypatch.setattr(dependencies, "online", lambda: False)
+    with pytest.raises(RuntimeError) as raised:
+        bpy.ops.fruitlangs.confirm_install()
+    assert str(raised.value).strip() == f"Error: {dependencies.OFFLINE}"
+
+
 def test_the_operator_installs_from_a_folder_without_going_online(extension, home, wheels, capfd):
     assert bpy.ops.fruitlangs.install_dependencies(wheels=str(wheels)) == {"FINISHED"}
     assert dependencies.missing_packages() == []
