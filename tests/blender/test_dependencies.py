@@ -58,6 +58,16 @@ def test_an_install_is_importable_at_once_and_after_a_restart(home, wheels):
     assert not [path for path in sys.path if str(home) in path]
 
 
+def test_the_thread_that_installs_asks_blender_nothing(home, wheels, monkeypatch):
+    install = dependencies.installing(wheels)
+    for module in (dependencies, package_folder):
+        monkeypatch.setattr(module, "bpy", None)
+        monkeypatch.setattr(module, "packages_folder", lambda: pytest.fail("asked"))
+    monkeypatch.setattr(dependencies, "online", lambda: pytest.fail("asked"))
+    assert install(dependencies.silent) == ["grafting"]
+    assert dependencies.missing_packages() == []
+
+
 def test_blenders_numpy_is_never_installed_though_a_wheel_of_another_one_is_at_hand(home, wheels):
     dependencies.install_missing(wheels)
     (install,) = home.iterdir()
