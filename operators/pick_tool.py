@@ -23,7 +23,7 @@ MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFOR
 """Metal and Vulkan draw points by a shader of their own for them alone, which Blender has from 4.5 on."""
 
 # Blender forgets a tool whose class is unregistered without a word to it, so the one that waits for clicks is kept.
-_waiting: PickTool | None = None
+_waiting: Any = None
 
 
 def end_waiting() -> None:
