@@ -21,6 +21,7 @@ from ..operators import (
     look,
     package_folder,
     photo_backgrounds,
+    pick_tool,
     reconstruct,
     region,
     review,
@@ -89,8 +90,9 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take everything away and leave nothing behind; a running job is asked to stop."""
-    jobs.cancel_running(CANCEL_SECONDS)
+    """Take everything away and leave nothing behind; what waits for clicks ends, a running job is asked to stop."""
+    pick_tool.end_waiting()
+    jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     look.unregister_handlers()
     legend.drawing.stop()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import bpy
 import numpy as np
 
 from ..engine.progress import Progress, silent
-from .jobs import JobOperator, Work, busy
+from .jobs import JobOperator, Work, busy, start
 from .package_folder import packages_folder, use_packages
 from .package_install import InstallError, install_packages
 from .package_versions import CPU_INDEX, REQUIRED, UNPACKED, download_megabytes
@@ -48,13 +49,26 @@ def install_missing(wheels: Path | None = None, progress: Progress = silent) -> 
         InstallError: Blender may not go online and no folder is given, or it failed; nothing was changed.
         Cancelled: by `progress`.
     """
-    packages = missing_packages()
-    if packages:
-        if wheels is None and not online():
-            raise InstallError(OFFLINE)
-        install_packages(packages, packages_folder(), wheels=wheels, progress=progress)
-        use_packages()
-    return packages
+    return installing(wheels)(progress)
+
+
+def installing(wheels: Path | None = None) -> Callable[[Progress], list[str]]:
+    """What does the work of `install_missing`; any thread may call it.
+
+    Raises:
+        InstallError: Blender may not go online and no folder is given.
+    """
+    packages, folder = missing_packages(), packages_folder()
+    if packages and wheels is None and not online():
+        raise InstallError(OFFLINE)
+
+    def install(progress: Progress) -> list[str]:
+        if packages:
+            install_packages(packages, folder, wheels=wheels, progress=progress)
+            use_packages(folder)
+        return packages
+
+    return install
 
 
 def source_text(packages: list[str], wheels: str) -> str:
@@ -85,10 +99,8 @@ class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
         return not busy(cls)
 
     def prepare(self, context: bpy.types.Context) -> Work:
-        wheels = Path(bpy.path.abspath(self.wheels)) if self.wheels else None
-        if wheels is None and missing_packages() and not online():
-            raise InstallError(OFFLINE)
-        return lambda progress: install_missing(wheels, printed(progress) if bpy.app.background else progress)
+        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None)
+        return (lambda progress: install(printed(progress))) if bpy.app.background else install
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         self.report({"INFO"}, f"Installed {', '.join(result)}" if result else "All Python packages are there already")
@@ -140,8 +152,7 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
             box.label(text="or choose a folder that holds the wheels.")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy.ops.fruitlangs.install_dependencies("INVOKE_DEFAULT", wheels=self.wheels)
-        return {"FINISHED"}
+        return start(self, "install_dependencies", wheels=self.wheels)
 
 
 class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):

@@ -35,21 +35,34 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     title = "Import"
     _show: Callable[..., None]
 
+    # The dialog gives both: the folder that is open in it, and the file chosen there, if any.
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=f"*{PLY}", options={"SKIP_SAVE", "HIDDEN"})
+    ask: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"}, description="Ask even where a scene is set already")
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return not busy(cls) and context.scene is not None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not self.directory and not context.scene.fruitlangs.source and not bpy.app.background:
+        if not bpy.app.background and self.must_ask(context.scene.fruitlangs):
             return self.ask_where(context)
         return super().invoke(context, event)
 
+    def must_ask(self, settings: Any) -> bool:
+        """Whether a person is still to choose what to import."""
+        return not self.chosen and (self.ask or not settings.source)
+
+    @property
+    def chosen(self) -> str:
+        """A .ply, or a folder, also where another file in it was chosen; empty before anything was."""
+        return self.filepath if self.filepath.lower().endswith(PLY) else self.directory or self.filepath
+
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
-        if self.directory:
-            settings.source = stored_path(Path(bpy.path.abspath(self.directory)))
+        if self.chosen:
+            settings.source = stored_path(Path(bpy.path.abspath(self.chosen)))
         source = source_folder(settings)
         if (source / "fruits.json").is_file():
             self._show = self._show_result
@@ -111,7 +124,7 @@ def read_posed(source: Path, cache: Path, config: Config, progress: Progress) ->
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:
     """File > Import."""
-    self.layout.operator(FRUITLANGS_OT_import_scene.bl_idname, text="Fruit Scene or Result (FruitLangs)")
+    self.layout.operator(FRUITLANGS_OT_import_scene.bl_idname, text="Fruit Scene or Result (FruitLangs)").ask = True
 
 
 CLASSES = (FRUITLANGS_OT_import_scene,)

@@ -116,12 +116,14 @@ def without_full_collections() -> Iterator[None]:
 # A thread cannot live in a .blend, so the one running job is the one thing kept here. It is not forgotten before its
 # thread has ended, even if its file was closed: two jobs must never work at once.
 _current: Job | None = None
+# The operator that shows it in a window, until it takes the result over.
+_shower: JobOperator | None = None
 
 
 def running() -> Job | None:
-    """The job at work, if any."""
+    """The job at work, or whose result is still to be shown, if any."""
     global _current
-    if _current is not None and _current.ended:
+    if _current is not None and _current.ended and _shower is None:
         _current = None
     return _current
 
@@ -148,6 +150,31 @@ def cancel_running(wait: float = 0.0) -> None:
     if job is not None:
         job.cancel()
         job.wait(wait)
+
+
+def let_go(wait: float) -> None:
+    """Stop the job and take away what shows it: Blender tells no operator that its class is unregistered."""
+    cancel_running(wait)
+    if _shower is not None:
+        _shower._leave(bpy.context)
+
+
+def hands_full(context: bpy.types.Context) -> bool:
+    """Whether a person drags something or renders, and objects must stay what they are."""
+    if bpy.app.is_job_running("RENDER"):
+        return True
+    modal = [item for window in context.window_manager.windows for item in getattr(window, "modal_operators", ())]
+    return any(part.bl_idname.startswith("TRANSFORM_OT_") for item in modal for part in (item, *item.macros))
+
+
+def start(operator: Any, name: str, **properties: Any) -> set[str]:
+    """Start `fruitlangs.name` as a button does, from the `execute` of an operator that shows why it cannot start."""
+    try:
+        getattr(bpy.ops.fruitlangs, name)("INVOKE_DEFAULT", **properties)
+    except RuntimeError as error:
+        operator.report({"ERROR"}, str(error).rpartition(".poll() ")[2].removeprefix("Error: ").strip())
+        return {"CANCELLED"}
+    return {"FINISHED"}
 
 
 def describe_error(error: BaseException) -> str:
@@ -208,10 +235,7 @@ class JobOperator:
     def execute(self: Any, context: bpy.types.Context) -> set[str]:
         if self._asked:  # started anew the operator works in a thread
             name = type(self).bl_idname.partition(".")[2]
-            getattr(bpy.ops.fruitlangs, name)(
-                "INVOKE_DEFAULT", **self.as_keywords(ignore=("check_existing", "filter_glob"))
-            )
-            return {"FINISHED"}
+            return start(self, name, **self.as_keywords(ignore=("check_existing", "filter_glob")))
         self._target = Target(context.scene)
         self.failed(context, "")
         try:
@@ -221,7 +245,7 @@ class JobOperator:
         return {"FINISHED"}
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        global _current
+        global _current, _shower
         if bpy.app.background:
             return self.execute(context)
         other = running()
@@ -235,7 +259,7 @@ class JobOperator:
         except Exception as error:
             return self._report_failure(context, error)
         self._shown: Any = None
-        _current = self._job
+        _current, _shower = self._job, self
         self._job.start()
         self._timer = context.window_manager.event_timer_add(REDRAW_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -254,6 +278,8 @@ class JobOperator:
                 show_status(context, f"{self.title} {self._job.fraction:.0%}: {self._job.text}. Esc cancels")
             self.ticked(context)
             return {"PASS_THROUGH"}
+        if hands_full(context):
+            return {"PASS_THROUGH"}
         self._leave(context)
         return self._conclude(context)
 
@@ -268,6 +294,8 @@ class JobOperator:
 
     def _leave(self: Any, context: bpy.types.Context) -> None:
         """Take away what the running job showed."""
+        global _shower
+        _shower = None
         redraw_sidebars(context)
         show_status(context, None)
         context.window_manager.event_timer_remove(self._timer)
@@ -317,9 +345,15 @@ def duration(seconds: float) -> str:
 
 
 def show_status(context: bpy.types.Context, text: str | None) -> None:
-    """Say it in the status bar; None brings back what Blender says there. While a file closes there may be none."""
-    if context.workspace is not None:
-        context.workspace.status_text_set(text)
+    """Say it in the status bar, of which there may be none while a file closes.
+
+    None brings back what Blender says there, in every workspace: a person may have gone to another one meanwhile.
+    """
+    if context.workspace is None:
+        return
+    for workspace in [context.workspace] if text is not None else bpy.data.workspaces:
+        with context.temp_override(workspace=workspace):
+            workspace.status_text_set(text)
 
 
 def redraw_sidebars(context: bpy.types.Context) -> None:

@@ -42,9 +42,9 @@ def _number(install: Path) -> int:
     return int(install.name.rpartition("-")[2])
 
 
-def use_packages() -> None:
-    """Let Python import what was installed, after all that Blender brings itself."""
-    sys.path += [str(path) for path in installs(packages_folder()) if str(path) not in sys.path]
+def use_packages(folder: Path | None = None) -> None:
+    """Let Python import what was installed in `folder`, else in ours, after all that Blender brings itself."""
+    sys.path += [str(path) for path in installs(folder or packages_folder()) if str(path) not in sys.path]
     importlib.invalidate_caches()
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.handlers import persistent
 
 from .blender_data import OWNER
 from .jobs import describe_error
@@ -188,18 +189,29 @@ def _forget_work(items: Iterable[bpy.types.Object]) -> None:
         _in_work.pop(uid).cancel()
 
 
+@persistent
+def _forget_problems(_file: Any = None, _unused: Any = None) -> None:
+    """After loading: a photo that was gone when the file was saved may be back."""
+    for item in bpy.data.objects:
+        if PROBLEM in item:
+            del item[PROBLEM]
+
+
 _drawing = Drawing(_watch, "POST_PIXEL")
 
 
 def register_watch() -> None:
     """Notice cameras that are looked through; in background mode nobody looks."""
     _drawing.start()
+    bpy.app.handlers.load_post.append(_forget_problems)
 
 
 def unregister_watch() -> None:
     """Take back what `register_watch` added."""
     global _worker
     _drawing.stop()
+    if _forget_problems in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(_forget_problems)
     if bpy.app.timers.is_registered(_show_looked_through):
         bpy.app.timers.unregister(_show_looked_through)
     _forget_work([])

@@ -61,8 +61,10 @@ def photo_path(item: bpy.types.Object) -> Path:
     """The file of a camera's photo; one that was moved along with the .blend or the scene's folder is found there.
 
     Raises:
-        SceneError: it is not there (any more).
+        SceneError: the camera was made without one, or it is not there (any more).
     """
+    if not item.get(FILE):
+        raise SceneError(f"There was no photo for the camera {item.name}; import the scene again with its photos")
     kept = Path(item[FILE])
     if kept.is_file():
         return kept

@@ -83,7 +83,8 @@ def restore_view(context: bpy.types.Context) -> None:
             view.view_location, view.view_rotation = photos.location, photos.rotation
             view.view_distance = photos.distance
     render = context.scene.render
-    context.scene.camera = photos.camera
+    if photos.camera is not None:  # a count meanwhile replaces the cameras of photos
+        context.scene.camera = photos.camera
     render.resolution_x, render.resolution_y, render.resolution_percentage = photos.resolution
     render.pixel_aspect_x, render.pixel_aspect_y = photos.aspect
     photos.perspective = ""

@@ -14,10 +14,22 @@ from numpy.typing import NDArray
 from .blender_data import get_attribute, owned_object
 from .jobs import LEAVE_EDITING, busy, show_status
 from .picking import pick_point, pick_surface
+from .viewport import Drawing, redraw_viewports
 
 REACH_PIXELS = 12
 """How near to a sparse point a click must be to take it."""
 MARK_COLOR, MARK_SIZE = (1.0, 0.85, 0.1, 1.0), 9.0
+MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFORM_COLOR"
+"""Metal and Vulkan draw points by a shader of their own for them alone, which Blender has from 4.5 on."""
+
+# Blender forgets a tool whose class is unregistered without a word to it, so the one that waits for clicks is kept.
+_waiting: Any = None
+
+
+def end_waiting() -> None:
+    """End the tool that waits for clicks, if any."""
+    if _waiting is not None:
+        _waiting._leave(bpy.context)
 
 
 class Target3D:
@@ -58,7 +70,8 @@ class Target3D:
 class PickTool:
     """Mix into an operator that a person gives points by clicks.
 
-    The view can be turned and zoomed meanwhile; Backspace takes the last point back, Esc or the right button ends it.
+    The view can be turned and zoomed meanwhile; Backspace takes the last point back, Esc or the right button ends it,
+    and so does another tool, or the loss of its viewport to another editor, workspace or area.
     """
 
     asks: Sequence[str] = ()
@@ -87,15 +100,23 @@ class PickTool:
         if context.mode != "OBJECT":
             self.report({"ERROR"}, LEAVE_EDITING)
             return {"CANCELLED"}
+        global _waiting
+        end_waiting()
         self._target3d = Target3D(context.scene)
         self._points: list[NDArray[np.float64]] = []
-        self._area = context.area
-        self._marks = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
+        self._area_pointer = context.area.as_pointer()
+        self._marks = Drawing(self._draw, "POST_VIEW")
+        self._marks.start()
+        _waiting = self
         self._ask(context)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        area = self._area(context)
+        if _waiting is not self or area is None:
+            self._leave(context)
+            return {"CANCELLED", "PASS_THROUGH"}
         if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
             self._leave(context)
             return {"CANCELLED"}
@@ -103,11 +124,11 @@ class PickTool:
             self._points.pop()
             self._ask(context)
             return {"RUNNING_MODAL"}
-        window = self._window_region(event)
+        window = window_region(area, event)
         if event.type != "LEFTMOUSE" or event.value != "PRESS" or window is None:
             return {"PASS_THROUGH"}
         place = (event.mouse_x - window.x, event.mouse_y - window.y)
-        point = self._target3d.hit(window, self._area.spaces.active.region_3d, place)
+        point = self._target3d.hit(window, area.spaces.active.region_3d, place)
         if point is None:
             self.report({"WARNING"}, "There is nothing under the mouse; click on the tree or the ground")
             return {"RUNNING_MODAL"}
@@ -122,16 +143,10 @@ class PickTool:
         """Called by Blender when the file or the window is closed."""
         self._leave(context)
 
-    def _window_region(self: Any, event: bpy.types.Event) -> Any:
-        """The part of the viewport under the mouse where the tree is drawn, which its sidebar may overlap."""
-        inside = [
-            region
-            for region in self._area.regions
-            if 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
-        ]
-        if any(region.type != "WINDOW" for region in inside):
-            return None
-        return inside[0] if inside else None
+    def _area(self: Any, context: bpy.types.Context) -> bpy.types.Area | None:
+        """The viewport that it was started in; None where that is closed, out of sight or another editor by now."""
+        found = (area for area in context.screen.areas if area.as_pointer() == self._area_pointer)
+        return next((area for area in found if area.type == "VIEW_3D"), None)
 
     def _ask(self: Any, context: bpy.types.Context) -> None:
         number = len(self._points)
@@ -139,15 +154,15 @@ class PickTool:
             f"{self.bl_label}: {self.asks[number]} ({number + 1} of {len(self.asks)}). Backspace: one back, Esc: cancel"
         )
         show_status(context, text)
-        self._area.tag_redraw()
+        redraw_viewports()
 
     def _leave(self: Any, context: bpy.types.Context) -> None:
-        if self._marks is not None:
-            bpy.types.SpaceView3D.draw_handler_remove(self._marks, "WINDOW")
-            self._marks = None
-        show_status(context, None)
-        if context.area is not None:
-            context.area.tag_redraw()
+        """Take away what it showed, unless another tool has done so."""
+        global _waiting
+        if _waiting is self:
+            _waiting = None
+            self._marks.stop()
+            show_status(context, None)
 
     def _draw(self: Any) -> None:
         """The points so far, over everything."""
@@ -157,12 +172,28 @@ class PickTool:
         if not self._points:
             return
         places = [tuple(self._target3d.to_world @ Vector(point)) for point in self._points]
-        shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+        marks, lines = (gpu.shader.from_builtin(name) for name in (MARK_SHADER, "UNIFORM_COLOR"))
         gpu.state.depth_test_set("NONE")
         gpu.state.point_size_set(MARK_SIZE)
-        shader.bind()
-        shader.uniform_float("color", MARK_COLOR)
-        batch_for_shader(shader, "POINTS", {"pos": places}).draw(shader)
-        if len(places) > 1:
-            batch_for_shader(shader, "LINE_STRIP", {"pos": places}).draw(shader)
+        marks.bind()
+        marks.uniform_float("color", MARK_COLOR)
+        if MARK_SHADER != "UNIFORM_COLOR":
+            marks.uniform_float("size", MARK_SIZE)
+        batch_for_shader(marks, "POINTS", {"pos": places}).draw(marks)
         gpu.state.point_size_set(1.0)
+        if len(places) > 1:
+            lines.bind()
+            lines.uniform_float("color", MARK_COLOR)
+            batch_for_shader(lines, "LINE_STRIP", {"pos": places}).draw(lines)
+
+
+def window_region(area: bpy.types.Area, event: bpy.types.Event) -> Any:
+    """The part of a viewport under the mouse where the tree is drawn, which its sidebar may overlap."""
+    inside = [
+        region
+        for region in area.regions
+        if 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
+    ]
+    if any(region.type != "WINDOW" for region in inside):
+        return None
+    return inside[0] if inside else None

@@ -159,6 +159,14 @@ def test_the_free_view_has_the_users_camera_and_size_again(shown):
     assert not bpy.ops.fruitlangs.free_view.poll()
 
 
+def test_the_free_view_keeps_the_scenes_camera_where_a_count_replaced_the_one_before(shown, counted_balls):
+    bpy.ops.fruitlangs.best_photo()
+    show_result(bpy.context, shown, counted_balls)
+    assert shown.fruitlangs.photos.camera is None
+    assert bpy.ops.fruitlangs.free_view() == {"FINISHED"}
+    assert shown.camera in owned_objects(shown, "camera")
+
+
 def test_buttons_wait_for_a_fruit(shown):
     bpy.context.view_layer.objects.active = owned_object(shown, "root")
     assert not bpy.ops.fruitlangs.best_photo.poll()
@@ -205,6 +213,32 @@ def test_looking_goes_on_without_the_photo_and_the_panel_says_why(shown):
     assert bpy.ops.fruitlangs.best_photo() == {"FINISHED"}
     assert "/nowhere/at/all" in shown.camera[PROBLEM]
     assert not len(bpy.data.images)
+
+
+def test_a_camera_that_never_had_a_photo_says_so_and_what_to_do(shown):
+    for item in owned_objects(shown, "camera"):
+        del item[FILE]
+    assert bpy.ops.fruitlangs.best_photo() == {"FINISHED"}
+    assert "no photo for the camera" in shown.camera[PROBLEM]
+    assert "import the scene again" in shown.camera[PROBLEM]
+
+
+def test_a_photo_put_back_is_shown_after_loading_whatever_was_said_when_saving(shown, tmp_path):
+    item = owned_objects(shown, "camera")[0]
+    item[PROBLEM] = "The photo is gone"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    cameras = owned_objects(bpy.context.scene, "camera")
+    assert cameras
+    assert not [camera for camera in cameras if PROBLEM in camera]
+
+
+def test_loading_is_noticed_once_however_often_the_extension_is_enabled(extension):
+    extension.register()
+    assert bpy.app.handlers.load_post.count(photo_backgrounds._forget_problems) == 1
+    extension.unregister()
+    assert photo_backgrounds._forget_problems not in bpy.app.handlers.load_post
 
 
 def test_photos_that_moved_with_the_blend_are_found(extension, own_balls, tmp_path):

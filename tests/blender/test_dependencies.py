@@ -58,6 +58,16 @@ def test_an_install_is_importable_at_once_and_after_a_restart(home, wheels):
     assert not [path for path in sys.path if str(home) in path]
 
 
+def test_the_thread_that_installs_asks_blender_nothing(home, wheels, monkeypatch):
+    install = dependencies.installing(wheels)
+    for module in (dependencies, package_folder):
+        monkeypatch.setattr(module, "bpy", None)
+        monkeypatch.setattr(module, "packages_folder", lambda: pytest.fail("asked"))
+    monkeypatch.setattr(dependencies, "online", lambda: pytest.fail("asked"))
+    assert install(dependencies.silent) == ["grafting"]
+    assert dependencies.missing_packages() == []
+
+
 def test_blenders_numpy_is_never_installed_though_a_wheel_of_another_one_is_at_hand(home, wheels):
     dependencies.install_missing(wheels)
     (install,) = home.iterdir()
@@ -148,6 +158,13 @@ def test_nothing_is_downloaded_without_consent_to_go_online(extension, home, mon
     with pytest.raises(RuntimeError, match="may not go online"):
         bpy.ops.fruitlangs.install_dependencies()
     assert "may not go online" in bpy.context.scene.fruitlangs.error
+
+
+def test_the_dialog_says_in_words_why_an_install_cannot_start(extension, home, monkeypatch):
+    monkeypatch.setattr(dependencies, "online", lambda: False)
+    with pytest.raises(RuntimeError) as raised:
+        bpy.ops.fruitlangs.confirm_install()
+    assert str(raised.value).strip() == f"Error: {dependencies.OFFLINE}"
 
 
 def test_the_operator_installs_from_a_folder_without_going_online(extension, home, wheels, capfd):

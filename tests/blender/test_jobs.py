@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import gc
 import threading
+from types import SimpleNamespace
 
+import bpy
 import pytest
 
 from fruitlangs.engine.errors import Cancelled, SceneError
@@ -80,6 +82,121 @@ def test_a_job_is_not_forgotten_before_its_thread_ends(started):
     hold.set()
     job.wait(5)
     assert jobs.running() is None
+
+
+class Shower(jobs.JobOperator):
+    """An operator that shows a job in a window."""
+
+    title = "Count"
+
+    def __init__(self, job):
+        self._job, self._shown, self._timer, self._target = job, None, None, jobs.Target(bpy.context.scene)
+        self.finished, self.has_left = [], False
+
+    def finish(self, context, result):
+        self.finished.append(result)
+
+    def failed(self, context, message):
+        assert not message
+
+    def ended(self, context):
+        self.has_left = True
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """A context with one window, in which `window.modal_operators` run, and no job is shown afterwards."""
+    shown = SimpleNamespace(modal_operators=[], screen=SimpleNamespace(areas=[]))
+    manager = SimpleNamespace(windows=[shown], event_timer_remove=lambda timer: None)
+    shown.context = SimpleNamespace(window_manager=manager, workspace=None)
+    monkeypatch.setattr(jobs, "_shower", None)
+    return shown
+
+
+def modal(name, *parts):
+    """A running operator of Blender; the parts of a macro are operators too."""
+    return SimpleNamespace(bl_idname=name, macros=[modal(part) for part in parts])
+
+
+def shower(started, monkeypatch):
+    """An operator whose job has ended."""
+    job = started(lambda progress: 42)
+    job.wait(5)
+    item = Shower(job)
+    monkeypatch.setattr(jobs, "_shower", item)
+    return item
+
+
+TICK = SimpleNamespace(type="TIMER", value="NOTHING")
+
+
+@pytest.mark.parametrize(
+    "dragging", [modal("TRANSFORM_OT_translate"), modal("OBJECT_OT_duplicate_move", "TRANSFORM_OT_translate")]
+)
+def test_a_result_waits_for_the_end_of_a_drag(started, window, monkeypatch, dragging):
+    item = shower(started, monkeypatch)
+    window.modal_operators = [modal("FRUITLANGS_OT_count"), dragging]
+    assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
+    assert not item.finished
+    assert jobs.running() is item._job
+    window.modal_operators.pop()
+    assert item.modal(window.context, TICK) == {"FINISHED"}
+    assert item.finished == [42]
+    assert jobs.running() is None
+
+
+def test_a_result_waits_for_the_end_of_a_render(started, window, monkeypatch):
+    item = shower(started, monkeypatch)
+    asked = []
+    app = SimpleNamespace(is_job_running=lambda kind: asked.append(kind) or len(asked) == 1)
+    monkeypatch.setattr(jobs, "bpy", SimpleNamespace(app=app, context=bpy.context))
+    assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
+    assert item.modal(window.context, TICK) == {"FINISHED"}
+    assert asked == ["RENDER"] * 2
+
+
+def test_disabling_the_extension_stops_the_job_and_takes_away_what_shows_it(extension, started, window, monkeypatch):
+    asked = threading.Event()
+    job = started(lambda progress: asked.wait(5) and progress(0.1, "on"))
+    item = Shower(job)
+    item._timer = bpy.context.window_manager.event_timer_add(1.0, window=bpy.context.window)
+    monkeypatch.setattr(jobs, "_shower", item)
+    asked.set()
+    extension.unregister()
+    assert item.has_left
+    assert job.ended
+    assert jobs.running() is None
+
+
+class Asking(jobs.JobOperator):
+    """An operator whose file dialog was answered."""
+
+    bl_idname = "fruitlangs.import_scene"
+    _asked = True
+
+    def __init__(self):
+        self.reports = []
+
+    def as_keywords(self, ignore):
+        return {"directory": "/nowhere/at/all/"}
+
+    def report(self, level, text):
+        self.reports.append((level, text))
+
+
+def test_what_fails_after_the_file_dialog_is_reported_in_words(extension):
+    item = Asking()
+    assert item.execute(bpy.context) == {"CANCELLED"}
+    ((level, text),) = item.reports
+    assert level == {"ERROR"}
+    assert text.startswith("The scene folder")
+
+
+def test_a_job_begun_while_the_file_dialog_was_open_is_told(extension, started):
+    started(lambda progress: threading.Event().wait(0.5))
+    item = Asking()
+    assert item.execute(bpy.context) == {"CANCELLED"}
+    assert item.reports == [({"ERROR"}, "Another job is at work; wait or cancel it first")]
 
 
 def test_errors_are_described_in_plain_words(capsys):

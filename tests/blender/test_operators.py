@@ -10,6 +10,7 @@ import bpy
 import pytest
 
 from fruitlangs.engine.errors import SceneError
+from fruitlangs.operators import import_scene
 
 
 @pytest.fixture
@@ -60,6 +61,37 @@ def test_import_shows_cameras_and_points(engine, settings, tmp_path):
 def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_path):
     bpy.ops.fruitlangs.import_scene(directory=str(tmp_path))
     assert Path(bpy.context.scene.fruitlangs.source) == tmp_path
+
+
+@pytest.mark.parametrize(
+    ("file", "chosen"),
+    [("", "scene"), ("tree.ply", "scene/tree.ply"), ("TREE.PLY", "scene/TREE.PLY"), ("a.jpg", "scene")],
+)
+def test_a_folder_or_a_ply_in_it_is_what_the_dialog_chooses(engine, extension, tmp_path, monkeypatch, file, chosen):
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / file).touch()
+    monkeypatch.setattr(import_scene, "read_cloud", lambda source, *_: None)
+    monkeypatch.setattr(import_scene.FRUITLANGS_OT_import_scene, "_show_reconstruction", lambda *_: None)
+    bpy.ops.fruitlangs.import_scene(directory=f"{folder}/", filepath=f"{folder}/{file}")
+    assert Path(bpy.context.scene.fruitlangs.source) == tmp_path / chosen
+
+
+@pytest.mark.parametrize(
+    ("ask", "chosen", "source", "asks"),
+    [(True, "", "scene", True), (False, "", "scene", False), (False, "", "", True), (True, "tree.ply", "scene", False)],
+)
+def test_only_the_menu_asks_where_a_scene_is_set(settings, ask, chosen, source, asks):
+    settings.source = source
+    item = types.SimpleNamespace(ask=ask, chosen=chosen)
+    assert import_scene.FRUITLANGS_OT_import_scene.must_ask(item, settings) == asks
+
+
+def test_the_entry_of_the_menu_asks(extension):
+    made = types.SimpleNamespace(ask=False)
+    layout = types.SimpleNamespace(operator=lambda name, text: made)
+    import_scene.menu_entry(types.SimpleNamespace(layout=layout), bpy.context)
+    assert made.ask
 
 
 def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings, tmp_path):
