@@ -19,6 +19,7 @@ from ..operators import (
     legend,
     level,
     look,
+    moved_paths,
     package_folder,
     photo_backgrounds,
     reconstruct,
@@ -85,6 +86,7 @@ def register() -> None:
     label_drawing.drawing.start()
     legend.drawing.start()
     look.register_handlers()
+    moved_paths.register_handlers()
     splat_drawing.register_handlers()
 
 
@@ -92,6 +94,7 @@ def unregister() -> None:
     """Take everything away and leave nothing behind; a running job is asked to stop."""
     jobs.cancel_running(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
+    moved_paths.unregister_handlers()
     look.unregister_handlers()
     legend.drawing.stop()
     label_drawing.drawing.stop()

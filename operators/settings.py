@@ -14,13 +14,14 @@ import textwrap
 import types
 import typing
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..engine.config import LARGEST, range_of
-from ..engine.errors import SceneError, VocabularyError
+from ..engine.errors import FruitLangsError, SceneError, VocabularyError
 from .preferred import with_preferred_folders
 from .region import in_region
 
@@ -235,12 +236,33 @@ def foreign_file(settings: Any) -> Path | None:
 
 
 def result_folder(settings: Any) -> Path:
-    """Where results go: as set, else a folder beside the .blend, else, for a .blend never saved, beside the scene's."""
+    """Where results go: as set, else where an earlier run on this source put them, else a folder beside the .blend,
+    else, for a .blend never saved, beside the scene's."""
     if settings.out:
         return _absolute(settings.out)
     source = _absolute(settings.source) if settings.source else Path("scene")
+    if settings.result.work and not is_of_another(settings, source):
+        earlier = _absolute(settings.result.work)
+        if earlier.is_dir():
+            return earlier
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
     return beside / f"{source.stem if source.suffix.lower() == PLY else source.name}_fruit"
+
+
+def true_source(source: Path) -> Path:
+    """What the scene at `source` was made from in the first place: of an earlier result its photos, else itself."""
+    from ..engine.report.results import FRUITS_JSON, read_results
+
+    if (source / FRUITS_JSON).is_file():
+        with suppress(FruitLangsError, KeyError):
+            return Path(read_results(source, verify=False)["provenance"]["source"])
+    return source
+
+
+def is_of_another(settings: Any, source: Path) -> bool:
+    """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
+    known = settings.result.source
+    return bool(known) and _absolute(known) != true_source(source)
 
 
 def stored_file(text: str) -> Path:
@@ -260,9 +282,12 @@ def _absolute(text: str) -> Path:
 
 def stored_path(path: Path) -> str:
     """How a path is kept in the .blend: relative to it where it has a file and they share a drive."""
-    if not bpy.data.filepath:
-        return str(path)
+    return relative_path(path, Path(bpy.data.filepath).parent) if bpy.data.filepath else str(path)
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """`path` as a .blend in `folder` says it; absolute on another drive."""
     try:
-        return bpy.path.relpath(str(path))
+        return bpy.path.relpath(str(path), start=str(folder))
     except ValueError:
         return str(path)

@@ -79,6 +79,18 @@ def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings,
     assert options["keep"] is None
 
 
+def test_a_count_goes_on_where_the_last_one_was_wherever_the_file_is_saved_since(engine, settings, tmp_path):
+    (tmp_path / "tree_fruit").mkdir()
+    bpy.ops.fruitlangs.count()
+    (tmp_path / "work").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work" / "a.blend"))
+    bpy.ops.fruitlangs.count()
+    assert engine.count[1][2] == tmp_path / "tree_fruit"
+    (tmp_path / "tree_fruit").rmdir()
+    bpy.ops.fruitlangs.count()
+    assert engine.count[2][2] == tmp_path / "work" / "tree_fruit"
+
+
 def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, settings, counted_with, result_of):
     from fruitlangs.operators.showing import count_text, keep_result
 
