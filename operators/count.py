@@ -37,7 +37,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
         settings = context.scene.fruitlangs
         source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
         prompts, negatives = read_prompts(settings), read_words(settings.negative)
-        config = read_config(settings)
+        config = read_config(settings, source)
         opened = Path(bpy.data.filepath) if bpy.data.filepath else None
         self._out = out
         self._preview = Preview(context.scene)

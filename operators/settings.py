@@ -31,6 +31,12 @@ if TYPE_CHECKING:
 
 PLY = ".ply"
 """How the name of a file of Gaussians or coloured points ends."""
+MEASURES = {
+    "scene": ("up",),
+    "units": ("length", "points", "cameras", "object", "metres_per_unit"),
+    "count": ("diameter", "box", "polygon", "heights", "tree_places"),
+}
+"""{stage: settings} that say something of one source's frame only."""
 
 
 def field_docs(config_class: type) -> dict[str, str]:
@@ -148,9 +154,9 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callab
     raise TypeError(f"{field.name}: no Blender property for {kind}")
 
 
-def read_config(settings: Any) -> Config:
+def read_config(settings: Any, source: Path | None = None) -> Config:
     """Every stage's config from `scene.fruitlangs`, counting held to the scene's region box where it has one; nothing
-    is downloaded where Blender may not go online.
+    is downloaded where Blender may not go online. For a run on `source` what was measured of another one is left out.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -162,11 +168,20 @@ def read_config(settings: Any) -> Config:
     )
     embed = with_preferred_folders(config.embed)
     consent = embed.allow_download and online()
-    return dataclasses.replace(
-        config,
-        embed=dataclasses.replace(embed, allow_download=consent),
-        count=in_region(settings.id_data, config.count),
-    )
+    config = dataclasses.replace(config, embed=dataclasses.replace(embed, allow_download=consent))
+    if source is not None and is_of_another(settings, source):
+        return _unmeasured(config)
+    return dataclasses.replace(config, count=in_region(settings.id_data, config.count))
+
+
+def _unmeasured(config: Config) -> Config:
+    """The config without `MEASURES`."""
+    usual = type(config)()
+    stages = {}
+    for stage, names in MEASURES.items():
+        values = {name: getattr(getattr(usual, stage), name) for name in names}
+        stages[stage] = dataclasses.replace(getattr(config, stage), **values)
+    return dataclasses.replace(config, **stages)
 
 
 def online() -> bool:
@@ -241,10 +256,9 @@ def result_folder(settings: Any) -> Path:
     if settings.out:
         return _absolute(settings.out)
     source = _absolute(settings.source) if settings.source else Path("scene")
-    if settings.result.work and not is_of_another(settings, source):
-        earlier = _absolute(settings.result.work)
-        if earlier.is_dir():
-            return earlier
+    earlier = known_path(settings.result.work)
+    if earlier is not None and earlier.is_dir() and not is_of_another(settings, source):
+        return earlier
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
     return beside / f"{source.stem if source.suffix.lower() == PLY else source.name}_fruit"
 
@@ -261,8 +275,13 @@ def true_source(source: Path) -> Path:
 
 def is_of_another(settings: Any, source: Path) -> bool:
     """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
-    known = settings.result.source
-    return bool(known) and _absolute(known) != true_source(source)
+    known = known_path(settings.result.source)
+    return known is not None and known != true_source(source)
+
+
+def known_path(text: str) -> Path | None:
+    """A path that `stored_path` kept, absolute; None where none was, or a .blend never saved does not tell it."""
+    return None if not text or (text.startswith("//") and not bpy.data.filepath) else _absolute(text)
 
 
 def stored_file(text: str) -> Path:
