@@ -17,6 +17,7 @@ from .blender_data import array, gaussian_attributes, owned_object, owned_object
 from .fruit_objects import metres_per_unit
 from .keep_review import keep_corrections, keep_decisions
 from .look import apply_look, look_of
+from .read_fruits import counted
 from .settings import source_folder, stored_path
 from .shown_source import enter_source, forget_count
 from .viewport import look_at_scene, show_colors, shown_screens
@@ -61,14 +62,14 @@ def show_reconstruction(
     A count of the same Gaussians at the same scale stays; one of others goes, its decisions hold at the next.
     """
     told = _enter(bpy_scene, made.origin)
-    counted, owners = bool(owned_objects(bpy_scene, "fruit")), _owners(bpy_scene, made)
-    if counted and owners is None:
+    owners = _owners(bpy_scene, made)
+    if owners is None and counted(bpy_scene):
         forget_count(bpy_scene)
         told.append("the count of other Gaussians, or at another scale, was removed; count again")
     first = owned_object(bpy_scene, "root") is None
     root = write_root(bpy_scene, made.scene)
     item = write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
-    if counted and owners is not None:
+    if owners is not None:
         set_attribute(item.data, "fruit_id", "INT", owners)
     hide_points(bpy_scene)
     apply_look(bpy_scene)

@@ -201,6 +201,14 @@ def test_reconstructing_others_takes_the_count_away_and_says_so(reconstruct, set
     assert "count again" in settings.result.notices
 
 
+def test_a_count_of_nothing_goes_with_its_gaussians_too(
+    reconstruct, settings, counted, counted_with, result_of, tmp_path
+):
+    show_result(bpy.context, bpy.context.scene, result_of(counted_with(fruits=0), tmp_path))
+    reconstruct(gaussians=dataclasses.replace(counted.gaussians, means=counted.gaussians.means + 1.0))
+    assert settings.result.count == -1
+
+
 def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, settings, counted_with, result_of):
     from fruitlangs.operators.showing import count_text, keep_result
 
