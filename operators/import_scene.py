@@ -66,8 +66,8 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Any) -> None:
         told = show_scene(context, bpy_scene, scene)
-        told = "; ".join([f"{len(scene.cameras)} cameras and {len(scene.points)} points imported", *told])
-        self.report({"INFO"}, told)
+        shown = f"{len(scene.cameras)} cameras and {len(scene.points)} points imported"
+        self.report({"INFO"}, "; ".join([shown, *told]))
 
     def _show_reconstruction(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
         told = show_reconstruction(context, bpy_scene, *result)
