@@ -69,6 +69,12 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     whereabouts: StringProperty(name="Whereabouts", description="Fruit on the ground, and fruit on each tree of a row")
     notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
     folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=_RELATIVE)
+    source: StringProperty(
+        name="Source", subtype="DIR_PATH", options=_RELATIVE, description="What is shown and measured was made from it"
+    )
+    work: StringProperty(
+        name="Work", subtype="DIR_PATH", options=_RELATIVE, description="Where the next run on this source goes on"
+    )
 
 
 class FRUITLANGS_PG_answer(bpy.types.PropertyGroup):
@@ -123,7 +129,8 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         name="Results",
         subtype="DIR_PATH",
         options=_RELATIVE,
-        description="Folder for results; when empty, one beside the .blend (or beside the scene, if never saved)",
+        description="Folder for results; when empty, that of the last run on this scene, else one beside the .blend "
+        "(or beside the scene, if never saved)",
     )
     gaussians: StringProperty(
         name="Gaussians",

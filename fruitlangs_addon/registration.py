@@ -19,6 +19,7 @@ from ..operators import (
     legend,
     level,
     look,
+    moved_paths,
     package_folder,
     photo_backgrounds,
     pick_tool,
@@ -86,6 +87,7 @@ def register() -> None:
     label_drawing.drawing.start()
     legend.drawing.start()
     look.register_handlers()
+    moved_paths.register_handlers()
     splat_drawing.register_handlers()
 
 
@@ -94,6 +96,7 @@ def unregister() -> None:
     pick_tool.end_waiting()
     jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
+    moved_paths.unregister_handlers()
     look.unregister_handlers()
     legend.drawing.stop()
     label_drawing.drawing.stop()

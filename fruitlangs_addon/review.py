@@ -37,10 +37,18 @@ class FRUITLANGS_PG_decision(bpy.types.PropertyGroup):
     after: CollectionProperty(type=FRUITLANGS_PG_spot)
 
 
+class FRUITLANGS_PG_aside(bpy.types.PropertyGroup):
+    """The log of a source that is not shown now."""
+
+    source: StringProperty(name="Source", description="Absolute")
+    log: CollectionProperty(type=FRUITLANGS_PG_decision)
+
+
 class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
     """`scene.fruitlangs.review`."""
 
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
+    aside: CollectionProperty(type=FRUITLANGS_PG_aside)
     reason: StringProperty(name="Reason", description="Why, for the log; taken by the next decision")
     label: StringProperty(name="Label", description="What Move to Label calls the selected fruit")
     parts: IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit Split makes of one")
@@ -82,4 +90,4 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
     active_fruit: IntProperty(name="Fruit", get=get_active_fruit, set=set_active_fruit, options={"SKIP_SAVE"})
 
 
-CLASSES = (FRUITLANGS_PG_spot, FRUITLANGS_PG_decision, FRUITLANGS_PG_review)
+CLASSES = (FRUITLANGS_PG_spot, FRUITLANGS_PG_decision, FRUITLANGS_PG_aside, FRUITLANGS_PG_review)

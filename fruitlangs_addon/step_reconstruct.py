@@ -41,6 +41,8 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
             layout.label(text=f"{result.gaussians:,} Gaussians", icon="CHECKMARK")
             if result.quality:
                 draw_text(layout, result.quality[:1].upper() + result.quality[1:], context)
+            if result.notices and result.count < 0:  # the step Count tells them with its count
+                draw_text(layout, result.notices, context)
 
 
 FRUITLANGS_PT_reconstruct_settings = settings_panel(FRUITLANGS_PT_reconstruct, ("train",))

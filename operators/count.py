@@ -10,7 +10,7 @@ import bpy
 from ..engine.progress import Progress
 from .jobs import Work
 from .preview import Preview, SceneJob
-from .settings import foreign_file, read_config, read_prompts, read_words, result_folder, source_folder
+from .settings import foreign_file, read_config, read_prompts, read_words, result_folder, source_folder, stored_path
 from .showing import count_text, show_result
 
 
@@ -31,12 +31,15 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
             return False
         return True
 
+    _out: Path
+
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
         source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
         prompts, negatives = read_prompts(settings), read_words(settings.negative)
-        config = read_config(settings)
+        config = read_config(settings, source)
         opened = Path(bpy.data.filepath) if bpy.data.filepath else None
+        self._out = out
         self._preview = Preview(context.scene)
         watch = self._preview.watch
 
@@ -60,6 +63,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)
         show_result(context, bpy_scene, result)
+        bpy_scene.fruitlangs.result.work = stored_path(self._out)
         self.report({"INFO"}, f"{count_text(bpy_scene.fruitlangs.result)}; files are in {result.out}")
 
 

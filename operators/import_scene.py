@@ -67,7 +67,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         if (source / "fruits.json").is_file():
             self._show = self._show_result
             return lambda progress: open_folder(source)
-        config, out = read_config(settings), result_folder(settings)
+        config, out = read_config(settings, source), result_folder(settings)
         if source.suffix.lower() == PLY:
             self._show = self._show_reconstruction
             return lambda progress: read_cloud(source, out, config, progress)
@@ -78,12 +78,13 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         self._show(context, self._target.scene(context), result)
 
     def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Any) -> None:
-        show_scene(context, bpy_scene, scene)
-        self.report({"INFO"}, f"{len(scene.cameras)} cameras and {len(scene.points)} points imported")
+        told = show_scene(context, bpy_scene, scene)
+        shown = f"{len(scene.cameras)} cameras and {len(scene.points)} points imported"
+        self.report({"INFO"}, "; ".join([shown, *told]))
 
     def _show_reconstruction(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
-        show_reconstruction(context, bpy_scene, *result)
-        self.report({"INFO"}, f"{len(result[0].gaussians):,} Gaussians imported")
+        told = show_reconstruction(context, bpy_scene, *result)
+        self.report({"INFO"}, "; ".join([f"{len(result[0].gaussians):,} Gaussians imported", *told]))
 
     def _show_result(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
         settings = bpy_scene.fruitlangs

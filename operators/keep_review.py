@@ -2,30 +2,67 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
 
+from ..engine.errors import VocabularyError
 from .blender_data import owned_object, owned_objects, remove_objects
-from .fruit_objects import CONFIRMED, LAST_ID, REJECTED, REVIEW, judge, make_fruit, read_log, spot_of, standing
+from .fruit_objects import (
+    ADDED,
+    CONFIRMED,
+    LAST_ID,
+    REJECTED,
+    REVIEW,
+    give_members,
+    judge,
+    make_fruit,
+    members,
+    read_log,
+    spot_of,
+    standing,
+)
 from .write_fruits import label_fruit
 
 if TYPE_CHECKING:
     from ..engine.counting.fruit import FruitCount
+    from ..engine.counting.review import Decision, Reviewed
 
 
-def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount) -> list[str]:
-    """Apply the log to the fruit objects of a new count; returns what of it could not be applied, in words."""
-    from ..engine.counting.review import replay
+def keep_corrections(bpy_scene: bpy.types.Scene) -> None:
+    """Write into the log where the fruit that a person made stand now: they may have been moved and scaled since."""
+    root = owned_object(bpy_scene, "root")
+    if root is None:
+        return
+    made = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == ADDED]
+    spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
+    for row in _rows(bpy_scene):
+        spot = spots.get(row.number)
+        if spot is not None:
+            row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
+
+
+def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
+    """Every fruit that the log names."""
+    for entry in bpy_scene.fruitlangs.review.log:
+        yield from entry.before
+        yield from entry.after
+
+
+def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts: Sequence[str]) -> list[str]:
+    """Apply the log to the fruit objects of a new count of these prompts; returns what of it was not, in words."""
+    from ..engine.counting.review import about, replay
 
     bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), fruit_count.last_id)
-    log = read_log(bpy_scene)
     root = owned_object(bpy_scene, "root")
-    if not log or root is None:
+    if root is None:
         return []
+    log, others = about(read_log(bpy_scene), _labels(fruit_count, prompts))
     items = owned_objects(bpy_scene, "fruit")
-    found = replay(log, [spot_of(item, root) for item in items])
+    found = replay(log, [spot_of(item, root) for item in items], bpy_scene[LAST_ID])
     kept = {source for source in found.sources if source >= 0}
     for spot, verdict, source in zip(found.spots, found.standings, found.sources, strict=True):
         if source < 0:
@@ -34,17 +71,52 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount) -> list[
         judge(items[source], verdict)
         if items[source]["label"] != spot.label:
             label_fruit(items[source], spot.label, bpy_scene)
-    remove_objects(item for index, item in enumerate(items) if index not in kept)
-    return [
+    gone = {index: item for index, item in enumerate(items) if index not in kept}
+    _give_members(bpy_scene, gone, found)
+    remove_objects(gone.values())
+    for row in _rows(bpy_scene):
+        row.number = found.renumbered.get(row.number, row.number)
+    return _not_applied(found.lost, others)
+
+
+def _labels(fruit_count: FruitCount, prompts: Sequence[str]) -> set[str]:
+    """What the fruit of a count may be called."""
+    from ..engine.language.vocabulary import parse
+
+    labels = {fruit.label for fruit in fruit_count.fruits} | set(prompts)
+    for prompt in prompts:
+        with suppress(VocabularyError):
+            labels.add(parse(prompt).text)
+    return labels
+
+
+def _give_members(bpy_scene: bpy.types.Scene, gone: dict[int, bpy.types.Object], found: Reviewed) -> None:
+    """Give the Gaussians of the machine's fruit that persons replaced, {index: object}, to what was made of each, the
+    nearest."""
+    for index, item in gone.items():
+        heirs = [spot for spot, origins in zip(found.spots, found.origins, strict=True) if index in origins]
+        own, places = members(bpy_scene, item)
+        if heirs and len(own):
+            away = [np.linalg.norm(places - spot.center, axis=1) / spot.diameter for spot in heirs]
+            give_members(bpy_scene, own, np.array([spot.id for spot in heirs])[np.argmin(away, axis=0)])
+
+
+def _not_applied(lost: Sequence[Decision], others: Sequence[Decision]) -> list[str]:
+    told = [
         f"{decision.action} of {', '.join(str(spot.id) for spot in decision.before)}: no longer found"
-        for decision in found.lost
+        for decision in lost
     ]
+    if others:
+        labels = sorted({spot.label for decision in others for spot in decision.before or decision.after})
+        told.append(f"decisions on {', '.join(labels)}, which hold when that is counted again: {len(others)}")
+    return told
 
 
 def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
-    """Whether a person has decided anything about its fruit."""
-    return bool(len(bpy_scene.fruitlangs.review.log)) or any(
-        REVIEW in item for item in owned_objects(bpy_scene, "fruit")
+    """Whether a person has decided anything about the fruit that were counted last."""
+    counted = bpy_scene.fruitlangs.result.count
+    return any(REVIEW in item for item in owned_objects(bpy_scene, "fruit")) or (
+        counted >= 0 and len(standing(bpy_scene)) != counted
     )
 
 

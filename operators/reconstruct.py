@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -9,7 +10,7 @@ import bpy
 from ..engine.progress import Progress
 from .jobs import Work
 from .preview import Preview, SceneJob
-from .settings import foreign_file, read_config, result_folder, source_folder
+from .settings import foreign_file, read_config, result_folder, source_folder, stored_path
 from .showing import show_reconstruction
 
 
@@ -21,10 +22,13 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
 
     title = "Reconstruct"
 
+    _out: Path
+
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
         source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
-        config = read_config(settings)
+        config = read_config(settings, source)
+        self._out = out
         self._preview = Preview(context.scene)
         watch = self._preview.watch
 
@@ -38,9 +42,10 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         made, stages = result
         bpy_scene = self._target.scene(context)
-        show_reconstruction(context, bpy_scene, made, stages)
+        told = show_reconstruction(context, bpy_scene, made, stages)
+        bpy_scene.fruitlangs.result.work = stored_path(self._out)
         again = f", reused: {', '.join(stages.reused)}" if stages.reused else ""
-        self.report({"INFO"}, f"{len(made.gaussians):,} Gaussians{again}")
+        self.report({"INFO"}, "; ".join([f"{len(made.gaussians):,} Gaussians{again}", *told]))
 
 
 CLASSES = (FRUITLANGS_OT_reconstruct,)

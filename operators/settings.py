@@ -14,13 +14,14 @@ import textwrap
 import types
 import typing
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..engine.config import LARGEST, range_of
-from ..engine.errors import SceneError, VocabularyError
+from ..engine.errors import FruitLangsError, SceneError, VocabularyError
 from .preferred import with_preferred_folders
 from .region import in_region
 
@@ -30,6 +31,12 @@ if TYPE_CHECKING:
 
 PLY = ".ply"
 """How the name of a file of Gaussians or coloured points ends."""
+MEASURES = {
+    "scene": ("up",),
+    "units": ("length", "points", "cameras", "object", "metres_per_unit"),
+    "count": ("diameter", "box", "polygon", "heights", "tree_places"),
+}
+"""{stage: settings} that say something of one source's frame only."""
 
 
 def field_docs(config_class: type) -> dict[str, str]:
@@ -147,9 +154,9 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callab
     raise TypeError(f"{field.name}: no Blender property for {kind}")
 
 
-def read_config(settings: Any) -> Config:
+def read_config(settings: Any, source: Path | None = None) -> Config:
     """Every stage's config from `scene.fruitlangs`, counting held to the scene's region box where it has one; nothing
-    is downloaded where Blender may not go online.
+    is downloaded where Blender may not go online. For a run on `source` what was measured of another one is left out.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -161,11 +168,20 @@ def read_config(settings: Any) -> Config:
     )
     embed = with_preferred_folders(config.embed)
     consent = embed.allow_download and online()
-    return dataclasses.replace(
-        config,
-        embed=dataclasses.replace(embed, allow_download=consent),
-        count=in_region(settings.id_data, config.count),
-    )
+    config = dataclasses.replace(config, embed=dataclasses.replace(embed, allow_download=consent))
+    if source is not None and is_of_another(settings, source):
+        return _unmeasured(config)
+    return dataclasses.replace(config, count=in_region(settings.id_data, config.count))
+
+
+def _unmeasured(config: Config) -> Config:
+    """The config without `MEASURES`."""
+    usual = type(config)()
+    stages = {}
+    for stage, names in MEASURES.items():
+        values = {name: getattr(getattr(usual, stage), name) for name in names}
+        stages[stage] = dataclasses.replace(getattr(config, stage), **values)
+    return dataclasses.replace(config, **stages)
 
 
 def online() -> bool:
@@ -235,12 +251,37 @@ def foreign_file(settings: Any) -> Path | None:
 
 
 def result_folder(settings: Any) -> Path:
-    """Where results go: as set, else a folder beside the .blend, else, for a .blend never saved, beside the scene's."""
+    """Where results go: as set, else where an earlier run on this source put them, else a folder beside the .blend,
+    else, for a .blend never saved, beside the scene's."""
     if settings.out:
         return _absolute(settings.out)
     source = _absolute(settings.source) if settings.source else Path("scene")
+    earlier = known_path(settings.result.work)
+    if earlier is not None and earlier.is_dir() and not is_of_another(settings, source):
+        return earlier
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
     return beside / f"{source.stem if source.suffix.lower() == PLY else source.name}_fruit"
+
+
+def true_source(source: Path) -> Path:
+    """What the scene at `source` was made from in the first place: of an earlier result its photos, else itself."""
+    from ..engine.report.results import FRUITS_JSON, read_results
+
+    if (source / FRUITS_JSON).is_file():
+        with suppress(FruitLangsError, KeyError):
+            return Path(read_results(source, verify=False)["provenance"]["source"])
+    return source
+
+
+def is_of_another(settings: Any, source: Path) -> bool:
+    """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
+    known = known_path(settings.result.source)
+    return known is not None and known != true_source(source)
+
+
+def known_path(text: str) -> Path | None:
+    """A path that `stored_path` kept, absolute; None where none was, or a .blend never saved does not tell it."""
+    return None if not text or (text.startswith("//") and not bpy.data.filepath) else _absolute(text)
 
 
 def stored_file(text: str) -> Path:
@@ -260,9 +301,12 @@ def _absolute(text: str) -> Path:
 
 def stored_path(path: Path) -> str:
     """How a path is kept in the .blend: relative to it where it has a file and they share a drive."""
-    if not bpy.data.filepath:
-        return str(path)
+    return relative_path(path, Path(bpy.data.filepath).parent) if bpy.data.filepath else str(path)
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """`path` as a .blend in `folder` says it; absolute on another drive."""
     try:
-        return bpy.path.relpath(str(path))
+        return bpy.path.relpath(str(path), start=str(folder))
     except ValueError:
         return str(path)

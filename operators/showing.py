@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..engine.report.words import length_unit, nothing_found, sureness, three_digits, whereabouts
 from .ask import ask_soon, tell_answer
-from .blender_data import owned_object
-from .keep_review import keep_decisions
+from .blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
+from .fruit_objects import metres_per_unit
+from .keep_review import keep_corrections, keep_decisions
 from .look import apply_look, look_of
-from .settings import stored_path
+from .read_fruits import counted
+from .settings import source_folder, stored_path
+from .shown_source import enter_source, forget_count
 from .viewport import look_at_scene, show_colors, shown_screens
 from .write import SET_ID, write_result
 from .write_cameras import write_cameras
@@ -26,41 +33,63 @@ if TYPE_CHECKING:
     from ..engine.scene.camera import Scene
 
 
-def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene) -> None:
-    """The cameras and the sparse points of a scene that is not reconstructed yet."""
+def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene) -> list[str]:
+    """The cameras and the sparse points of a scene that is not reconstructed yet; returns what went, in words.
+
+    Where fruit are shown their scale stays.
+    """
+    settings = bpy_scene.fruitlangs
+    told = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
+    if scene.metres_per_unit is None and owned_objects(bpy_scene, "fruit"):
+        scene = dataclasses.replace(scene, metres_per_unit=metres_per_unit(bpy_scene))
     root = write_root(bpy_scene, scene)
     if len(scene.points):
         write_points(bpy_scene, scene, root)
     apply_look(bpy_scene)
     write_cameras(bpy_scene, scene, root)
-    _keep_scene(bpy_scene.fruitlangs.result, scene)
+    _keep_scene(settings.result, scene)
     show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
     look_at_scene(shown_screens(context), bpy_scene)
+    return told
 
 
 def show_reconstruction(
     context: bpy.types.Context, bpy_scene: bpy.types.Scene, made: Reconstruction, stages: Stages
-) -> None:
-    """Gaussians and cameras of a reconstruction that was asked nothing yet; the panel's prompt is asked next."""
+) -> list[str]:
+    """Gaussians and cameras of a reconstruction that was asked nothing yet; the panel's prompt is asked next.
+    Returns what went, in words.
+
+    A count of the same Gaussians at the same scale stays; one of others goes, its decisions hold at the next.
+    """
+    told = _enter(bpy_scene, made.origin)
+    owners = _owners(bpy_scene, made)
+    if owners is None and counted(bpy_scene):
+        forget_count(bpy_scene)
+        told.append("the count of other Gaussians, or at another scale, was removed; count again")
     first = owned_object(bpy_scene, "root") is None
     root = write_root(bpy_scene, made.scene)
-    write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
+    item = write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
+    if owners is not None:
+        set_attribute(item.data, "fruit_id", "INT", owners)
     hide_points(bpy_scene)
     apply_look(bpy_scene)
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
     _keep_scene(shown, made.scene)
     _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
-    shown.notices = "; ".join(stages.notices)
+    shown.notices = "; ".join([*stages.notices, *told])
     show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context), bpy_scene)
     if not bpy.app.background:
         ask_soon(bpy_scene)
+    return told
 
 
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Everything of a count."""
+    told = _enter(bpy_scene, result.origin)
+    keep_corrections(bpy_scene)
     first = owned_object(bpy_scene, "root") is None
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
@@ -68,14 +97,26 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
     apply_look(bpy_scene)
     bpy_scene[SET_ID] = result.set_id
     keep_result(bpy_scene.fruitlangs, result)
-    lost = keep_decisions(bpy_scene, result.fruit_count)
-    if lost:
-        shown = bpy_scene.fruitlangs.result
-        shown.notices = "; ".join([shown.notices, *lost] if shown.notices else lost)
+    told += keep_decisions(bpy_scene, result.fruit_count, result.origin["prompts"])
+    shown = bpy_scene.fruitlangs.result
+    shown.notices = "; ".join([*filter(None, [shown.notices]), *told])
     tell_answer(bpy_scene)
     show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context), bpy_scene)
+
+
+def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
+    """(N,) the fruit that each Gaussian shown is of; None where others were made, or their scale is another."""
+    found = gaussian_attributes(bpy_scene, "position", "fruit_id")
+    if found is None or not np.array_equal(found[0], array(made.gaussians.means)):
+        return None
+    return found[1] if np.isclose(metres_per_unit(bpy_scene) or 0.0, made.scene.metres_per_unit or 0.0) else None
+
+
+def _enter(bpy_scene: bpy.types.Scene, origin: Mapping[str, Any]) -> list[str]:
+    """Make the Blender scene one of what a result was made from."""
+    return enter_source(bpy_scene, Path(origin["source"])) if "source" in origin else []
 
 
 def keep_result(settings: Any, result: Result) -> None:

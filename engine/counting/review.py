@@ -6,7 +6,7 @@ the person said of it holds on. The interval narrows with what has been looked a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -62,21 +62,54 @@ class Decision:
 @dataclass(frozen=True, eq=False)
 class Reviewed:
     """Fruit with what persons said of them. spots and standings: (F,) one each, of which `sources` (F,) are the indices
-    of the machine's fruit, -1 for what a person made; lost: decisions about fruit that are no longer found."""
+    of the machine's fruit, -1 for what a person made; origins: (F,) the machine's fruit that each is or was made of;
+    lost: decisions about fruit that are no longer found; taken: numbers that are given; last: the highest ever given;
+    renumbered: {number in the log: what it is now}."""
 
     spots: list[Spot]
     standings: list[Standing]
     sources: list[int]
+    origins: list[frozenset[int]]
     lost: list[Decision]
+    taken: set[int]
+    last: int
+    renumbered: dict[int, int]
 
 
-def replay(decisions: Sequence[Decision], fruits: Sequence[Spot]) -> Reviewed:
+def about(decisions: Sequence[Decision], labels: Collection[str]) -> tuple[list[Decision], list[Decision]]:
+    """The decisions on fruit of these labels, and those on others, in their order.
+
+    A fruit that was moved from one of the labels to another one stays one of them; an added one is what it was called.
+    """
+    known, own, others = set(labels), [], []
+    for decision in decisions:
+        spots, asked = (decision.after, labels) if decision.action == "add" else (decision.before, known)
+        if not any(spot.label in asked for spot in spots):
+            others.append(decision)
+            continue
+        own.append(decision)
+        if decision.action == "relabel":
+            known |= {spot.label for spot in decision.after}
+    return own, others
+
+
+def replay(decisions: Sequence[Decision], fruits: Sequence[Spot], last: int = 0) -> Reviewed:
     """Apply decisions, in their order, to what a count found.
 
     Where the count by now agrees with what a person made (parts of a split, the whole of a merge, an addition), its own
-    fruit stay and are confirmed. A fruit that a person made keeps its number unless the count gave it to another.
+    fruit stay and are confirmed. A fruit that a person made keeps its number unless the count gave it to another;
+    then it gets one above all of these and above `last`.
     """
-    state = Reviewed(list(fruits), [""] * len(fruits), list(range(len(fruits))), [])
+    state = Reviewed(
+        spots=list(fruits),
+        standings=[""] * len(fruits),
+        sources=list(range(len(fruits))),
+        origins=[frozenset([index]) for index in range(len(fruits))],
+        lost=[],
+        taken={spot.id for spot in fruits},
+        last=last,
+        renumbered={},
+    )
     for decision in decisions:
         if not _apply(state, decision):
             state.lost.append(decision)
@@ -105,9 +138,10 @@ def _make(state: Reviewed, decision: Decision) -> bool:
         return True
     if decision.action != "add" and not before:
         return False
+    origins = frozenset().union(*(state.origins[index] for index in before))
     _remove(state, before)
     for spot in decision.after:
-        _add(state, spot)
+        _add(state, spot, origins)
     return True
 
 
@@ -137,15 +171,20 @@ def _stand(state: Reviewed, indices: Sequence[int], standing: Standing) -> None:
 
 def _remove(state: Reviewed, indices: Sequence[int]) -> None:
     for index in sorted(indices, reverse=True):
-        for rows in (state.spots, state.standings, state.sources):
+        for rows in (state.spots, state.standings, state.sources, state.origins):
             del rows[index]  # type: ignore[attr-defined]
 
 
-def _add(state: Reviewed, spot: Spot) -> None:
-    numbers = {each.id for each in state.spots}
-    state.spots.append(spot if spot.id not in numbers else replace(spot, id=max(numbers) + 1))
+def _add(state: Reviewed, spot: Spot, origins: frozenset[int]) -> None:
+    if spot.id in state.taken:
+        number = max(state.last, *state.taken) + 1
+        state.renumbered[spot.id] = number
+        spot = replace(spot, id=number)
+    state.taken.add(spot.id)
+    state.spots.append(spot)
     state.standings.append("added")
     state.sources.append(-1)
+    state.origins.append(origins)
 
 
 def corrected_interval(

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import shutil
 import sys
 import types
 from pathlib import Path
@@ -9,8 +10,12 @@ from pathlib import Path
 import bpy
 import pytest
 
+from fruitlangs.engine.config import UnitsConfig
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.operators import import_scene
+from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.settings import is_of_another
+from fruitlangs.operators.showing import show_reconstruction, show_result
 
 
 @pytest.fixture
@@ -48,6 +53,10 @@ def settings(extension, tmp_path):
     settings = bpy.context.scene.fruitlangs
     settings.source = str(tmp_path / "tree")
     return settings
+
+
+def from_source(result, source):
+    return dataclasses.replace(result, origin={**result.origin, "source": str(source)})
 
 
 def test_import_shows_cameras_and_points(engine, settings, tmp_path):
@@ -109,6 +118,127 @@ def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings,
     assert result.notices == "no pictures"
     assert bpy.context.scene["fruitlangs_set_id"] == "f00"
     assert options["keep"] is None
+
+
+def test_a_count_goes_on_where_the_last_one_was_wherever_the_file_is_saved_since(engine, settings, tmp_path):
+    (tmp_path / "tree_fruit").mkdir()
+    bpy.ops.fruitlangs.count()
+    (tmp_path / "work").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work" / "a.blend"))
+    bpy.ops.fruitlangs.count()
+    assert engine.count[1][2] == tmp_path / "tree_fruit"
+    (tmp_path / "tree_fruit").rmdir()
+    bpy.ops.fruitlangs.count()
+    assert engine.count[2][2] == tmp_path / "work" / "tree_fruit"
+
+
+def test_a_count_of_another_source_is_not_measured_by_the_first_ones_measures(engine, settings, tmp_path):
+    settings.result.source, bpy.context.scene["fruitlangs_ground"] = str(tmp_path / "other"), [0.0, 0.0, 1.0]
+    config = settings.config
+    config.units.points, config.units.length, config.scene.up = (0, 0, 0, 0, 0, 1), 2.0, (0, 0, 1)
+    config.count.diameter, config.count.threshold = 0.1, 0.3
+    bpy.ops.fruitlangs.count()
+    asked = engine.count[0][3]["config"]
+    assert (asked.units, asked.scene.up) == (UnitsConfig(), None)
+    assert (asked.count.diameter, asked.count.threshold) == (None, 0.3)
+
+
+def test_import_of_another_source_takes_the_first_one_away_and_says_so(
+    engine, settings, counted, result_of, tmp_path, capfd
+):
+    scene = bpy.context.scene
+    first = result_of(counted, tmp_path / "out")
+    (tmp_path / "row 2").mkdir()
+    show_result(bpy.context, scene, from_source(first, tmp_path / "tree"))
+    bpy.ops.fruitlangs.add_region()
+    bpy.ops.fruitlangs.set_length(points=(0, 0, 0, 0, 0, 1), length=0.5)
+    bpy.ops.fruitlangs.set_ground(points=(0, 0, 0, 1, 0, 0, 0, 1, 0))
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    settings.source = str(tmp_path / "row 2")
+    bpy.ops.fruitlangs.import_scene()
+    assert "scale, ground and region of" in capfd.readouterr().out
+    for role in ("gaussians", "fruit", "region"):
+        assert owned_objects(scene, role) == []
+    assert len(owned_objects(scene, "camera")) == 6
+    assert (settings.result.count, settings.answer.text, len(settings.review.log)) == (-1, "", 0)
+    assert settings.config.units.length == 0.0
+    assert not any(settings.config.units.points)
+    assert not any(settings.config.scene.up)
+    assert "fruitlangs_ground" not in scene
+    assert owned_object(scene, "root")["metres_per_unit"] == 0.0
+
+
+def test_decisions_wait_while_another_source_is_shown(engine, settings, counted, result_of, tmp_path):
+    scene = bpy.context.scene
+    first, second = (from_source(result_of(counted, tmp_path / name), tmp_path / name) for name in ("tree", "row 2"))
+    show_result(bpy.context, scene, first)
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    show_result(bpy.context, scene, second)
+    assert len(owned_objects(scene, "fruit")) == 3
+    assert "1 decisions on" in settings.result.notices
+    show_result(bpy.context, scene, first)
+    assert len(owned_objects(scene, "fruit")) == 4
+    assert len(settings.review.log) == 1
+
+
+def test_an_earlier_result_of_a_source_is_the_same_scene(settings, counted_balls, tmp_path):
+    folder = shutil.copytree(counted_balls.out, tmp_path / "balls_fruit")
+    bpy.ops.fruitlangs.import_scene(directory=str(folder))
+    assert not is_of_another(settings, folder)
+    assert not is_of_another(settings, Path(counted_balls.origin["source"]))
+    assert is_of_another(settings, tmp_path / "tree")
+
+
+def test_import_of_the_same_source_keeps_the_count_and_its_scale(engine, settings, counted_with, result_of, tmp_path):
+    scene = bpy.context.scene
+    result = result_of(counted_with(metres_per_unit=0.4), tmp_path / "out")
+    show_result(bpy.context, scene, from_source(result, tmp_path / "tree"))
+    bpy.ops.fruitlangs.import_scene()
+    assert settings.result.count == len(owned_objects(scene, "fruit")) == 3
+    assert owned_object(scene, "root")["metres_per_unit"] == pytest.approx(0.4)
+
+
+@pytest.fixture
+def reconstruct(engine, settings, counted):
+    """Show a reconstruction with these Gaussians and this scale, as Reconstruct does."""
+
+    def reconstruct(scale=None, gaussians=counted.gaussians):
+        origin = {"training": {"psnr": None, "ssim": None}}
+        made = types.SimpleNamespace(
+            scene=dataclasses.replace(counted.scene, metres_per_unit=scale),
+            gaussians=gaussians,
+            origin=origin,
+            features_file=Path("features.safetensors"),
+        )
+        show_reconstruction(bpy.context, bpy.context.scene, made, types.SimpleNamespace(notices=[]))
+
+    return reconstruct
+
+
+def test_reconstructing_the_same_gaussians_keeps_the_count_and_whose_they_are(reconstruct, settings):
+    bpy.ops.fruitlangs.count()
+    reconstruct()
+    ids = get_attribute(owned_object(bpy.context.scene, "gaussians").data, "fruit_id")
+    assert ids[:6].tolist() == [1, 1, 2, 2, 3, 3]
+    assert settings.result.count == 3
+
+
+@pytest.mark.parametrize("other", ["scale", "gaussians"])
+def test_reconstructing_others_takes_the_count_away_and_says_so(reconstruct, settings, counted, other):
+    bpy.ops.fruitlangs.count()
+    means = counted.gaussians.means + (1.0 if other == "gaussians" else 0.0)
+    reconstruct(0.4 if other == "scale" else None, dataclasses.replace(counted.gaussians, means=means))
+    assert owned_objects(bpy.context.scene, "fruit") == []
+    assert settings.result.count == -1
+    assert "count again" in settings.result.notices
+
+
+def test_a_count_of_nothing_goes_with_its_gaussians_too(
+    reconstruct, settings, counted, counted_with, result_of, tmp_path
+):
+    show_result(bpy.context, bpy.context.scene, result_of(counted_with(fruits=0), tmp_path))
+    reconstruct(gaussians=dataclasses.replace(counted.gaussians, means=counted.gaussians.means + 1.0))
+    assert settings.result.count == -1
 
 
 def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, settings, counted_with, result_of):

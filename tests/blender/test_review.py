@@ -34,10 +34,13 @@ def shown(extension, counted, result_of, tmp_path):
 def again(counted, result_of, tmp_path):
     """Show the same count anew, as a recount does, with these fruit."""
 
-    def recount(fruits=None):
+    def recount(fruits=None, prompt="apple"):
         found = counted.fruit_count.fruits if fruits is None else fruits
+        found = [dataclasses.replace(fruit, label=prompt) for fruit in found]
         fruit_count = dataclasses.replace(counted.fruit_count, fruits=found, interval=(2, 5), last_id=3)
-        show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path, fruit_count=fruit_count))
+        result = result_of(counted, tmp_path, fruit_count=fruit_count)
+        result.origin["prompts"] = [prompt]
+        show_result(bpy.context, bpy.context.scene, result)
 
     return recount
 
@@ -266,6 +269,51 @@ def test_a_recount_keeps_every_decision(shown, again, counted):
     after = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in owned_objects(shown, "fruit")}
     assert after == before
     assert numbers() == [3, 4, 5, 6]
+
+
+def test_what_was_decided_on_apples_says_nothing_of_pears_and_holds_when_apples_are_counted_again(shown, again):
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    select(1)
+    bpy.ops.fruitlangs.reject_fruit()
+    again(prompt="pear")
+    assert numbers() == [1, 2, 3]
+    assert review_line(shown) == "machine 3, interval 2–5"
+    assert "decisions on apple, which hold when that is counted again: 2" in shown.fruitlangs.result.notices
+    again()
+    assert numbers() == [2, 3, 4]
+
+
+def test_a_recount_keeps_a_made_fruit_where_and_as_large_as_a_person_put_it_since(shown, again):
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    select(4)
+    bpy.ops.fruitlangs.relabel_fruit(label="ripe apple")
+    fruit(4).location.x, fruit(4).scale = 9.0, (0.5, 0.5, 0.5)
+    again()
+    assert tuple(fruit(4).location) == (9.0, 6.0, 7.0)
+    assert fruit(4)["diameter"] == pytest.approx(0.5)
+    assert fruit(4)["label"] == "ripe apple"
+
+
+def test_a_made_fruit_whose_number_the_count_took_is_corrected_by_its_new_one(shown, again, counted):
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    new = dataclasses.replace(counted.fruit_count.fruits[0], id=4, center=np.array([-3.0, 0.0, 0.0]))
+    found = [*counted.fruit_count.fruits, new]
+    again(found)
+    assert numbers() == [1, 2, 3, 4, 5]
+    fruit(5).location.x = 9.0
+    again(found)
+    assert (fruit(4).location.x, fruit(5).location.x) == (-3.0, 9.0)
+
+
+def test_after_a_recount_made_fruit_still_have_their_gaussians(shown, again):
+    select(2, 3)
+    bpy.ops.fruitlangs.merge_fruit()
+    again()
+    assert get_attribute(owned_object(shown, "gaussians").data, "fruit_id")[:6].tolist() == [1, 1, 4, 4, 4, 4]
+    select(4)
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    again()
+    assert set(get_attribute(owned_object(shown, "gaussians").data, "fruit_id")[2:6]) <= {5, 6}
 
 
 def test_a_recount_that_renumbers_keeps_decisions_by_place(shown, again, counted):
