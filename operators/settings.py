@@ -276,7 +276,14 @@ def true_source(source: Path) -> Path:
 def is_of_another(settings: Any, source: Path) -> bool:
     """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
     known = known_path(settings.result.source)
-    return known is not None and known != true_source(source)
+    return known is not None and not is_same_source(known, source)
+
+
+def is_same_source(known: Path, source: Path) -> bool:
+    """Whether the scene at `source` is what was at `known`: made from it, or its folder, which was moved and kept its
+    name."""
+    true = true_source(source)
+    return known == true or (known.name == true.name and not known.exists())
 
 
 def known_path(text: str) -> Path | None:

@@ -10,7 +10,7 @@ import bpy
 from .blender_data import owned_object, owned_objects, remove_objects
 from .keep_review import keep_corrections
 from .scale import METRES
-from .settings import MEASURES, is_of_another, known_path, stored_path, true_source
+from .settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
 from .write import SET_ID
 from .write_root import GROUND
 
@@ -26,7 +26,7 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
     settings.result.source = stored_path(true_source(source))
     review = settings.review
     for index in reversed(range(len(review.aside))):
-        if Path(review.aside[index].source) == true_source(source):
+        if is_same_source(Path(review.aside[index].source), source):
             _move_log(review.aside[index].log, review.log)
             review.aside.remove(index)
     return told
@@ -47,7 +47,7 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
         root[METRES] = 0.0
     for name in ("source", "work"):
         settings.result.property_unset(name)
-    told = [f"{decisions} decisions on {source} wait until it is shown again"] if decisions else []
+    told = [f"your decisions on {source} ({decisions}) wait until it is shown again"] if decisions else []
     if measured:
         told.append(f"scale, ground and region of {source} do not hold here and were removed")
     return told

@@ -175,7 +175,7 @@ def test_decisions_wait_while_another_source_is_shown(engine, settings, counted,
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     show_result(bpy.context, scene, second)
     assert len(owned_objects(scene, "fruit")) == 3
-    assert "1 decisions on" in settings.result.notices
+    assert "(1) wait until it is shown again" in settings.result.notices
     show_result(bpy.context, scene, first)
     assert len(owned_objects(scene, "fruit")) == 4
     assert len(settings.review.log) == 1
@@ -187,6 +187,15 @@ def test_an_earlier_result_of_a_source_is_the_same_scene(settings, counted_balls
     assert not is_of_another(settings, folder)
     assert not is_of_another(settings, Path(counted_balls.origin["source"]))
     assert is_of_another(settings, tmp_path / "tree")
+
+
+def test_a_scene_whose_folder_was_moved_and_kept_its_name_is_the_same(settings, tmp_path):
+    moved = tmp_path / "elsewhere" / "tree"
+    settings.result.source = str(tmp_path / "before" / "tree")
+    assert not is_of_another(settings, moved)
+    assert is_of_another(settings, moved.with_name("other tree"))
+    (tmp_path / "before" / "tree").mkdir(parents=True)
+    assert is_of_another(settings, moved)
 
 
 def test_import_of_the_same_source_keeps_the_count_and_its_scale(engine, settings, counted_with, result_of, tmp_path):
