@@ -68,7 +68,7 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         level(root, up, points.mean(axis=0))
         if box is not None and place is not None:
             stand_upright(box, root, root.matrix_basis @ place, box.matrix_basis.to_scale())
-        look_at_scene(shown_screens(context), bpy_scene)
+        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
         self.report({"INFO"}, "The ground is level, at height 0; the next count uses it")
         return {"FINISHED"}
 

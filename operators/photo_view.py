@@ -22,7 +22,8 @@ def view_area(context: bpy.types.Context) -> bpy.types.Area | None:
         return None
     if context.area is not None and context.area.type == "VIEW_3D":
         return context.area
-    return next((area for screen in shown_screens(context) for area in screen.areas if area.type == "VIEW_3D"), None)
+    areas = (area for screen in shown_screens(context, context.scene) for area in screen.areas)
+    return next((area for area in areas if area.type == "VIEW_3D"), None)
 
 
 def remembers(bpy_scene: bpy.types.Scene) -> bool:

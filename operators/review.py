@@ -296,7 +296,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
         if root is not None:
             place = root.matrix_world @ Vector(item.location)
             size = CLOSE * float(item.get("diameter", 0.1))
-            look_at_point(shown_screens(context), place, size)
+            look_at_point(shown_screens(context, context.scene), place, size)
         self.report({"INFO"}, f"{item.name}: probability {item.get('probability', 1.0):.2f}")
         return {"FINISHED"}
 

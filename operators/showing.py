@@ -48,8 +48,8 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
     apply_look(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(settings.result, scene)
-    show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
-    look_at_scene(shown_screens(context), bpy_scene)
+    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
     return told
 
 
@@ -78,9 +78,9 @@ def show_reconstruction(
     _keep_scene(shown, made.scene)
     _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
     shown.notices = "; ".join([*stages.notices, *told])
-    show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
+    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
     if first:
-        look_at_scene(shown_screens(context), bpy_scene)
+        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
     if not bpy.app.background:
         ask_soon(bpy_scene)
     return told
@@ -101,9 +101,9 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
     shown = bpy_scene.fruitlangs.result
     shown.notices = "; ".join([*filter(None, [shown.notices]), *told])
     tell_answer(bpy_scene)
-    show_colors(shown_screens(context), splats=look_of(bpy_scene).style == "SPLATS")
+    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
     if first:
-        look_at_scene(shown_screens(context), bpy_scene)
+        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
 
 
 def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:

@@ -39,9 +39,10 @@ def in_window() -> bool:
     return not bpy.app.background
 
 
-def shown_screens(context: bpy.types.Context) -> list[bpy.types.Screen]:
-    """The screen a person looks at; none in background mode."""
-    return [context.screen] if in_window() and context.screen is not None else []
+def shown_screens(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> list[bpy.types.Screen]:
+    """The screen a person looks at this Blender scene on; none in background mode, and while another scene is shown."""
+    looked_at = in_window() and context.screen is not None and context.scene == bpy_scene
+    return [context.screen] if looked_at else []
 
 
 def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:

@@ -74,3 +74,13 @@ def test_the_bar_goes_from_the_colour_at_the_threshold_to_that_of_certainty():
     assert list(places) == sorted(places)
     assert colors[-1] == (*PROBABILITY_RAMP[-1][1], 1.0)
     assert colors[0] == (0.485, 0.480, 0.475, 0.75)
+
+
+def test_only_a_screen_that_shows_the_scene_is_turned_to_it(monkeypatch):
+    shown, other = bpy.context.scene, bpy.data.scenes.new("Other")
+    context = SimpleNamespace(screen="screen", scene=shown)
+    assert viewport.shown_screens(context, shown) == []
+    monkeypatch.setattr(viewport, "in_window", lambda: True)
+    assert viewport.shown_screens(context, shown) == ["screen"]
+    assert viewport.shown_screens(context, other) == []
+    bpy.data.scenes.remove(other)
