@@ -10,8 +10,10 @@ import ctypes
 import importlib.util
 import os
 import sys
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from importlib.machinery import PathFinder
+
+from ..engine.scene.colmap_library import beside_another_gflags
 
 LARGE = {"torch": "_C", "pycolmap": "_core", "llvmlite": "binding/libllvmlite"}
 """{package: its library, without suffix} of those that take a quarter of a second and more."""
@@ -24,7 +26,8 @@ def preload_libraries() -> None:
         return
     for name, library in LARGE.items():
         if name not in sys.modules:
-            _preload(name, library)
+            with beside_another_gflags() if name == "pycolmap" else nullcontext():
+                _preload(name, library)
 
 
 def _preload(name: str, library: str) -> None:

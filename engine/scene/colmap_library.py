@@ -20,7 +20,7 @@ def colmap_library() -> Any:
     stack trace and an abort. Only the main thread can give the signal back; in another it stays as pycolmap has it.
     """
     before = signal.getsignal(signal.SIGTERM)
-    with _beside_another_gflags():
+    with beside_another_gflags():
         import pycolmap
 
     try:
@@ -31,7 +31,7 @@ def colmap_library() -> Any:
 
 
 @contextmanager
-def _beside_another_gflags() -> Iterator[None]:
+def beside_another_gflags() -> Iterator[None]:
     """Let pycolmap be imported where the program has loaded the system's gflags, as a distribution's Blender may have.
 
     gflags ends the whole program when a second copy of it declares the same flags. The function that it ends it by is

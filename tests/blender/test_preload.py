@@ -5,10 +5,13 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from fruitlangs.operators import preload
 from fruitlangs.operators.preload import LARGE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,3 +37,20 @@ def test_libraries_are_loaded_without_importing_their_packages():
     for package, library in LARGE.items():
         folder = Path(importlib.util.find_spec(package).origin).parent
         assert str(folder / library) in maps
+
+
+def test_pycolmap_is_loaded_so_that_another_gflags_does_not_end_blender(monkeypatch):
+    """gflags ends the program where a second copy declares the same flags, as a distribution's Blender may hold."""
+    guarded, loaded = [], []
+
+    @contextmanager
+    def guard():
+        guarded.append(True)
+        yield
+        guarded.pop()
+
+    monkeypatch.setattr(preload, "beside_another_gflags", guard)
+    monkeypatch.setattr(preload, "_preload", lambda name, _: loaded.append((name, bool(guarded))))
+    monkeypatch.setattr(preload, "sys", SimpleNamespace(modules={}))
+    preload.preload_libraries()
+    assert loaded == [(name, name == "pycolmap") for name in LARGE]
