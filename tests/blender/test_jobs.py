@@ -193,9 +193,11 @@ def test_what_fails_after_the_file_dialog_is_reported_in_words(extension):
 
 
 def test_a_job_begun_while_the_file_dialog_was_open_is_told(extension, started):
-    started(lambda progress: threading.Event().wait(0.5))
+    hold = threading.Event()
+    started(lambda progress: hold.wait(5))
     item = Asking()
     assert item.execute(bpy.context) == {"CANCELLED"}
+    hold.set()
     assert item.reports == [({"ERROR"}, "Another job is at work; wait or cancel it first")]
 
 

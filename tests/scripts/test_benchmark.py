@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -145,13 +144,18 @@ def test_both_roads_of_the_language_are_timed_stage_by_stage(tmp_path: Path) -> 
     assert watched_table("From photos to probabilities.", rows).count("| ask a word |") == 2
 
 
-def test_a_stage_inside_another_stops_its_clock() -> None:
+def test_a_stage_inside_another_stops_its_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: clock[0])
+
+    def pass_time(seconds: float) -> None:
+        clock[0] += seconds
+
     watch = Stopwatch()
     with watch.stage("outer"):
-        for _ in watch.each("inner", (time.sleep(0.05) for _ in range(2))):
-            time.sleep(0.02)
-    assert watch.seconds["inner"] == pytest.approx(0.1, abs=0.03)
-    assert watch.seconds["outer"] == pytest.approx(0.04, abs=0.03)
+        for _ in watch.each("inner", (pass_time(0.5) for _ in range(2))):
+            pass_time(0.25)
+    assert watch.seconds == {"inner": 1.0, "outer": 0.5}
     assert watch.times == {"outer": 1, "inner": 2}
 
 
