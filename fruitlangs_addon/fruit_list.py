@@ -36,16 +36,9 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         row.active = item.get(REVIEW) != REJECTED
         texts = cells(item, metres_per_unit(context.scene) is not None)
         sign = VERDICT_ICONS.get(item.get(REVIEW), "BLANK1")
-        widths: tuple[float, ...] = WIDE_WIDTHS
-        if context.region.width / context.preferences.system.ui_scale < WIDE:
-            kind, widths = texts.pop(), WIDTHS
-            sign = KIND_ICONS.get(kind, "BLANK1") if sign == "BLANK1" else sign
-            texts[1] = texts[1].partition(" ")[0]  # the panel tells the unit above
-        row.label(text="", icon=sign)
-        for text, share in zip(texts, (*widths, None), strict=True):
-            part = row if share is None else row.split(factor=share, align=True)
-            part.label(text=text)
-            row = part
+        if not _has_room(context) and sign == "BLANK1":
+            sign = KIND_ICONS.get(texts[-1], "BLANK1")
+        _draw_row(row, context, sign, texts)
 
     def filter_items(self, context: bpy.types.Context, data: Any, property: str) -> tuple[list[int], list[int]]:
         review, items = context.scene.fruitlangs.review, list(getattr(data, property))
@@ -54,12 +47,41 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         return flags, ranks(items, review.sort)
 
 
+def draw_head(layout: Any, context: bpy.types.Context) -> None:
+    """What the columns of the list are, with their units."""
+    _draw_row(layout.row(align=True), context, "BLANK1", head(metres_per_unit(context.scene) is not None))
+
+
+def _draw_row(row: Any, context: bpy.types.Context, sign: str, texts: list[str]) -> None:
+    """One text a column; without the last one, the kind, where there is no room for it."""
+    wide = _has_room(context)
+    row.label(text="", icon=sign)
+    for text, share in zip(texts, (*WIDE_WIDTHS, None) if wide else (*WIDTHS, None, None), strict=True):
+        if share is None:
+            row.label(text=text)
+            return
+        row = row.split(factor=share, align=True)
+        row.label(text=text)
+
+
+def _has_room(context: bpy.types.Context) -> bool:
+    """Whether the sidebar has room for the kind's name."""
+    pixels: float = context.region.width / context.preferences.system.ui_scale
+    return pixels >= WIDE
+
+
+def head(metric: bool) -> list[str]:
+    """What `cells` are. metric: lengths are metres."""
+    return ["Fruit", "Ø mm" if metric else "Ø units", "Prob.", "Seen", "Kind"]
+
+
 def cells(item: Any, metric: bool) -> list[str]:
-    """Number and label, diameter, probability, visible share and kind of a fruit object. metric: lengths are metres."""
+    """Number and label, diameter (its unit is in the `head`), probability, visible share and kind of a fruit object.
+    metric: lengths are metres."""
     visible = item.get("visible_fraction")
     return [
         f"{item.get('id', 0)} {item.get('label', '')}",
-        diameter_text(item, metric),
+        diameter_text(item, metric).partition(" ")[0],
         f"{float(item.get('probability', 1.0)):.2f}",
         "" if visible is None else f"{float(visible):.0%}",
         str(item.get("kind", "")),

@@ -17,7 +17,7 @@ from ..operators.review import (
     FRUITLANGS_OT_reopen_fruit,
     FRUITLANGS_OT_split_fruit,
 )
-from .fruit_list import FRUITLANGS_UL_fruits
+from .fruit_list import FRUITLANGS_UL_fruits, draw_head
 from .panel_parts import SidebarPanel, State, StepPanel, draw_text
 from .photos import draw_photos
 
@@ -46,10 +46,11 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
             draw_text(layout, "Count first; then every fruit can be looked at here", context)
             return
         draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
-        layout.row().prop(review, "show", expand=True)
+        layout.prop(review, "show")
         if review.show == "DOUBTFUL":
             layout.prop(review, "doubt", slider=True)
         layout.prop(review, "sort")
+        draw_head(layout, context)
         layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
         layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
         draw_photos(layout, context)

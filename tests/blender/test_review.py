@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.errors import CountingError
-from fruitlangs.fruitlangs_addon.fruit_list import cells, is_shown, ranks
+from fruitlangs.fruitlangs_addon.fruit_list import cells, head, is_shown, ranks
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.fruit_objects import REVIEW, fruit_collection, members, read_log, standing
 from fruitlangs.operators.keep_review import entry_text, review_line
@@ -391,7 +391,8 @@ def test_a_fruit_that_a_person_moved_is_decided_on_where_it_stands(shown):
 
 def test_rows_tell_number_size_probability_share_and_kind(shown):
     assert cells(fruit(2), metric=False) == ["2 apple", "0.2", "0.60", "25%", "single"]
-    assert cells(fruit(1), metric=True)[1] == "100 mm"
+    assert (head(metric=True)[1], cells(fruit(1), metric=True)[1]) == ("Ø mm", "100")
+    assert len(head(metric=False)) == len(cells(fruit(2), metric=False))
 
 
 def test_the_list_filters_by_doubt_and_sorts(shown):
