@@ -11,6 +11,7 @@ import pytest
 
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.showing import show_result
+from fruitlangs.operators.target import Target
 
 
 def open_balls(counted_balls, folder: Path) -> None:
@@ -78,14 +79,34 @@ def test_two_scenes_in_one_file_each_keep_their_own(extension, counted, counted_
 
 
 def test_a_count_that_ends_in_edit_mode_is_shown_all_the_same(extension, counted, result_of, tmp_path):
-    from fruitlangs.operators.target import Target
-
     bpy.ops.mesh.primitive_cube_add()
     target = Target(bpy.context.scene)
     bpy.ops.object.mode_set(mode="EDIT")
     show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
     assert bpy.context.mode == "OBJECT"
     assert len(owned_objects(bpy.context.scene, "fruit")) == 3
+
+
+def test_a_count_that_ends_leaves_a_person_in_the_edit_mode_of_another_scene(extension, counted, result_of, tmp_path):
+    first, second = bpy.context.scene, bpy.data.scenes.new("Row 2")
+    target = Target(first)
+    bpy.context.window.scene = second
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
+    assert bpy.context.mode == "EDIT_MESH"
+    assert len(owned_objects(first, "fruit")) == 3
+
+
+def test_a_count_that_ends_leaves_the_edit_mode_of_its_scene_in_another_window(extension, counted, result_of, tmp_path):
+    first, second = bpy.context.scene, bpy.data.scenes.new("Row 2")
+    target = Target(first)
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):  # the timer's window shows this one
+        show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
+    assert bpy.context.mode == "OBJECT"
+    assert len(owned_objects(first, "fruit")) == 3
 
 
 def test_gaussians_in_edit_mode_are_not_written_and_it_is_said(extension, counted_balls, tmp_path):
