@@ -20,6 +20,7 @@ from ..engine.errors import Cancelled, FruitLangsError
 from ..engine.progress import Progress, silent
 from .preload import preload_libraries
 from .target import Target
+from .waiting_tool import end_waiting
 
 REDRAW_SECONDS = 0.25
 """Redrawing more often takes the time from the work."""
@@ -236,8 +237,7 @@ class JobOperator:
         if self._asked:  # started anew the operator works in a thread
             name = type(self).bl_idname.partition(".")[2]
             return start(self, name, **self.as_keywords(ignore=("check_existing", "filter_glob")))
-        self._target = Target(context.scene)
-        self.failed(context, "")
+        self._begin(context)
         try:
             self.finish(context, self.prepare(context)(silent))
         except Exception as error:
@@ -252,8 +252,7 @@ class JobOperator:
         if other is not None:
             self.report({"WARNING"}, f"{other.title} is still at work; wait or cancel it first")
             return {"CANCELLED"}
-        self._target = Target(context.scene)
-        self.failed(context, "")
+        self._begin(context)
         try:
             self._job = Job(self.title, self.prepare(context))
         except Exception as error:
@@ -264,6 +263,12 @@ class JobOperator:
         self._timer = context.window_manager.event_timer_add(REDRAW_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
+
+    def _begin(self, context: bpy.types.Context) -> None:
+        """Forget the last failure, and end the tool that waits for clicks: they would be on what the job replaces."""
+        self._target = Target(context.scene)
+        self.failed(context, "")
+        end_waiting()
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
