@@ -63,7 +63,8 @@ class PickTool:
     """Mix into an operator that a person gives points by clicks.
 
     The view can be turned and zoomed meanwhile; Backspace takes the last point back, Esc or the right button ends it,
-    and so does another tool, a job, or the loss of its viewport to another editor, workspace or area.
+    and so does another tool, a job, another Blender scene in the window, or the loss of its viewport to another
+    editor, workspace or area.
     """
 
     asks: Sequence[str] = ()
@@ -95,6 +96,7 @@ class PickTool:
         self._target3d = Target3D(context.scene)
         self._points: list[NDArray[np.float64]] = []
         self._area_pointer = context.area.as_pointer()
+        self._scene = context.scene.session_uid
         self._marks = Drawing(self._draw, "POST_VIEW")
         begin_waiting(self)
         self._marks.start()
@@ -104,7 +106,7 @@ class PickTool:
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         area = self._area(context)
-        if area is None:
+        if area is None or context.scene is None or context.scene.session_uid != self._scene:
             self._leave()
         if not is_waiting(self):
             return {"CANCELLED", "PASS_THROUGH"}

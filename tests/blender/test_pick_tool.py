@@ -139,6 +139,15 @@ def clicks(context, monkeypatch):
     return SimpleNamespace(views=found, region=region)
 
 
+def test_another_scene_in_the_window_ends_the_tool_before_its_last_click(context, clicks, status, drawn):
+    tool = started(context)
+    tool.modal(context, CLICK)
+    context.scene = bpy.data.scenes.new("Row 2")
+    assert tool.modal(context, CLICK) == PASSED
+    assert tool.points is None
+    assert has_ended(context, status, drawn)
+
+
 def test_what_may_not_be_done_any_more_is_not_done_with_the_last_click(context, clicks, monkeypatch):
     tool = started(context)
     tool.modal(context, CLICK)
