@@ -121,7 +121,7 @@ class PickTool:
         if event.type != "LEFTMOUSE" or event.value != "PRESS" or window is None:
             return {"PASS_THROUGH"}
         place = (event.mouse_x - window.x, event.mouse_y - window.y)
-        point = self._target3d.hit(window, area.spaces.active.region_3d, place)
+        point = self._target3d.hit(window, window.data, place)
         if point is None:
             self.report({"WARNING"}, "There is nothing under the mouse; click on the tree or the ground")
             return {"RUNNING_MODAL"}

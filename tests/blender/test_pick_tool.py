@@ -139,6 +139,15 @@ def clicks(context, monkeypatch):
     return SimpleNamespace(views=found, region=region)
 
 
+def test_a_click_looks_along_the_view_of_its_own_region(context, clicks):
+    tool = started(context)
+    tool.modal(context, CLICK)
+    clicks.region.data = "top"
+    assert tool.modal(context, CLICK) == {"FINISHED"}
+    assert clicks.views == ["front", "top"]
+    assert tool.points.shape == (2, 3)
+
+
 def test_another_scene_in_the_window_ends_the_tool_before_its_last_click(context, clicks, status, drawn):
     tool = started(context)
     tool.modal(context, CLICK)
