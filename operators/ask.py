@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import FruitLangsError, OutputError, SceneError
 from .blender_data import array, gaussian_attributes, owned_object, set_attribute
-from .jobs import describe_error, redraw_sidebars
+from .jobs import describe_error, linked, redraw_sidebars
 from .look import apply_look, look_changed
 from .preload import preload_libraries
 from .settings import read_config, read_prompts, read_words, stored_file
@@ -333,6 +333,8 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        if linked(cls, context):
+            return False
         if context.scene is None or owned_object(context.scene, "gaussians") is None:
             cls.poll_message_set("There are no Gaussians to ask yet: press Reconstruct, or import a result")
             return False

@@ -29,6 +29,7 @@ LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
 """How far and how long a job must have gone before the time that remains is told."""
 
 LEAVE_EDITING = "Leave Edit Mode first (Tab)"
+LINKED = "This scene is linked from another file; make it local first"
 
 Work = Callable[[Progress], Any]
 
@@ -137,8 +138,18 @@ def busy(operator: Any) -> bool:
     return True
 
 
+def linked(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether the scene belongs to another file, where nothing can be kept; the operator's poll then says so."""
+    if context.scene is None or context.scene.library is None:
+        return False
+    operator.poll_message_set(LINKED)
+    return True
+
+
 def editing(operator: Any, context: bpy.types.Context) -> bool:
-    """Whether a person is not in Object Mode, or there is no scene; the operator's poll then says so."""
+    """Whether a person is not in Object Mode, or there is no scene of this file; the operator's poll then says so."""
+    if linked(operator, context):
+        return True
     if context.scene is not None and context.mode == "OBJECT":
         return False
     operator.poll_message_set(LEAVE_EDITING)

@@ -12,7 +12,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from .blender_data import get_attribute, owned_object
-from .jobs import LEAVE_EDITING, busy, show_status
+from .jobs import LEAVE_EDITING, busy, linked, show_status
 from .picking import pick_point, pick_surface
 from .viewport import Drawing, redraw_viewports
 from .waiting_tool import begin_waiting, end_waiting, is_waiting
@@ -72,7 +72,7 @@ class PickTool:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls):
+        if busy(cls) or linked(cls, context):
             return False
         if context.scene is None or owned_object(context.scene, "root") is None:
             cls.poll_message_set("There is nothing to click on yet: import a scene first")

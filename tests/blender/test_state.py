@@ -129,6 +129,24 @@ def test_gaussians_deleted_meanwhile_come_back_with_the_next_count(extension, co
     assert len(owned_objects(bpy.context.scene, "fruit")) == 3
 
 
+ON_A_SCENE = ("import_scene", "reconstruct", "count", "ask", "export_csv")
+ON_FRUIT = ("confirm_fruit", "add_fruit", "next_doubtful", "best_photo")
+MEASURING = ("measure", "set_length", "set_ground", "add_region")
+
+
+@pytest.mark.parametrize("name", [*ON_A_SCENE, *ON_FRUIT, *MEASURING])
+def test_a_linked_scene_is_said_to_be_one_before_anything_is_done_in_it(extension, tmp_path, name):
+    bpy.context.scene.name = "Orchard"
+    bpy.context.scene.fruitlangs.source = str(tmp_path)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, here):
+        here.scenes = ["Orchard"]
+    bpy.context.window.scene = bpy.data.scenes["Orchard"]
+    with pytest.raises(RuntimeError, match="linked from another file; make it local first"):
+        getattr(bpy.ops.fruitlangs, name)()
+
+
 def test_undo_takes_an_import_back_and_redo_brings_it_again(extension, counted_balls, tmp_path):
     folder = shutil.copytree(counted_balls.out, tmp_path / "out")
     bpy.ops.ed.undo_push(message="before")
