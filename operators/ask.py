@@ -102,12 +102,12 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
         raise OutputError(
             f"The features in {question.features} are gone; press Reconstruct, which makes them anew"
         ) from error
-    if len(features) != len(means):
-        raise OutputError(
-            f"{question.features} has features of {len(features)} Gaussians and the scene {len(means)}; press "
-            "Reconstruct, which makes them anew"
-        )
     places = torch.from_numpy(np.array(means))
+    if not features.are_of(places):
+        raise OutputError(
+            f"{question.features} has features of other Gaussians than those shown: a later run replaced it, or these "
+            "were edited; press Reconstruct or count again"
+        )
     return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
 
 
