@@ -47,6 +47,8 @@ VOLUME_POINTS = 60_000
 """Points of the paper's sampling."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
+FACELESS = "has a side that faces the cameras and is not inside another"
+"""What is said of Gaussians without points of the skin: those seen from opposite sides alike face no way."""
 FIRST_SPREADS = (0.15, 0.35)
 """Least and largest deviation of log diameter that is looked for first."""
 
@@ -86,8 +88,11 @@ def count_fruit(
     highest = float(chances[inside].max())
     nothing = partial(_none, highest, known)
     selected = select_gaussians(gaussians, chances, config)
-    if highest < config.threshold or not inside[selected].any():
+    if highest < config.threshold:
         return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
+    if not inside[selected].any():
+        sure = int((chances[inside] >= config.threshold).sum())
+        return nothing(f"all {sure} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}")
     progress(0.0, "seeing the Gaussians from each view")
     if visibility is None:
         visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
@@ -97,11 +102,11 @@ def count_fruit(
         return nothing(f"no view sees any of the {inside[selected].sum()} Gaussians of {label}")
     sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.5))
     if sized is None:
-        return nothing(f"none of the {len(own)} Gaussians of {label} lie on anything round", len(own))
+        return nothing(_why_no_size(gaussians, chances, visibility, own, config, label), len(own))
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        return nothing(f"all {len(own)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
+        return nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own))
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
@@ -194,27 +199,62 @@ def fruit_size(
     config: CountConfig,
     progress: Progress = silent,
 ) -> FruitSize | None:
-    """The size of the fruit, given or estimated; None when nothing looks round.
+    """The size of the fruit, given or estimated; None when nothing looks round or gives points.
 
     chances: (N,) probability of each Gaussian; seen: those that may be fruit and that a view sees.
     """
     if config.diameter is not None:
         return FruitSize(config.diameter, DEFAULT_SPREAD)
-    widths = gaussians.scales.detach().double().cpu().numpy()[seen].max(axis=1)
-    typical = float(np.median(widths))
-    points = sample_skin(
+    points = _sizing_points(gaussians, chances, visibility, seen, config)
+    typical = float(np.median(_widths(gaussians, seen)))
+    estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
+    if estimate is None or estimate.evidence < LEAST_EVIDENCE:
+        return None
+    return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
+
+
+def _sizing_points(
+    gaussians: Gaussians, chances: FloatArray, visibility: Visibility, seen: IntArray, config: CountConfig
+) -> SurfacePoints:
+    """The points that tell the size."""
+    return sample_skin(
         gaussians,
         chances,
         visibility,
         seen,
         budget=min(max(SIZING_POINTS, int(SIZING_SHARE * len(seen))), config.sample_budget),
         seed=config.seed,
-        largest=8.0 * typical,
+        largest=8.0 * float(np.median(_widths(gaussians, seen))),
     )
-    estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
-    if estimate is None or estimate.evidence < LEAST_EVIDENCE:
-        return None
-    return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
+
+
+def _widths(gaussians: Gaussians, index: IntArray) -> FloatArray:
+    """(G,) largest standard deviation of each of the Gaussians at `index` (G,), scene units."""
+    widths: FloatArray = gaussians.scales.detach().double().cpu().numpy()[index].max(axis=1)
+    return widths
+
+
+def _why_no_size(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    visibility: Visibility,
+    seen: IntArray,
+    config: CountConfig,
+    label: str,
+) -> str:
+    """Why the Gaussians that are seen tell no size."""
+    if len(_sizing_points(gaussians, chances, visibility, seen, config)) == 0:
+        return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
+    return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
+
+
+def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:
+    """Why the Gaussians that are seen give no points to count in."""
+    large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
+    if large == len(seen):
+        return f"all {large} Gaussians of {label} are larger than a fruit of diameter {diameter:.3g}"
+    told = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
+    return told + (f"; {large} others are larger than a fruit of diameter {diameter:.3g}" if large else "")
 
 
 def _sampled(

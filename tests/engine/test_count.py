@@ -203,6 +203,45 @@ def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(sma
     assert "larger than a fruit of diameter 1e-06" in result.audit[0].reason
 
 
+def test_fruit_that_are_transparent_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
+    opacities = torch.full_like(small.gaussians.opacity_logits, -8.0)
+    result = counted(
+        dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, opacity_logits=opacities))
+    )
+    assert result.count == 0
+    assert "are transparent" in result.audit[0].reason
+    assert "no Gaussian reaches" not in result.audit[0].reason
+
+
+@pytest.mark.parametrize("diameter", [None, 1.0])
+def test_gaussians_without_a_side_to_the_cameras_are_a_counted_zero_that_says_so(
+    small: sim.Simulation, diameter: float | None
+) -> None:
+    sideless = dataclasses.replace(small.visibility, directions=np.zeros_like(small.visibility.directions))
+    result = counted(dataclasses.replace(small, visibility=sideless), dataclasses.replace(CONFIG, diameter=diameter))
+    assert result.count == 0
+    assert "has a side that faces the cameras" in result.audit[0].reason
+    assert "larger" not in result.audit[0].reason
+
+
+@pytest.mark.parametrize("method", ["voting", "template", "fruitnerf"])
+def test_one_gaussian_between_opposite_cameras_is_no_fruit_and_no_failure(method) -> None:
+    one = Gaussians(
+        torch.zeros(1, 3), torch.full((1, 3), -2.0), torch.tensor([[1.0, 0, 0, 0]]), torch.ones(1), torch.zeros(1, 1, 3)
+    )
+    cameras = [sim.look_at(np.array([x, 0.0, 0.0]), np.zeros(3)) for x in (-3.0, 3.0)]
+    result = count_fruit(one, np.ones(1), cameras, CountConfig(method=method), label="apple")
+    assert result.count == 0
+    assert "has a side that faces the cameras" in result.audit[0].reason
+
+
+def test_gaussians_without_extent_are_a_counted_zero(small: sim.Simulation) -> None:
+    scales = torch.full_like(small.gaussians.log_scales, -800.0)
+    result = counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, log_scales=scales)))
+    assert result.count == 0
+    assert "lie on anything round" in result.audit[0].reason
+
+
 def test_the_template_method_finds_separate_fruit() -> None:
     tree = sim.simulate(sim.Setting(fruit=10, sheets=0, floaters=0, leaves=0, views=12), seed=2)
     assert f1_of(tree, counted(tree, dataclasses.replace(CONFIG, method="template"))) >= 0.85
