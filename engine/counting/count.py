@@ -17,7 +17,7 @@ from ..config import CountConfig
 from ..errors import CountingError
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
-from ..splatting.gaussians import Gaussians
+from ..splatting.gaussians import PARAMETERS, Gaussians
 from ..splatting.viewpoints import find_subject
 from .account import account_for
 from .cluster import Clusters, Search, find_fruit, search
@@ -44,6 +44,8 @@ FAINT = 1.0 / 3.0
 SIZING_POINTS, SIZING_SHARE = 20_000, 0.5
 """Points that tell the size, or so many of each Gaussian where that is more: ten to a fruit are too few."""
 VOLUME_POINTS = 60_000
+ROUNDING = 1e-5
+"""By which a probability may lie outside 0…1: sums in float32 are off by so much."""
 """Points of the paper's sampling."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
@@ -78,11 +80,12 @@ def count_fruit(
     Raises:
         ConfigError: the region is no region, or the file that `config.template` names is missing.
         FormatError: that file holds no template.
-        CountingError: a shape does not fit, a value is not finite, there are no Gaussians or no cameras, none lies in
-            the region, or there are fewer fruit than trees asked for.
+        CountingError: a shape does not fit, a value is not finite, a probability is none, `up` is no direction, there
+            are no Gaussians or no cameras, all Gaussians lie in one place, none lies in the region, or there are fewer
+            fruit, or places with fruit, than trees asked for.
     """
     chances = _checked(gaussians, probability, cameras)
-    up = _mean_top(cameras) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
+    up = _mean_top(cameras) if up is None else _checked_up(up)
     region = region_of(config, up)
     inside = _inside(region, gaussians)
     highest = float(chances[inside].max())
@@ -177,7 +180,11 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
         )
     if not np.isfinite(chances).all():
         raise CountingError(f"{(~np.isfinite(chances)).sum()} probabilities are not finite; lift the features again")
-    for name in ("means", "log_scales", "quats", "opacity_logits"):
+    if chances.min() < -ROUNDING or chances.max() > 1.0 + ROUNDING:
+        raise CountingError(
+            f"the probabilities lie between {chances.min():.6g} and {chances.max():.6g}; give values from 0 to 1"
+        )
+    for name in PARAMETERS:
         bad = int((~torch.isfinite(getattr(gaussians, name))).sum())
         if bad:
             raise CountingError(f"{bad} values of the Gaussians' {name} are not finite; train the scene again")
@@ -204,9 +211,24 @@ def fruit_size(
     chances: (N,) probability of each Gaussian; seen: those that may be fruit and that a view sees.
     """
     if config.diameter is not None:
+    if len(gaussians) > 1 and bool((gaussians.means == gaussians.means[0]).all()):
+        raise CountingError(
+            f"all {len(gaussians)} Gaussians lie in one place, {spaced(gaussians.means[0].detach().cpu().numpy())}; "
+            "train the scene again"
+        )
         return FruitSize(config.diameter, DEFAULT_SPREAD)
     points = _sizing_points(gaussians, chances, visibility, seen, config)
     typical = float(np.median(_widths(gaussians, seen)))
+def _checked_up(up: FloatArray) -> FloatArray:
+    """The direction (3,) away from the ground with length 1."""
+    given = np.asarray(up, np.float64)
+    length = float(np.linalg.norm(given))
+    if given.shape != (3,) or not 0.0 < length < np.inf:
+        raise CountingError(f"the direction up is {given.tolist()}; give three finite numbers that are not all 0")
+    upward: FloatArray = given / length
+    return upward
+
+
     estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
     if estimate is None or estimate.evidence < LEAST_EVIDENCE:
         return None

@@ -297,6 +297,40 @@ def moved_by(tree: sim.Simulation, turn: np.ndarray, shift: np.ndarray, scale: f
     seen = Visibility(tree.visibility.weights, tree.visibility.views, directions)
     return dataclasses.replace(tree, gaussians=gaussians, cameras=cameras, visibility=seen)
 
+@pytest.mark.parametrize("wrong", [-0.01, 1.01, 97.0])
+def test_a_probability_outside_0_and_1_is_refused(small: sim.Simulation, wrong: float) -> None:
+    bad = small.probability.copy()
+    bad[3] = wrong
+    with pytest.raises(CountingError, match=f"{wrong:g}.*values from 0 to 1"):
+        counted(dataclasses.replace(small, probability=bad))
+
+
+def test_a_probability_that_rounding_takes_above_1_counts(small: sim.Simulation) -> None:
+    above = np.full(len(small.gaussians), 1e-6)
+    above[0] = 1.0 + 1e-6
+    assert counted(dataclasses.replace(small, probability=above)).count == 0
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_colour_that_is_no_number_is_refused(small: sim.Simulation, value: float) -> None:
+    sh = small.gaussians.sh.clone()
+    sh[5, 0, 1] = value
+    with pytest.raises(CountingError, match="1 values of the Gaussians' sh are not finite"):
+        counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, sh=sh)))
+
+
+@pytest.mark.parametrize("up", [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0], [0.0, 0.0, np.inf], [0.0, 1.0]])
+def test_a_direction_up_that_is_none_is_refused(small: sim.Simulation, up: list[float]) -> None:
+    with pytest.raises(CountingError, match="the direction up is"):
+        count_fruit(small.gaussians, small.probability, small.cameras, CONFIG, label="apple", up=np.array(up))
+
+
+def test_gaussians_that_all_lie_in_one_place_are_refused(small: sim.Simulation) -> None:
+    means = torch.ones_like(small.gaussians.means)
+    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie in one place, 1 1 1; train"):
+        counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
+
+
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
     pairs = {name: torch.cat([getattr(first, name), getattr(second, name)]) for name in PARAMETERS}
