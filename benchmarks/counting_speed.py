@@ -10,10 +10,15 @@ import torch
 from numpy.typing import NDArray
 
 from ..engine.config import CountConfig
-from ..engine.counting.cluster import find_fruit, search
+from ..engine.counting.account import account_for
+from ..engine.counting.cluster import Clusters, Search, find_fruit, search
 from ..engine.counting.count import fruit_size, select_gaussians
+from ..engine.counting.describe import describe
+from ..engine.counting.ground import lying_on_ground
+from ..engine.counting.ids import number
+from ..engine.counting.interval import estimate, evidence_of
 from ..engine.counting.sample import LARGEST_SCALE, sample_skin
-from ..engine.counting.visibility import Picture, Visibility, draw, see
+from ..engine.counting.visibility import Picture, Visibility, draw, look_at, see
 from ..engine.errors import CountingError
 from ..engine.progress import Progress, part, silent
 from ..engine.splatting.gaussians import Gaussians
@@ -27,6 +32,8 @@ YIELD = 1.26
 """Points that a budget of one gives."""
 SPACING = 200.0
 """Between crowns, in mean diameters: no view of one shows another."""
+UP = np.array([0.0, 0.0, 1.0])
+"""Away from the ground."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +73,7 @@ def one_crown() -> Stack:
 
 
 def measure_counting(numbers: Sequence[int], *, progress: Progress = silent) -> list[Stage]:
-    """Count in about so many points each, from the size of the fruit on."""
+    """Count in about so many points each, from the size of the fruit to what is told of them."""
     if min(numbers) < 1:
         raise CountingError("--counting: give numbers of points from 1 on")
     crown = one_crown()
@@ -94,8 +101,27 @@ def _timed(stack: Stack, wanted: int, progress: Progress) -> list[Stage]:
                 budget=max(1, round(wanted / YIELD)), seed=config.seed, largest=LARGEST_SCALE * size.diameter,
             )  # fmt: skip
         with watch.stage("fruit"):
-            fruit = find_fruit(search(points, size, stack.pictures, config.threshold, progress=progress))
+            searched = search(points, size, stack.pictures, config.threshold, progress=progress)
+            fruit = find_fruit(searched)
+        _tell(stack, fruit, searched, config, watch)
     return watch.rows(f"{len(points):,} points, {len(fruit.spheres):,} fruit")
+
+
+def _tell(stack: Stack, fruit: Clusters, searched: Search, config: CountConfig, watch: Stopwatch) -> None:
+    """What `count_fruit` does with the fruit that it found."""
+    centers, radii = fruit.spheres.centers, fruit.spheres.radii
+    with watch.stage("account"):
+        numbers = number(centers, np.arange(len(centers)), float(2.0 * radii.mean()))
+        account = account_for(fruit, numbers)
+    with watch.stage("describe"):
+        looks = look_at(stack.pictures, centers, radii, config.threshold)
+        describe(stack.gaussians, stack.seen, fruit, numbers, account.compound, looks, "apple")
+    with watch.stage("ground"):
+        others = stack.gaussians.select(torch.from_numpy(np.flatnonzero(stack.probability < config.threshold)))
+        lying_on_ground(others, [picture.camera for picture in stack.pictures], centers, 2.0 * radii, UP)
+    with watch.stage("interval"):
+        everywhere = np.ones(len(searched.found), bool)
+        estimate(evidence_of(searched, everywhere, stack.pictures, seed=config.seed), len(centers))
 
 
 def _moved(picture: Picture, along: float) -> Picture:

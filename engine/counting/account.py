@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .claims import members
+from .claims import commonest, members
 from .cluster import Clusters
 from .fruit import AuditEntry, Verdict
 
@@ -32,21 +32,23 @@ def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Ac
     region.
     """
     own = members(clusters.owners, len(numbers))
-    homes = np.array([np.bincount(clusters.components[each]).argmax() for each in own], np.int64)
+    homes = np.array([commonest(clusters.components[each]) for each in own], np.int64)
     sizes = np.bincount(clusters.components)
+    points, spheres = members(clusters.components, len(sizes)), members(homes, len(sizes))
+    told = (sizes >= DUST) | (np.bincount(homes, minlength=len(sizes)) > 0)
     entries = [
-        _entry(clusters, int(component), int(sizes[component]), homes, numbers)
-        for component in np.argsort(-sizes, kind="stable")
-        if sizes[component] >= DUST or (homes == component).any()
+        _entry(clusters, component, points[component], spheres[component], numbers)
+        for component in np.argsort(-sizes, kind="stable").tolist()
+        if told[component]
     ]
-    dust = [size for component, size in enumerate(sizes) if size < DUST and not (homes == component).any()]
-    if dust:
+    dust = sizes[~told]
+    if len(dust):
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
-        entries.append(_of_many(len(sizes), reason, int(sum(dust))))
+        entries.append(_of_many(len(sizes), reason, int(dust.sum())))
     if beyond:
         reason = f"{beyond} fruit near the region's border have their centres outside and are not counted"
         entries.append(_of_many(len(sizes) + 1, reason, 0))
-    return Account(entries, np.array([(homes == home).sum() > 1 for home in homes], bool))
+    return Account(entries, np.array([len(spheres[home]) > 1 for home in homes], bool))
 
 
 def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
@@ -54,11 +56,10 @@ def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
     return AuditEntry(cluster=cluster, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
 
 
-def _entry(clusters: Clusters, component: int, size: int, homes: IntArray, numbers: IntArray) -> AuditEntry:
-    inside = clusters.components == component
+def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArray, numbers: IntArray) -> AuditEntry:
+    """What became of one cluster; inside: its points; spheres: those that have most of their points in it."""
     x, y, z = clusters.points.positions[inside].mean(axis=0).tolist()
-    center = (x, y, z)
-    spheres = np.flatnonzero(homes == component)
+    center, size = (x, y, z), len(inside)
     ids = tuple(sorted(int(number) for number in numbers[spheres]))
     owners = clusters.owners[inside]
     explained = float((owners >= 0).mean())

@@ -64,6 +64,14 @@ class Cells:
         return found
 
 
+def least_near(cells: Cells, numbers: IntArray, centers: FloatArray, reach: float, most: int) -> IntArray:
+    """(C,) the least of the numbers (P,) from 0 on, in the order of the cells, of the points within `reach` of each
+    center (C, 3), of which there are fewer than `most`; -1 where there is none."""
+    found = np.full(len(centers), -1, np.int64)
+    _least_near(cells.table, numbers, np.ascontiguousarray(centers), reach, most, found)
+    return found
+
+
 @njit
 def place(table: Table, along: float, axis: int) -> int:
     """The cell along an axis that holds a coordinate; the outermost for what lies outside."""
@@ -152,7 +160,7 @@ def linked(table: Table, reach: float, near: float) -> IntArray:
     for p in range(len(positions)):
         if answered[p]:
             continue
-        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
+        px, py, pz, root = positions[p, 0], positions[p, 1], positions[p, 2], _root(parents, p)
         z0, z1 = place(table, pz - reach, 2), place(table, pz + reach, 2)
         for x in range(place(table, px - reach, 0), place(table, px + reach, 0) + 1):
             for y in range(place(table, py - reach, 1), place(table, py + reach, 1) + 1):
@@ -164,7 +172,8 @@ def linked(table: Table, reach: float, near: float) -> IntArray:
                         square = dx * dx + dy * dy + dz * dz
                         if square <= reach * reach:
                             answered[q] |= square <= near * near
-                            _join(parents, p, q)
+                            if parents[q] != root:  # most are joined already, and looking that up again takes longest
+                                root = _join(parents, root, q)
                     cell += 1
     for p in range(len(positions)):
         parents[p] = _root(parents, p)
@@ -180,12 +189,23 @@ def _root(parents: IntArray, p: int) -> int:
 
 
 @njit
-def _join(parents: IntArray, p: int, q: int) -> None:
+def _join(parents: IntArray, p: int, q: int) -> int:
+    """Make the clusters of p and q one; returns its first point."""
     first, second = _root(parents, p), _root(parents, q)
     parents[max(first, second)] = min(first, second)
+    return min(first, second)
 
 
 @kernel
 def _numbers(table: Table, centers: FloatArray, reaches: FloatArray, found: IntArray) -> None:
     for c in prange(len(centers)):
         found[c] = count(table, centers[c], reaches[c])
+
+
+@kernel
+def _least_near(table: Table, numbers: IntArray, centers: FloatArray, reach: float, most: int, found: IntArray) -> None:
+    for c in prange(len(centers)):
+        near = np.empty(most, np.int64)
+        number = walk(table, centers[c], reach, 1.0, near)
+        if number > 0:
+            found[c] = numbers[near[:number]].min()

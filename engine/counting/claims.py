@@ -48,6 +48,12 @@ def members(owners: IntArray, count: int) -> list[IntArray]:
     return np.split(order, np.searchsorted(owners[order], np.arange(count + 1)))[1:-1]
 
 
+def commonest(numbers: IntArray) -> int:
+    """The commonest of one or more numbers, the least of those that are as common."""
+    values, times = np.unique(numbers, return_counts=True)
+    return int(values[times.argmax()])
+
+
 def claim(cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray) -> Claims:
     """What each of C spheres, centers (C, 3) and radii (C,), claims of the points in their cells."""
     numbers = np.minimum(cells.numbers(centers, REACH * radii), room(MOST_POINTS))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..progress import Progress, silent
 from .candidates import Candidates, Skin, find_candidates
 from .cells import Cells, linked
-from .claims import members
+from .claims import commonest, members
 from .ellipsoid import fit_ellipsoids
 from .gate import Features, features_of, stored_gate
 from .sample import SurfacePoints
@@ -208,7 +208,7 @@ def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> 
     gate, told, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
     for index in np.argsort(-result.chances, kind="stable"):
         if not kept[index]:
-            home = int(np.bincount(components[own[index]]).argmax())
+            home = commonest(components[own[index]])
             reason = gate.reason(result.features, int(index))
             told.setdefault(home, f"the best sphere is {result.chances[index]:.0%} likely a fruit: {reason}")
     return told

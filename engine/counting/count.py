@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from ..config import CountConfig
 from ..errors import CountingError
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
-from ..splatting.gaussians import Gaussians
+from ..splatting.gaussians import PARAMETERS, Gaussians
 from ..splatting.viewpoints import find_subject
 from .account import account_for
 from .cluster import Clusters, Search, find_fruit, search
@@ -28,7 +27,7 @@ from .ground import lying_on_ground
 from .ids import NOBODY, KnownFruit, number
 from .interval import estimate, evidence_of
 from .region import REACH, Region, keep_inside, region_of, spaced
-from .row import trees_of_row
+from .row import check_trees, trees_of_row
 from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .template import split_by_template
@@ -45,8 +44,12 @@ SIZING_POINTS, SIZING_SHARE = 20_000, 0.5
 """Points that tell the size, or so many of each Gaussian where that is more: ten to a fruit are too few."""
 VOLUME_POINTS = 60_000
 """Points of the paper's sampling."""
+ROUNDING = 1e-5
+"""By which a probability may lie outside 0…1: sums in float32 are off by so much."""
 DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
+FACELESS = "has a side that faces the cameras and is not inside another"
+"""What is said of Gaussians without points of the skin: those seen from opposite sides alike face no way."""
 FIRST_SPREADS = (0.15, 0.35)
 """Least and largest deviation of log diameter that is looked for first."""
 
@@ -74,20 +77,29 @@ def count_fruit(
     whose ids stay; new fruit are numbered from top to bottom as the cameras stand, from 1 or after the last id.
 
     Raises:
-        ConfigError: the region is no region, or the file that `config.template` names is missing.
+        ConfigError: the region is no region, two trees stand above one another, or the file that `config.template`
+            names is missing.
         FormatError: that file holds no template.
-        CountingError: a shape does not fit, a value is not finite, there are no Gaussians or no cameras, none lies in
-            the region, or there are fewer fruit than trees asked for.
+        CountingError: a shape does not fit, a value is not finite, a probability is none, `up` is no direction, there
+            are no Gaussians or no cameras, all Gaussians lie in one place, none lies in the region, or there are fewer
+            fruit, or places with fruit, than trees asked for.
     """
     chances = _checked(gaussians, probability, cameras)
-    up = _mean_top(cameras) if up is None else np.asarray(up, np.float64) / np.linalg.norm(up)
+    up = _mean_top(cameras) if up is None else _checked_up(up)
     region = region_of(config, up)
+    check_trees(config, up)
     inside = _inside(region, gaussians)
     highest = float(chances[inside].max())
-    nothing = partial(_none, highest, known)
+
+    def nothing(reason: str, points: int = 0) -> FruitCount:
+        return _on_trees(_none(highest, known, reason, points), [], config, up, cameras)
+
     selected = select_gaussians(gaussians, chances, config)
-    if highest < config.threshold or not inside[selected].any():
+    if highest < config.threshold:
         return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
+    if not inside[selected].any():
+        sure = int((chances[inside] >= config.threshold).sum())
+        return nothing(f"all {sure} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}")
     progress(0.0, "seeing the Gaussians from each view")
     if visibility is None:
         visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
@@ -97,11 +109,11 @@ def count_fruit(
         return nothing(f"no view sees any of the {inside[selected].sum()} Gaussians of {label}")
     sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.5))
     if sized is None:
-        return nothing(f"none of the {len(own)} Gaussians of {label} lie on anything round", len(own))
+        return nothing(_why_no_size(gaussians, chances, visibility, own, config, label), len(own))
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        return nothing(f"all {len(own)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
+        return nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own))
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
@@ -122,25 +134,44 @@ def count_fruit(
     )
     others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
+    placed = _on_trees(counted, lying, config, up, cameras)
+    return placed if searched is None else _with_intervals(placed, searched, region, pictures, config.seed)
+
+
+def _on_trees(
+    counted: FruitCount, lying: Sequence[bool | None], config: CountConfig, up: FloatArray, cameras: Sequence[Camera]
+) -> FruitCount:
+    """The count with the place of each fruit, and a word where trees were asked for that no fruit tells."""
     row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
     placed = place_fruit(counted, lying, row)
-    return placed if searched is None else _with_intervals(placed, searched, region, pictures, config.seed)
+    if config.trees == 0 or row is not None:
+        return placed
+    reason = f"no tree of the {config.trees} that --count.trees asks for is told: trees are found by their fruit"
+    last = max((entry.cluster for entry in counted.audit), default=-1)
+    entry = AuditEntry(cluster=last + 1, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=0)
+    return replace(placed, audit=[*placed.audit, entry])
 
 
 def _with_intervals(
     counted: FruitCount, searched: Search, region: Region, pictures: Sequence[Picture], seed: int
 ) -> FruitCount:
-    """The count and its trees with intervals; a candidate speaks of the tree of the fruit that is nearest to it."""
+    """The count and its trees with intervals; a candidate speaks of the tree of the fruit that is nearest to it.
+
+    Of trees among which there is no fruit, none tells its interval.
+    """
     centers = searched.found.spheres.centers
     inside = region.contains(centers)
     numbers = np.array([NO_TREE if fruit.tree is None else fruit.tree for fruit in counted.fruits])
-    own = numbers[cKDTree(counted.centers).query(centers)[1]] if counted.trees else np.full(len(centers), NO_TREE)
+    known = counted.trees and counted.fruits
+    own = numbers[cKDTree(counted.centers).query(centers)[1]] if known else np.full(len(centers), NO_TREE)
 
     def sure(of: NDArray[np.bool_], count: int) -> dict[str, Any]:
         told = estimate(evidence_of(searched, of, pictures, seed=seed), count)
         return {"interval": told.visible, "total": told.total, "total_interval": told.total_interval}
 
-    trees = [replace(tree, **sure(inside & (own == tree.number), tree.count)) for tree in counted.trees]
+    trees = counted.trees
+    if known:
+        trees = [replace(tree, **sure(inside & (own == tree.number), tree.count)) for tree in trees]
     return replace(counted, trees=trees, **sure(inside, counted.count))
 
 
@@ -172,11 +203,30 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
         )
     if not np.isfinite(chances).all():
         raise CountingError(f"{(~np.isfinite(chances)).sum()} probabilities are not finite; lift the features again")
-    for name in ("means", "log_scales", "quats", "opacity_logits"):
+    if chances.min() < -ROUNDING or chances.max() > 1.0 + ROUNDING:
+        raise CountingError(
+            f"the probabilities lie between {chances.min():.6g} and {chances.max():.6g}; give values from 0 to 1"
+        )
+    for name in PARAMETERS:
         bad = int((~torch.isfinite(getattr(gaussians, name))).sum())
         if bad:
             raise CountingError(f"{bad} values of the Gaussians' {name} are not finite; train the scene again")
+    if len(gaussians) > 1 and bool((gaussians.means == gaussians.means[0]).all()):
+        raise CountingError(
+            f"all {len(gaussians)} Gaussians lie in one place, {spaced(gaussians.means[0].detach().cpu().numpy())}; "
+            "train the scene again"
+        )
     return chances
+
+
+def _checked_up(up: FloatArray) -> FloatArray:
+    """The direction (3,) away from the ground with length 1."""
+    given = np.asarray(up, np.float64)
+    length = float(np.linalg.norm(given))
+    if given.shape != (3,) or not 0.0 < length < np.inf:
+        raise CountingError(f"the direction up is {given.tolist()}; give three finite numbers that are not all 0")
+    upward: FloatArray = given / length
+    return upward
 
 
 def select_gaussians(gaussians: Gaussians, chances: FloatArray, config: CountConfig) -> IntArray:
@@ -194,27 +244,62 @@ def fruit_size(
     config: CountConfig,
     progress: Progress = silent,
 ) -> FruitSize | None:
-    """The size of the fruit, given or estimated; None when nothing looks round.
+    """The size of the fruit, given or estimated; None when nothing looks round or gives points.
 
     chances: (N,) probability of each Gaussian; seen: those that may be fruit and that a view sees.
     """
     if config.diameter is not None:
         return FruitSize(config.diameter, DEFAULT_SPREAD)
-    widths = gaussians.scales.detach().double().cpu().numpy()[seen].max(axis=1)
-    typical = float(np.median(widths))
-    points = sample_skin(
+    points = _sizing_points(gaussians, chances, visibility, seen, config)
+    typical = float(np.median(_widths(gaussians, seen)))
+    estimate = estimate_diameter(points, typical, progress=progress)
+    if estimate is None or estimate.evidence < LEAST_EVIDENCE:
+        return None
+    return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
+
+
+def _sizing_points(
+    gaussians: Gaussians, chances: FloatArray, visibility: Visibility, seen: IntArray, config: CountConfig
+) -> SurfacePoints:
+    """The points that tell the size."""
+    return sample_skin(
         gaussians,
         chances,
         visibility,
         seen,
         budget=min(max(SIZING_POINTS, int(SIZING_SHARE * len(seen))), config.sample_budget),
         seed=config.seed,
-        largest=8.0 * typical,
+        largest=8.0 * float(np.median(_widths(gaussians, seen))),
     )
-    estimate = estimate_diameter(points, typical, progress=progress)
-    if estimate is None or estimate.evidence < LEAST_EVIDENCE:
-        return None
-    return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
+
+
+def _widths(gaussians: Gaussians, index: IntArray) -> FloatArray:
+    """(G,) largest standard deviation of each of the Gaussians at `index` (G,), scene units."""
+    widths: FloatArray = gaussians.scales.detach().double().cpu().numpy()[index].max(axis=1)
+    return widths
+
+
+def _why_no_size(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    visibility: Visibility,
+    seen: IntArray,
+    config: CountConfig,
+    label: str,
+) -> str:
+    """Why the Gaussians that are seen tell no size."""
+    if len(_sizing_points(gaussians, chances, visibility, seen, config)) == 0:
+        return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
+    return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
+
+
+def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:
+    """Why the Gaussians that are seen give no points to count in."""
+    large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
+    if large == len(seen):
+        return f"all {large} Gaussians of {label} are larger than a fruit of diameter {diameter:.3g}"
+    told = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
+    return told + (f"; {large} others are larger than a fruit of diameter {diameter:.3g}" if large else "")
 
 
 def _sampled(

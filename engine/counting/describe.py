@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..splatting.gaussians import Gaussians
 from .claims import members
@@ -22,6 +23,8 @@ SMALL = 0.6
 """A fruit below this many mean diameters is of kind "small"."""
 MEMBER_REACH = 1.3
 """Radii from a fruit's centre within which Gaussians are its own."""
+ASKED = 1.001 * MEMBER_REACH
+"""Radii in which Gaussians are looked up: no rounding may leave one out."""
 
 
 def describe(
@@ -41,7 +44,7 @@ def describe(
     spheres, colors = clusters.spheres, point_colors(gaussians, clusters)
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else 0.0
     means = gaussians.means.detach().double().cpu().numpy()[seen]
-    owners = nearest_sphere(means, spheres.centers, spheres.radii)
+    near = members(nearest_sphere(means, spheres.centers, spheres.radii), len(spheres))
     own = members(clusters.owners, len(spheres))
     fruits = []
     for index in np.argsort(numbers):
@@ -61,7 +64,7 @@ def describe(
                 views=int(looks.views[index]),
                 color=colors[own[index]].mean(axis=0).round().astype(np.uint8),
                 kind="small" if index in clusters.small or diameter < SMALL * mean else kind,
-                members=seen[owners == index],
+                members=seen[near[index]],
             )
         )
     return fruits
@@ -87,8 +90,10 @@ def point_colors(gaussians: Gaussians, clusters: Clusters) -> FloatArray:
 def nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
     """(N,) index of the sphere each mean (N, 3) lies in or near (MEMBER_REACH), the relatively nearest; -1 none."""
     owners, best = np.full(len(means), -1, np.int64), np.full(len(means), MEMBER_REACH)
+    tree = cKDTree(means)
     for index, (center, radius) in enumerate(zip(centers, radii, strict=True)):
-        relative = np.linalg.norm(means - center, axis=1) / radius
-        closer = relative < best
-        owners[closer], best[closer] = index, relative[closer]
+        near = np.array(tree.query_ball_point(center, ASKED * radius), np.int64)
+        relative = np.linalg.norm(means[near] - center, axis=1) / radius
+        closer = relative < best[near]
+        owners[near[closer]], best[near[closer]] = index, relative[closer]
     return owners

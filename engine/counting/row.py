@@ -12,10 +12,13 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from ..config import CountConfig
-from ..errors import CountingError
+from ..errors import ConfigError, CountingError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+STEEPEST = 0.995
+"""Of the distance between two trees that lies along up: on no slope do trees stand so much above one another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +30,26 @@ class Row:
     numbers: IntArray
 
 
+def check_trees(config: CountConfig, up: FloatArray) -> None:
+    """Refuse trees that stand above one another along up (3,): fruit belong to trees by where they are seen from above.
+
+    Raises:
+        ConfigError: two of `config.tree_places` do.
+    """
+    places = np.array(config.tree_places or ()).reshape(-1, 3)
+    for number in range(1, len(places)):
+        between = places[:number] - places[number]
+        above = np.abs(between @ up) >= STEEPEST * np.linalg.norm(up) * np.linalg.norm(between, axis=1)
+        if above.any():
+            raise ConfigError(
+                f"--count.tree-places: trees {int(above.argmax()) + 1} and {number + 1} stand above one another, in "
+                "one place as seen from above; give the place of every tree's own foot"
+            )
+
+
 def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right: FloatArray) -> Row | None:
-    """Which tree of the row each of F fruit belongs to; None where no trees were asked for, or there is no fruit.
+    """Which tree of the row each of F fruit belongs to; None where no trees were asked for, or where they are to be
+    found and there is no fruit to find them by.
 
     Trees that are given keep their order. Others are sought along the direction in which the fruit spread most: a
     mixture of normal distributions of one width, started from k-means; they stand amid their fruit.
@@ -38,15 +59,13 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
         up: (3,) unit, away from the ground; right: (3,) where the row goes on, as the first camera sees it.
 
     Raises:
-        CountingError: there are fewer fruit than trees to be found.
+        CountingError: there are fewer fruit than trees to be found, or they hang in fewer places along the row.
     """
-    if len(centers) == 0:
-        return None
     level = centers - np.outer(centers @ up, up)
     if config.tree_places is not None:
         places = np.array(config.tree_places).reshape(-1, 3)
         return Row(places, nearest_along(level, places - np.outer(places @ up, up)) + 1)
-    if config.trees == 0:
+    if config.trees == 0 or len(centers) == 0:
         return None
     if len(centers) < config.trees:
         raise CountingError(
@@ -57,8 +76,14 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
     along = level @ (axis if axis @ right >= 0.0 else -axis)
     stations = _stations(along, config.trees, config.seed)
     nearest = np.abs(along[:, None] - stations).argmin(axis=1)
-    places = np.array([centers[nearest == tree].mean(axis=0) for tree in np.unique(nearest)])
-    return Row(places, np.unique(nearest, return_inverse=True)[1].astype(np.int64) + 1)
+    found = len(np.unique(nearest))
+    if found < config.trees:
+        raise CountingError(
+            f"--count.trees asks for {config.trees} trees and the fruit hang about {found} places along the row only; "
+            "ask for fewer, or say where the trees stand with --count.tree-places"
+        )
+    places = np.array([centers[nearest == tree].mean(axis=0) for tree in range(config.trees)])
+    return Row(places, nearest.astype(np.int64) + 1)
 
 
 def nearest_along(centers: FloatArray, places: FloatArray) -> IntArray:

@@ -53,10 +53,12 @@ def estimate_diameter(points: SurfacePoints, smallest: float, *, progress: Progr
 
     `smallest`: least radius tried, scene units (about the size of a Gaussian). A fit counts when it keeps its radius
     within 0.6 to 1.6 of the start, by its coverage of directions times the share of its points that lie on the shell.
-    None when nothing in the scene looks round.
+    None when nothing in the scene looks round: nothing does of no points, nor of points or Gaussians without extent.
     """
+    largest = 0.5 * float(np.linalg.norm(np.ptp(points.positions, axis=0))) if len(points) else 0.0
+    if largest == 0.0 or smallest == 0.0:
+        return None
     seeds = np.argsort(points.turns, kind="stable")[:SEEDS]
-    largest = 0.5 * float(np.linalg.norm(points.positions.max(axis=0) - points.positions.min(axis=0)))
     grid = smallest * GRID_STEP ** np.arange(max(1, int(np.log(max(largest / smallest, 1.0)) / np.log(GRID_STEP)) + 1))
     starting, inward = points.positions[seeds], points.normals[seeds]
     part = points

@@ -16,7 +16,7 @@ from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.counting.visibility import Visibility, frame_of
-from fruitlangs.engine.errors import CountingError
+from fruitlangs.engine.errors import ConfigError, CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians, harmonics_of
@@ -184,6 +184,42 @@ def test_a_prompt_that_nothing_satisfies_is_a_counted_zero(small: sim.Simulation
     assert "0.310" in result.audit[0].reason
 
 
+PLACES = (-4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0)
+
+
+def test_given_trees_of_a_counted_zero_have_no_fruit_each(small: sim.Simulation) -> None:
+    nothing = dataclasses.replace(small, probability=np.full(len(small.gaussians), 0.31))
+    trees = counted(nothing, dataclasses.replace(CONFIG, tree_places=PLACES)).trees
+    assert [(tree.number, tree.count) for tree in trees] == [(1, 0), (2, 0), (3, 0)]
+    np.testing.assert_array_equal(np.concatenate([tree.position for tree in trees]), PLACES)
+
+
+def test_trees_that_no_fruit_tells_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
+    nothing = dataclasses.replace(small, probability=np.full(len(small.gaussians), 0.31))
+    result = counted(nothing, dataclasses.replace(CONFIG, trees=3))
+    assert (result.count, len(result.trees)) == (0, 0)
+    assert "no tree of the 3 that --count.trees asks for" in result.audit[-1].reason
+
+
+@pytest.mark.parametrize(("wanted", "trees"), [({"tree_places": PLACES}, [0, 0, 0]), ({"trees": 3}, [])])
+def test_trees_of_leaves_that_are_no_fruit_are_told_like_those_of_nothing(wanted: dict, trees: list[int]) -> None:
+    tree = sim.simulate(sim.Setting(fruit=1, sheets=5, floaters=0, leaves=0, views=8), seed=3)
+    on_fruit = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1) < 0.7
+    leaves = dataclasses.replace(tree, probability=np.where(on_fruit, 0.1, tree.probability))
+    result = counted(leaves, dataclasses.replace(CONFIG, diameter=1.0, **wanted))
+    assert (result.count, [tree.count for tree in result.trees]) == (0, trees)
+    assert any("likely a fruit" in entry.reason for entry in result.audit)  # a candidate, nearest to no fruit
+    assert ("asks for" in result.audit[-1].reason) == (not trees)
+
+
+def test_trees_that_stand_above_one_another_are_refused(small: sim.Simulation) -> None:
+    above = dataclasses.replace(CONFIG, tree_places=(0.0, 0.0, 0.0, 0.0, 0.0, 2.0))
+    with pytest.raises(ConfigError, match="stand above one another"):
+        count_fruit(
+            small.gaussians, small.probability, small.cameras, above, label="apple", up=np.array([0.0, 0.0, 1.0])
+        )
+
+
 @pytest.mark.parametrize(("sure", "seen"), [(0.5, 1), (0.0, 0)])
 def test_a_faint_fruit_counts_where_a_part_of_it_is_sure(sure: float, seen: int) -> None:
     tree = sim.simulate(sim.Setting(fruit=3, sheets=0, floaters=0, leaves=0, views=8), seed=3)
@@ -220,6 +256,45 @@ def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(sma
     assert "larger than a fruit of diameter 1e-06" in result.audit[0].reason
 
 
+def test_fruit_that_are_transparent_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
+    opacities = torch.full_like(small.gaussians.opacity_logits, -8.0)
+    result = counted(
+        dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, opacity_logits=opacities))
+    )
+    assert result.count == 0
+    assert "are transparent" in result.audit[0].reason
+    assert "no Gaussian reaches" not in result.audit[0].reason
+
+
+@pytest.mark.parametrize("diameter", [None, 1.0])
+def test_gaussians_without_a_side_to_the_cameras_are_a_counted_zero_that_says_so(
+    small: sim.Simulation, diameter: float | None
+) -> None:
+    sideless = dataclasses.replace(small.visibility, directions=np.zeros_like(small.visibility.directions))
+    result = counted(dataclasses.replace(small, visibility=sideless), dataclasses.replace(CONFIG, diameter=diameter))
+    assert result.count == 0
+    assert "has a side that faces the cameras" in result.audit[0].reason
+    assert "larger" not in result.audit[0].reason
+
+
+@pytest.mark.parametrize("method", ["voting", "template", "fruitnerf"])
+def test_one_gaussian_between_opposite_cameras_is_no_fruit_and_no_failure(method) -> None:
+    one = Gaussians(
+        torch.zeros(1, 3), torch.full((1, 3), -2.0), torch.tensor([[1.0, 0, 0, 0]]), torch.ones(1), torch.zeros(1, 1, 3)
+    )
+    cameras = [sim.look_at(np.array([x, 0.0, 0.0]), np.zeros(3)) for x in (-3.0, 3.0)]
+    result = count_fruit(one, np.ones(1), cameras, CountConfig(method=method), label="apple")
+    assert result.count == 0
+    assert "has a side that faces the cameras" in result.audit[0].reason
+
+
+def test_gaussians_without_extent_are_a_counted_zero(small: sim.Simulation) -> None:
+    scales = torch.full_like(small.gaussians.log_scales, -800.0)
+    result = counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, log_scales=scales)))
+    assert result.count == 0
+    assert "lie on anything round" in result.audit[0].reason
+
+
 def test_the_template_method_finds_separate_fruit() -> None:
     tree = sim.simulate(sim.Setting(fruit=10, sheets=0, floaters=0, leaves=0, views=12), seed=2)
     assert f1_of(tree, counted(tree, dataclasses.replace(CONFIG, method="template"))) >= 0.85
@@ -236,6 +311,40 @@ def test_a_mean_that_is_no_number_is_refused(small: sim.Simulation) -> None:
     means = small.gaussians.means.clone()
     means[0, 1] = float("inf")
     with pytest.raises(CountingError, match="means"):
+        counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
+
+
+@pytest.mark.parametrize("wrong", [-0.01, 1.01, 97.0])
+def test_a_probability_outside_0_and_1_is_refused(small: sim.Simulation, wrong: float) -> None:
+    bad = small.probability.copy()
+    bad[3] = wrong
+    with pytest.raises(CountingError, match=f"{wrong:g}.*values from 0 to 1"):
+        counted(dataclasses.replace(small, probability=bad))
+
+
+def test_a_probability_that_rounding_takes_above_1_counts(small: sim.Simulation) -> None:
+    above = np.full(len(small.gaussians), 1e-6)
+    above[0] = 1.0 + 1e-6
+    assert counted(dataclasses.replace(small, probability=above)).count == 0
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_colour_that_is_no_number_is_refused(small: sim.Simulation, value: float) -> None:
+    sh = small.gaussians.sh.clone()
+    sh[5, 0, 1] = value
+    with pytest.raises(CountingError, match="1 values of the Gaussians' sh are not finite"):
+        counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, sh=sh)))
+
+
+@pytest.mark.parametrize("up", [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0], [0.0, 0.0, np.inf], [0.0, 1.0]])
+def test_a_direction_up_that_is_none_is_refused(small: sim.Simulation, up: list[float]) -> None:
+    with pytest.raises(CountingError, match="the direction up is"):
+        count_fruit(small.gaussians, small.probability, small.cameras, CONFIG, label="apple", up=np.array(up))
+
+
+def test_gaussians_that_all_lie_in_one_place_are_refused(small: sim.Simulation) -> None:
+    means = torch.ones_like(small.gaussians.means)
+    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie in one place, 1 1 1; train"):
         counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
 
 

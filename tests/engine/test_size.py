@@ -70,3 +70,9 @@ def test_sheets_of_leaves_are_not_round() -> None:
     points = SurfacePoints(positions, normals, np.arange(count), np.ones(count), normals, even_turns(count))
     estimate = estimate_diameter(points, 0.05)
     assert estimate is None or estimate.evidence < LEAST_EVIDENCE
+
+
+@pytest.mark.parametrize(("kept", "smallest"), [(0, 0.05), (1, 0.05), (300, 0.0)])
+def test_without_points_or_without_extent_nothing_is_round(kept: int, smallest: float) -> None:
+    points = surfaces(np.zeros((1, 3)), 1.0, 300, 0.0).select(np.arange(kept))
+    assert estimate_diameter(points, smallest) is None

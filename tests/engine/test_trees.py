@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.config import CountConfig
-from fruitlangs.engine.counting.row import trees_of_row
-from fruitlangs.engine.errors import CountingError, FormatError
+from fruitlangs.engine.counting.row import check_trees, trees_of_row
+from fruitlangs.engine.errors import ConfigError, CountingError, FormatError
 from fruitlangs.engine.evaluation.trees import (
     TreeCounts,
     TreePlaces,
@@ -172,6 +172,32 @@ def test_fruit_far_beyond_given_trees_belong_to_none() -> None:
     row = trees_of_row(fruit, CountConfig(tree_places=feet), UP, RIGHT)
     assert row is not None
     np.testing.assert_array_equal(row.numbers, np.where(numbers == 3, 0, numbers))
+
+
+def test_given_trees_without_fruit_keep_their_places() -> None:
+    row = trees_of_row(np.zeros((0, 3)), CountConfig(tree_places=tuple(DIAGONAL.ravel())), UP, RIGHT)
+    assert row is not None
+    np.testing.assert_array_equal(row.places, DIAGONAL)
+    assert row.numbers.tolist() == []
+
+
+@pytest.mark.parametrize("second", [(0.0, 0.0, 2.0), (0.1, -0.1, 2.0), (0.0, 0.0, -1e-3)])
+def test_given_trees_that_stand_above_one_another_are_an_error(second: tuple[float, float, float]) -> None:
+    places = (5.0, 0.0, 0.0, 0.0, 0.0, 0.0, *second)
+    with pytest.raises(ConfigError, match=r"--count\.tree-places: trees 2 and 3 stand above one another"):
+        check_trees(CountConfig(tree_places=places), UP)
+    check_trees(CountConfig(tree_places=places), np.array([0.0, 1.0, 0.0]))
+
+
+def test_trees_on_a_slope_are_no_error() -> None:
+    check_trees(CountConfig(tree_places=(0.0, 0.0, 0.0, 1.0, 0.0, 2.0)), UP)
+    check_trees(CountConfig(tree_places=(0.0, 0.0, 0.0)), UP)
+    check_trees(CountConfig(trees=3), UP)
+
+
+def test_fruit_in_fewer_places_than_trees_are_an_error_that_names_the_way_out() -> None:
+    with pytest.raises(CountingError, match=r"3 trees and the fruit hang about 2 places.*--count\.tree-places"):
+        trees_of_row(np.repeat(DIAGONAL[:2], 4, axis=0), CountConfig(trees=3), UP, RIGHT)
 
 
 def test_without_fruit_or_a_wish_for_trees_there_are_none() -> None:
