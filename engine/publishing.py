@@ -16,6 +16,7 @@ from torch import Tensor
 
 from .config import Config
 from .counting.fruit import FruitCount
+from .counting.ids import NOBODY, KnownFruit
 from .errors import FruitLangsError, OutputError
 from .files import file_hash, write_text
 from .language.features import Features
@@ -44,8 +45,8 @@ class Result:
     """What a run leaves in memory beside its files.
 
     probability: (N,) that a Gaussian belongs to the prompt; seconds by stage; reused: stages that an earlier run had
-    done; notices: what the user should know though the run went well; set_id names this set of result files; files:
-    their paths, fruits.json last.
+    done; notices: what the user should know though the run went well; known: fruit that earlier counts of the scene
+    numbered; set_id names this set of result files; files: their paths, fruits.json last.
     """
 
     scene: Scene
@@ -59,6 +60,7 @@ class Result:
     reused: Sequence[str]
     notices: Sequence[str]
     out: Path
+    known: KnownFruit = NOBODY
     set_id: str = ""
     files: Sequence[Path] = ()
 
@@ -88,6 +90,7 @@ def publish(
             files=files,
             unhashed_files=list(writers),
             metres_per_unit=result.scene.metres_per_unit,
+            known=result.known,
         )
         write_text(staging / FRUITS_JSON, dump(document))
         names = [*hashed, *writers, FRUITS_JSON]

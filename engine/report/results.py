@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ _FIELDS: dict[str, dict[str, Any]] = {
     "provenance": {"source": str, "inputs_sha256": str, "encoder": str, "training": dict, "prompts": list},
     "training": {"psnr": (*_NUMBER, type(None)), "ssim": (*_NUMBER, type(None))},
     "fruit": {"id": int, "label": str, "center": list, "diameter": _NUMBER},
+    "earlier fruit": {"id": int, "center": list, "diameter": _NUMBER},
 }
 """What a reader relies on: {part: {field: its type}}."""
 
@@ -51,11 +52,13 @@ def fruits_document(
     files: Mapping[str, str],
     unhashed_files: Sequence[str] = (),
     metres_per_unit: float | None,
+    known: KnownFruit = NOBODY,
 ) -> dict[str, Any]:
     """The content of fruits.json.
 
     Lengths are metres when metres_per_unit is known, else scene units; centres are always in the input scene's frame.
-    unhashed_files: names of the set's files that are not in `files`.
+    unhashed_files: names of the set's files that are not in `files`; known: fruit that earlier counts of the scene
+    numbered, of which those that this one did not find are kept for the next.
     """
     unit_name, unit = file_unit(metres_per_unit)
     return {
@@ -71,6 +74,7 @@ def fruits_document(
         "trees": [_tree_entry(tree) for tree in fruit_count.trees],
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
         "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
+        "earlier_fruits": _earlier_entries(known, {fruit.id for fruit in fruit_count.fruits}, unit),
         "audit": {
             "max_probability": round(fruit_count.max_probability, 6),
             "clusters": [_audit_entry(entry) for entry in fruit_count.audit],
@@ -99,6 +103,19 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
         "fallen": fruit.fallen,
         "tree": fruit.tree,
     }
+
+
+def _earlier_entries(known: KnownFruit, found: Collection[int], unit: float) -> list[dict[str, Any]]:
+    """The known fruit whose ids are not among those `found`, by rising id."""
+    return [
+        {
+            "id": int(known.ids[index]),
+            "center": [round(float(value), 6) for value in known.centers[index]],
+            "diameter": round(float(known.diameters[index]) * unit, 6),
+        }
+        for index in np.argsort(known.ids)
+        if known.ids[index] not in found
+    ]
 
 
 def _tree_entry(tree: Tree) -> dict[str, Any]:
@@ -148,10 +165,11 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
     _check_fields(document, "document", path)
     _check_fields(document["provenance"], "provenance", path)
     _check_fields(document["provenance"]["training"], "training", path)
-    for fruit in document["fruits"]:
-        _check_fields(fruit, "fruit", path)
-        if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
-            raise FormatError(f"{path}: the centre of fruit {fruit['id']} is not three numbers; count again")
+    for part, entries in (("fruit", document["fruits"]), ("earlier fruit", document.get("earlier_fruits", []))):
+        for fruit in entries:
+            _check_fields(fruit, part, path)
+            if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
+                raise FormatError(f"{path}: the centre of {part} {fruit['id']} is not three numbers; count again")
     if verify:
         for name, expected in document["files"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != expected:
@@ -210,16 +228,18 @@ def _stored_sure(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:
-    """The numbered fruit of an earlier count in `folder` of the same inputs; none where there is no such count."""
+    """The fruit that earlier counts of the same inputs in `folder` numbered; none where there is no such count."""
     try:
         document = read_results(folder, verify=False)
     except FruitLangsError:
         return NOBODY
     if document["provenance"]["inputs_sha256"] != inputs_sha256:
         return NOBODY
-    ids = np.array([fruit["id"] for fruit in document["fruits"]], np.int64)
-    centers = np.array([fruit["center"] for fruit in document["fruits"]], np.float64).reshape(-1, 3)
-    return KnownFruit(ids, centers, max(int(document.get("last_id", 0)), int(ids.max(initial=0))))
+    fruits = document["fruits"] + document.get("earlier_fruits", [])
+    ids = np.array([fruit["id"] for fruit in fruits], np.int64)
+    centers = np.array([fruit["center"] for fruit in fruits], np.float64).reshape(-1, 3)
+    diameters = np.array([fruit["diameter"] for fruit in fruits], np.float64) / (document["metres_per_unit"] or 1.0)
+    return KnownFruit(ids, centers, diameters, max(int(document.get("last_id", 0)), int(ids.max(initial=0))))
 
 
 def _check_fields(content: Any, part: str, path: Path) -> None:

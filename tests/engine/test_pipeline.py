@@ -108,6 +108,14 @@ def test_a_later_count_calls_a_fruit_what_an_earlier_one_called_it(counted: Resu
         assert fruit["id"] in near or (not near and fruit["id"] > 500)
 
 
+def test_a_count_of_other_things_between_takes_no_fruit_its_number(counted: Result, tmp_path: Path) -> None:
+    shutil.copytree(counted.out, tmp_path / "out")
+    nothing = count_scene(tmp_path / "out", ["sky"], tmp_path / "out", config=SMALL)
+    assert nothing.fruit_count.count == 0
+    again = count_scene(tmp_path / "out", ["fruit"], tmp_path / "out", config=SMALL)
+    assert document(again.out)["fruits"] == document(counted.out)["fruits"]
+
+
 def test_a_torn_result_folder_is_refused(counted: Result, tmp_path: Path) -> None:
     shutil.copytree(counted.out, tmp_path / "torn", ignore=shutil.ignore_patterns("cache"))
     (tmp_path / "torn" / "gaussians.ply").write_bytes(b"ply\n")
