@@ -28,6 +28,7 @@ from .report.page import write_page
 from .report.pictures import write_strips
 from .report.provenance import run_stamp, versions
 from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
+from .report.selection import SELECTION, write_selection
 from .report.still import draw_still, save_still
 from .report.tables import fruits_csv
 from .report.words import headline
@@ -113,12 +114,13 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     write_text(folder / "audit.txt", audit_text(result.fruit_count, prompt=", ".join(result.origin["prompts"])))
     write_glb(folder / "fruits.glb", result.fruit_count, result.scene.metres_per_unit, up=result.scene.up)
     write_points_ply(folder / "fruits.ply", result.fruit_count)
+    write_selection(folder / SELECTION, result.probability, result.fruit_count, result.origin)
     pictures = write_strips(
         folder / PICTURES, result.scene, result.gaussians, result.features, result.probability, result.fruit_count
     )
     _write_page(folder, result)
-    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply", STILL, PAGE]
-    return names + [f"{PICTURES}/{path.name}" for path in pictures]
+    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply"]
+    return names + [SELECTION, STILL, PAGE] + [f"{PICTURES}/{path.name}" for path in pictures]
 
 
 def _write_page(folder: Path, result: Result) -> None:

@@ -53,6 +53,14 @@ class Fruit:
         return 2.0 * np.linalg.norm(self.axes, axis=1)
 
 
+def member_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
+    """(N,) the id of the fruit that each of `count` Gaussians is a member of, -1 for none."""
+    ids = np.full(count, -1, np.int32)
+    for fruit in fruits:
+        ids[fruit.members] = fruit.id
+    return ids
+
+
 @dataclass(frozen=True, eq=False)
 class Tree:
     """One tree of a row. number: from 1 along the row; position: (3,) in the scene's frame; count: of its fruit;

@@ -179,27 +179,33 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
     return document
 
 
-def stored_count(document: Mapping[str, Any], means: NDArray[np.float64]) -> FruitCount:
-    """The count that fruits.json holds, without its sampled points; means (N, 3) of the Gaussians tell its members."""
-    unit = document["metres_per_unit"] or 1.0
+def near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDArray[np.int32]:
+    """(N,) the id of the fruit of fruits.json that each of the means (N, 3) lies in or near, -1 none: its members in
+    results that do not say which they are."""
     entries = document["fruits"]
     centers = np.array([entry["center"] for entry in entries], np.float64).reshape(-1, 3)
-    radii = np.array([entry["diameter"] for entry in entries], np.float64) / (2.0 * unit)
-    owners = nearest_sphere(means, centers, radii)
+    diameters = np.array([entry["diameter"] for entry in entries], np.float64) / (document["metres_per_unit"] or 1.0)
+    ids = np.array([*(entry["id"] for entry in entries), -1], np.int32)
+    return ids[nearest_sphere(means, centers, diameters / 2.0)]
+
+
+def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> FruitCount:
+    """The count that fruits.json holds, without its sampled points. member_ids: (N,) the fruit of each Gaussian."""
+    unit = document["metres_per_unit"] or 1.0
     fruits = [
         Fruit(
             **{name: entry[name] for name in ("id", "label", "probability", "visible_fraction", "views", "kind")},
-            center=centers[index],
+            center=np.array(entry["center"], np.float64),
             diameter=entry["diameter"] / unit,
             diameter_sd=entry["diameter_sd"] / unit,
             volume=entry["volume"] / unit**3,
             axes=np.array(entry["axes"], np.float64) / unit,
             color=np.array(entry["color"], np.uint8),
-            members=np.flatnonzero(owners == index),
+            members=np.flatnonzero(member_ids == entry["id"]),
             fallen=entry["fallen"],
             tree=entry["tree"],
         )
-        for index, entry in enumerate(entries)
+        for entry in document["fruits"]
     ]
     mean = document["mean_diameter"]
     return FruitCount(
