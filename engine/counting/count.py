@@ -101,7 +101,8 @@ def count_fruit(
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        return nothing(f"all {len(own)} Gaussians of {label} are larger than a fruit of diameter {sized.diameter:.3g}")
+        reason = f"all {len(own)} Gaussians of {label} are larger than the fruit that were looked for"
+        return nothing(reason, diameter=sized.diameter)
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
@@ -263,6 +264,6 @@ def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
     return np.argsort(-(centers @ _mean_top(cameras)), kind="stable").astype(np.int64)
 
 
-def _none(highest: float, known: KnownFruit, reason: str, points: int = 0) -> FruitCount:
-    entry = AuditEntry(cluster=0, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
+def _none(highest: float, known: KnownFruit, reason: str, points: int = 0, diameter: float | None = None) -> FruitCount:
+    entry = AuditEntry(0, "dropped", reason, (0.0, 0.0, 0.0), points, diameter=diameter)
     return FruitCount(fruits=[], audit=[entry], max_probability=highest, mean_diameter=None, last_id=known.last)

@@ -76,7 +76,11 @@ class Tree:
 
 @dataclass(frozen=True)
 class AuditEntry:
-    """Why one cluster of selected points became fruit, several fruit, or nothing."""
+    """Why one cluster of selected points became fruit, several fruit, or nothing.
+
+    diameter: of its fruit, the mean of several, or of what was looked for, scene units; None where there is none.
+    reason holds no length, because the unit that people read may become known later.
+    """
 
     cluster: int
     verdict: Verdict
@@ -84,6 +88,7 @@ class AuditEntry:
     center: tuple[float, float, float]
     points: int
     fruit_ids: tuple[int, ...] = ()
+    diameter: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

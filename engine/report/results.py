@@ -77,7 +77,7 @@ def fruits_document(
         "earlier_fruits": _earlier_entries(known, {fruit.id for fruit in fruit_count.fruits}, unit),
         "audit": {
             "max_probability": round(fruit_count.max_probability, 6),
-            "clusters": [_audit_entry(entry) for entry in fruit_count.audit],
+            "clusters": [_audit_entry(entry, unit) for entry in fruit_count.audit],
         },
         "config": dict(config),
         "files": dict(sorted(files.items())),
@@ -127,8 +127,9 @@ def _sure(counted: FruitCount | Tree) -> dict[str, Any]:
     return {"interval": counted.interval, "total": counted.total, "total_interval": counted.total_interval}
 
 
-def _audit_entry(entry: AuditEntry) -> dict[str, Any]:
+def _audit_entry(entry: AuditEntry, unit: float) -> dict[str, Any]:
     document = dataclasses.asdict(entry)
+    document["diameter"] = None if entry.diameter is None else round(entry.diameter * unit, 6)
     center = place(entry)
     document["center"] = None if center is None else [round(float(value), 6) for value in center]
     document["fruit_ids"] = list(entry.fruit_ids)
@@ -210,7 +211,7 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
     mean = document["mean_diameter"]
     return FruitCount(
         fruits=fruits,
-        audit=[_stored_audit(entry) for entry in document["audit"]["clusters"]],
+        audit=[_stored_audit(entry, unit) for entry in document["audit"]["clusters"]],
         max_probability=document["audit"]["max_probability"],
         mean_diameter=None if mean is None else mean / unit,
         last_id=document["last_id"],
@@ -222,9 +223,10 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
     )
 
 
-def _stored_audit(entry: Mapping[str, Any]) -> AuditEntry:
+def _stored_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
     center = tuple(entry["center"] or (0.0, 0.0, 0.0))
-    return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"])})
+    diameter = None if entry.get("diameter") is None else entry["diameter"] / unit
+    return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"]), "diameter": diameter})
 
 
 def _stored_sure(entry: Mapping[str, Any]) -> dict[str, Any]:

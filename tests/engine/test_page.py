@@ -101,7 +101,7 @@ def test_the_page_needs_no_other_file_and_no_network(tmp_path: Path) -> None:
 
 def test_a_zero_tells_its_reason(tmp_path: Path) -> None:
     settings = {"config": {"count": {"threshold": 0.5}}}
-    assert nothing_found(NO_FRUIT, 0.5) in page(tmp_path, NO_FRUIT, provenance=settings).text
+    assert nothing_found(NO_FRUIT, 0.5, None) in page(tmp_path, NO_FRUIT, provenance=settings).text
     assert "highest probability .31 is below .50" in page(tmp_path, NO_FRUIT, still=None).text
 
 
