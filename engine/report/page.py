@@ -24,6 +24,8 @@ from .words import audit_reason, length_unit, nothing_found, sureness, whereabou
 
 _STRIP_WIDTH = 1600
 """Pixels across a strip on the page; wider ones are made smaller."""
+REASONS = 3
+"""Clusters that tell why there is no fruit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,10 +97,13 @@ def _template() -> Any:
 
 
 def _zero(fruit_count: FruitCount, provenance: Mapping[str, Any], metres_per_unit: float | None) -> str:
-    """Why there is no fruit. Without the settings the audit alone tells it."""
+    """Why there is no fruit. Without the settings the largest clusters of the audit tell it."""
+    if any(entry.fruit_ids for entry in fruit_count.audit):
+        return "every fruit that was found was rejected"
     threshold = provenance.get("config", {}).get("count", {}).get("threshold")
     if threshold is None:
-        return "; ".join(audit_reason(entry, metres_per_unit) for entry in fruit_count.audit) or "nothing was found"
+        largest = sorted(fruit_count.audit, key=lambda entry: -entry.points)[:REASONS]
+        return "; ".join(audit_reason(entry, metres_per_unit) for entry in largest) or "nothing was found"
     return nothing_found(fruit_count, threshold, metres_per_unit)
 
 
