@@ -216,7 +216,8 @@ def _embed_into(
         if features_file.is_file():
             stages.reused.append("embed")
         else:
-            save_features(features_file, embedder.lift(gaussians, scene, cache, progress=progress))
+            lifted = embedder.lift(gaussians, scene, cache, progress=progress)
+            save_features(features_file, lifted.of(gaussians.means))
     return features_file
 
 
@@ -248,7 +249,7 @@ def _train_into(
     training = train(scene, config.train, checkpoint=checkpoint, extra=extra, watch=watch, progress=progress)
     if semantics is not None:
         features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
-        save_features(gaussians_file.with_name(FEATURES), features)
+        save_features(gaussians_file.with_name(FEATURES), features.of(training.gaussians.means))
     write_ply(gaussians_file, training.gaussians)
     write_text(gaussians_file.with_name(CAMERAS), dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
     quality = {

@@ -72,6 +72,7 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     source: StringProperty(
         name="Source", subtype="DIR_PATH", options=_RELATIVE, description="What is shown and measured was made from it"
     )
+    mark: StringProperty(name="Mark", description="A file of the source and its hash, by which it is known again")
     work: StringProperty(
         name="Work", subtype="DIR_PATH", options=_RELATIVE, description="Where the next run on this source goes on"
     )

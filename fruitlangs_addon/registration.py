@@ -23,12 +23,12 @@ from ..operators import (
     moved_paths,
     package_folder,
     photo_backgrounds,
-    pick_tool,
     reconstruct,
     region,
     review,
     scale,
     splat_drawing,
+    waiting_tool,
 )
 from . import (
     fruit_list,
@@ -95,7 +95,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Take everything away and leave nothing behind; what waits for clicks ends, a running job is asked to stop."""
-    pick_tool.end_waiting()
+    waiting_tool.end_waiting()
     jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     moved_paths.unregister_handlers()

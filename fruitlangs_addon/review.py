@@ -41,6 +41,7 @@ class FRUITLANGS_PG_aside(bpy.types.PropertyGroup):
     """The log of a source that is not shown now."""
 
     source: StringProperty(name="Source", description="Absolute")
+    mark: StringProperty(name="Mark", description="A file of the source and its hash, by which it is known again")
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import FruitLangsError, OutputError, SceneError
 from .blender_data import array, gaussian_attributes, owned_object, set_attribute
-from .jobs import describe_error, redraw_sidebars
+from .jobs import describe_error, linked, redraw_sidebars
 from .look import apply_look, look_changed
 from .preload import preload_libraries
 from .settings import read_config, read_prompts, read_words, stored_file
@@ -102,12 +102,12 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
         raise OutputError(
             f"The features in {question.features} are gone; press Reconstruct, which makes them anew"
         ) from error
-    if len(features) != len(means):
-        raise OutputError(
-            f"{question.features} has features of {len(features)} Gaussians and the scene {len(means)}; press "
-            "Reconstruct, which makes them anew"
-        )
     places = torch.from_numpy(np.array(means))
+    if not features.are_of(places):
+        raise OutputError(
+            f"{question.features} has features of other Gaussians than those shown: a later run replaced it, or these "
+            "were edited; press Reconstruct or count again"
+        )
     return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
 
 
@@ -333,6 +333,8 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        if linked(cls, context):
+            return False
         if context.scene is None or owned_object(context.scene, "gaussians") is None:
             cls.poll_message_set("There are no Gaussians to ask yet: press Reconstruct, or import a result")
             return False

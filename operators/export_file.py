@@ -13,7 +13,7 @@ import bpy
 
 from ..engine.errors import FruitLangsError, OutputError
 from ..engine.progress import Progress
-from .jobs import JobOperator, Work, busy
+from .jobs import JobOperator, Work, busy, linked
 from .read_fruits import counted, read_fruits
 from .settings import result_folder
 
@@ -42,7 +42,7 @@ class ExportFile(JobOperator):
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls):
+        if busy(cls) or linked(cls, context):
             return False
         if context.scene is None or not counted(context.scene):
             cls.poll_message_set("Count first; then the fruit can be exported")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ..engine.progress import part
-from .jobs import JobOperator, Work, busy
+from .jobs import JobOperator, Work, busy, linked
 from .settings import PLY, read_config, result_folder, source_folder, stored_path
 from .showing import count_text, show_reconstruction, show_result, show_scene
 
@@ -43,7 +43,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls) and context.scene is not None
+        return not busy(cls) and not linked(cls, context) and context.scene is not None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not bpy.app.background and self.must_ask(context.scene.fruitlangs):

@@ -20,6 +20,7 @@ from ..engine.errors import Cancelled, FruitLangsError
 from ..engine.progress import Progress, silent
 from .preload import preload_libraries
 from .target import Target
+from .waiting_tool import end_waiting
 
 REDRAW_SECONDS = 0.25
 """Redrawing more often takes the time from the work."""
@@ -28,6 +29,7 @@ LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
 """How far and how long a job must have gone before the time that remains is told."""
 
 LEAVE_EDITING = "Leave Edit Mode first (Tab)"
+LINKED = "This scene is linked from another file; make it local first"
 
 Work = Callable[[Progress], Any]
 
@@ -136,8 +138,18 @@ def busy(operator: Any) -> bool:
     return True
 
 
+def linked(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether the scene belongs to another file, where nothing can be kept; the operator's poll then says so."""
+    if context.scene is None or context.scene.library is None:
+        return False
+    operator.poll_message_set(LINKED)
+    return True
+
+
 def editing(operator: Any, context: bpy.types.Context) -> bool:
-    """Whether a person is not in Object Mode, or there is no scene; the operator's poll then says so."""
+    """Whether a person is not in Object Mode, or there is no scene of this file; the operator's poll then says so."""
+    if linked(operator, context):
+        return True
     if context.scene is not None and context.mode == "OBJECT":
         return False
     operator.poll_message_set(LEAVE_EDITING)
@@ -236,8 +248,7 @@ class JobOperator:
         if self._asked:  # started anew the operator works in a thread
             name = type(self).bl_idname.partition(".")[2]
             return start(self, name, **self.as_keywords(ignore=("check_existing", "filter_glob")))
-        self._target = Target(context.scene)
-        self.failed(context, "")
+        self._begin(context)
         try:
             self.finish(context, self.prepare(context)(silent))
         except Exception as error:
@@ -252,8 +263,7 @@ class JobOperator:
         if other is not None:
             self.report({"WARNING"}, f"{other.title} is still at work; wait or cancel it first")
             return {"CANCELLED"}
-        self._target = Target(context.scene)
-        self.failed(context, "")
+        self._begin(context)
         try:
             self._job = Job(self.title, self.prepare(context))
         except Exception as error:
@@ -264,6 +274,12 @@ class JobOperator:
         self._timer = context.window_manager.event_timer_add(REDRAW_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
+
+    def _begin(self, context: bpy.types.Context) -> None:
+        """Forget the last failure, and end the tool that waits for clicks: they would be on what the job replaces."""
+        self._target = Target(context.scene)
+        self.failed(context, "")
+        end_waiting()
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":

@@ -12,24 +12,16 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from .blender_data import get_attribute, owned_object
-from .jobs import LEAVE_EDITING, busy, show_status
+from .jobs import LEAVE_EDITING, busy, linked, show_status
 from .picking import pick_point, pick_surface
 from .viewport import Drawing, redraw_viewports
+from .waiting_tool import begin_waiting, end_waiting, is_waiting
 
 REACH_PIXELS = 12
 """How near to a sparse point a click must be to take it."""
 MARK_COLOR, MARK_SIZE = (1.0, 0.85, 0.1, 1.0), 9.0
 MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFORM_COLOR"
 """Metal and Vulkan draw points by a shader of their own for them alone, which Blender has from 4.5 on."""
-
-# Blender forgets a tool whose class is unregistered without a word to it, so the one that waits for clicks is kept.
-_waiting: Any = None
-
-
-def end_waiting() -> None:
-    """End the tool that waits for clicks, if any."""
-    if _waiting is not None:
-        _waiting._leave(bpy.context)
 
 
 class Target3D:
@@ -71,7 +63,8 @@ class PickTool:
     """Mix into an operator that a person gives points by clicks.
 
     The view can be turned and zoomed meanwhile; Backspace takes the last point back, Esc or the right button ends it,
-    and so does another tool, or the loss of its viewport to another editor, workspace or area.
+    and so does another tool, a job, another Blender scene in the window, or the loss of its viewport to another
+    editor, workspace or area.
     """
 
     asks: Sequence[str] = ()
@@ -79,7 +72,7 @@ class PickTool:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls):
+        if busy(cls) or linked(cls, context):
             return False
         if context.scene is None or owned_object(context.scene, "root") is None:
             cls.poll_message_set("There is nothing to click on yet: import a scene first")
@@ -100,25 +93,25 @@ class PickTool:
         if context.mode != "OBJECT":
             self.report({"ERROR"}, LEAVE_EDITING)
             return {"CANCELLED"}
-        global _waiting
-        end_waiting()
         self._target3d = Target3D(context.scene)
         self._points: list[NDArray[np.float64]] = []
         self._area_pointer = context.area.as_pointer()
+        self._scene = context.scene.session_uid
         self._marks = Drawing(self._draw, "POST_VIEW")
+        begin_waiting(self)
         self._marks.start()
-        _waiting = self
         self._ask(context)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         area = self._area(context)
-        if _waiting is not self or area is None:
-            self._leave(context)
+        if area is None or context.scene is None or context.scene.session_uid != self._scene:
+            self._leave()
+        if not is_waiting(self):
             return {"CANCELLED", "PASS_THROUGH"}
         if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
-            self._leave(context)
+            self._leave()
             return {"CANCELLED"}
         if event.type == "BACK_SPACE" and event.value == "PRESS" and self._points:
             self._points.pop()
@@ -128,7 +121,7 @@ class PickTool:
         if event.type != "LEFTMOUSE" or event.value != "PRESS" or window is None:
             return {"PASS_THROUGH"}
         place = (event.mouse_x - window.x, event.mouse_y - window.y)
-        point = self._target3d.hit(window, area.spaces.active.region_3d, place)
+        point = self._target3d.hit(window, window.data, place)
         if point is None:
             self.report({"WARNING"}, "There is nothing under the mouse; click on the tree or the ground")
             return {"RUNNING_MODAL"}
@@ -136,12 +129,15 @@ class PickTool:
         if len(self._points) < len(self.asks):
             self._ask(context)
             return {"RUNNING_MODAL"}
-        self._leave(context)
+        self._leave()
+        if not self.poll(context):
+            self.report({"WARNING"}, "What was clicked on is gone meanwhile; nothing was done")
+            return {"CANCELLED"}
         return self.picked(context, np.array(self._points, np.float64))
 
     def cancel(self: Any, context: bpy.types.Context) -> None:
         """Called by Blender when the file or the window is closed."""
-        self._leave(context)
+        self._leave()
 
     def _area(self: Any, context: bpy.types.Context) -> bpy.types.Area | None:
         """The viewport that it was started in; None where that is closed, out of sight or another editor by now."""
@@ -156,13 +152,15 @@ class PickTool:
         show_status(context, text)
         redraw_viewports()
 
-    def _leave(self: Any, context: bpy.types.Context) -> None:
-        """Take away what it showed, unless another tool has done so."""
-        global _waiting
-        if _waiting is self:
-            _waiting = None
-            self._marks.stop()
-            show_status(context, None)
+    def _leave(self) -> None:
+        """Wait no longer; nothing where another tool waits by now."""
+        if is_waiting(self):
+            end_waiting()
+
+    def stop_showing(self: Any) -> None:
+        """Take away what it showed: it waits no longer."""
+        self._marks.stop()
+        show_status(bpy.context, None)
 
     def _draw(self: Any) -> None:
         """The points so far, over everything."""

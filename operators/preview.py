@@ -10,7 +10,7 @@ import numpy as np
 
 from . import splat_drawing
 from .blender_data import array, in_scene_frame, owned_object, owned_objects
-from .jobs import JobOperator, busy
+from .jobs import JobOperator, busy, linked
 from .splats import Splats, splats_in_training
 from .write_gaussians import REACH
 
@@ -68,7 +68,7 @@ class SceneJob(JobOperator):
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls):
+        if busy(cls) or linked(cls, context):
             return False
         if context.scene is None or not context.scene.fruitlangs.source:
             cls.poll_message_set("Choose a scene first")

@@ -23,7 +23,7 @@ from .blender_data import (
     remove_objects,
     select_only,
 )
-from .jobs import busy
+from .jobs import busy, linked
 
 if TYPE_CHECKING:
     from ..engine.config import CountConfig
@@ -67,7 +67,7 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls):
+        if busy(cls) or linked(cls, context):
             return False
         if context.scene is None or owned_object(context.scene, "root") is None:
             cls.poll_message_set("Import a scene first")

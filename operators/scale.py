@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..engine.errors import FruitLangsError
 from ..engine.report.words import length_unit, three_digits
 from .blender_data import owned_object, owned_objects
+from .jobs import busy, linked
 from .pick_tool import PickTool
 from .settings import read_config
 from .write_fruits import MEASURED, tell_unit
@@ -92,6 +93,8 @@ class FRUITLANGS_OT_set_length(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or linked(cls, context):
+            return False
         if context.scene is None or owned_object(context.scene, "root") is None:
             cls.poll_message_set("Import a scene first")
             return False

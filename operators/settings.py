@@ -24,6 +24,7 @@ from ..engine.config import LARGEST, range_of
 from ..engine.errors import FruitLangsError, SceneError, VocabularyError
 from .preferred import with_preferred_folders
 from .region import in_region
+from .source_mark import has_mark
 
 if TYPE_CHECKING:
     from ..engine.config import Config
@@ -276,14 +277,14 @@ def true_source(source: Path) -> Path:
 def is_of_another(settings: Any, source: Path) -> bool:
     """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
     known = known_path(settings.result.source)
-    return known is not None and not is_same_source(known, source)
+    return known is not None and not is_same_source(known, settings.result.mark, source)
 
 
-def is_same_source(known: Path, source: Path) -> bool:
-    """Whether the scene at `source` is what was at `known`: made from it, or its folder, which was moved and kept its
-    name."""
+def is_same_source(known: Path, mark: str, source: Path) -> bool:
+    """Whether the scene at `source` is what was at `known`: made from it, or its folder, which was moved, kept its name
+    and holds what its mark tells."""
     true = true_source(source)
-    return known == true or (known.name == true.name and not known.exists())
+    return known == true or (known.name == true.name and not known.exists() and has_mark(true, mark))
 
 
 def known_path(text: str) -> Path | None:

@@ -12,8 +12,12 @@ from .keep_audit import AUDIT
 from .keep_review import keep_corrections
 from .scale import METRES
 from .settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
+from .source_mark import source_mark
 from .write import SET_ID
 from .write_root import GROUND
+
+OF_SOURCE = ("source", "mark", "work")
+"""What the result keeps of its source, whether or not it was counted."""
 
 
 def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
@@ -24,11 +28,13 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
     settings, told = bpy_scene.fruitlangs, []
     if is_of_another(settings, source):
         told = _leave_source(bpy_scene)
-    settings.result.source = stored_path(true_source(source))
-    review = settings.review
+    true, review = true_source(source), settings.review
+    settings.result.source = stored_path(true)
+    settings.result.mark = source_mark(true) or settings.result.mark
     for index in reversed(range(len(review.aside))):
-        if is_same_source(Path(review.aside[index].source), source):
-            _move_log(review.aside[index].log, review.log)
+        kept = review.aside[index]
+        if is_same_source(Path(kept.source), kept.mark, source):
+            _move_log(kept.log, review.log)
             review.aside.remove(index)
     return told
 
@@ -39,14 +45,14 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
     forget_count(bpy_scene)
     if decisions:
         kept = settings.review.aside.add()
-        kept.source = str(source)
+        kept.source, kept.mark = str(source), settings.result.mark
         _move_log(settings.review.log, kept.log)
     measured = _forget_measures(bpy_scene) or owned_object(bpy_scene, "region") is not None
     for role in ("gaussians", "points", "region"):
         remove_objects(owned_objects(bpy_scene, role))
     if root is not None:
         root[METRES] = 0.0
-    for name in ("source", "work"):
+    for name in OF_SOURCE:
         settings.result.property_unset(name)
     told = [f"your decisions on {source} ({decisions}) wait until it is shown again"] if decisions else []
     if measured:
@@ -61,7 +67,7 @@ def forget_count(bpy_scene: bpy.types.Scene) -> None:
     settings = bpy_scene.fruitlangs
     for group in (settings.result, settings.answer):
         for each in group.bl_rna.properties:
-            if each.identifier not in {"rna_type", "name", "source", "work"}:
+            if each.identifier not in {"rna_type", "name", *OF_SOURCE}:
                 group.property_unset(each.identifier)
     bpy_scene.pop(SET_ID, None)
     bpy_scene.pop(AUDIT, None)

@@ -57,7 +57,7 @@ class Skin:
     @classmethod
     def of(cls, points: SurfacePoints, diameter: float) -> Skin:
         """Sort the points into cells and mend their normals; diameter: of a fruit, scene units."""
-        cells = Cells.of(points.positions, CELL * diameter / 2.0)
+        cells = Cells.of(points.positions, CELL * diameter / 2.0, points.turns)
         ordered, normals = points.select(cells.index), np.empty_like(points.normals)
         reach = NORMAL_REACH * diameter / 2.0
         turn_normals(cells.table, ordered.normals, ordered.directions, reach, NORMAL_NEIGHBORS, normals)
@@ -118,10 +118,10 @@ def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture], th
 def vote(skin: Skin, radius: float, least_share: float = LEAST_VOTE_SHARE) -> FloatArray:
     """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart; least_share:
     of the votes of the densest tenth."""
-    cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius)
+    cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius, skin.points.turns)
     density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
     least = max(LEAST_VOTES, least_share * float(np.quantile(density, 0.9)))
-    order = np.argsort(-density, kind="stable")
+    order = np.lexsort((cells.turns, -density))
     peaks = apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
     centers = np.empty((len(peaks), 3))
     middles(cells.table, cells.positions[peaks], 0.3 * radius, centers)

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
+from .lots import even_turns
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Table = tuple[FloatArray, IntArray, IntArray, FloatArray, float, IntArray]
-"""What kernels look neighbours up in: positions, keys, starts, corner, size and shape of `Cells`."""
+Table = tuple[FloatArray, IntArray, IntArray, FloatArray, float, IntArray, FloatArray]
+"""What kernels look neighbours up in: positions, keys, starts, corner, size, shape and turns of `Cells`."""
 
 MOST_CELLS = 1 << 20
 """Cells along one axis; points that lie farther out share the outermost."""
@@ -24,7 +25,7 @@ class Cells:
 
     positions: (P, 3) in that order; index: (P,) the number that each had before; keys: (K,) of the cells with points,
     rising; starts: (K + 1,) where each cell's points begin; corner: (3,) where the cells begin; size: their side, scene
-    units; shape: (3,) cells along each axis.
+    units; shape: (3,) cells along each axis; turns: (P,) of [0, 1), which come first where neighbours are thinned.
     """
 
     positions: FloatArray
@@ -34,10 +35,12 @@ class Cells:
     corner: FloatArray
     size: float
     shape: IntArray
+    turns: FloatArray
 
     @classmethod
-    def of(cls, positions: FloatArray, size: float) -> Cells:
-        """Sort positions (P, 3) into cells of side `size`; points of one cell keep their order."""
+    def of(cls, positions: FloatArray, size: float, turns: FloatArray | None = None) -> Cells:
+        """Sort positions (P, 3) into cells of side `size`; points of one cell keep their order. turns: (P,), by their
+        order if not given."""
         corner = positions.min(axis=0) if len(positions) else np.zeros(3)
         places = np.minimum((positions - corner) / size, MOST_CELLS - 1.0).astype(np.int64)
         shape = places.max(axis=0, initial=0) + 1
@@ -46,11 +49,13 @@ class Cells:
         keys = keys[index]
         starts = np.flatnonzero(np.diff(keys, prepend=-1))
         ends = np.append(starts, len(keys))
-        return cls(np.ascontiguousarray(positions[index]), index, keys[starts], ends, corner, size, shape)
+        turns = even_turns(len(positions)) if turns is None else turns
+        ordered = np.ascontiguousarray(positions[index])
+        return cls(ordered, index, keys[starts], ends, corner, size, shape, np.ascontiguousarray(turns[index]))
 
     @property
     def table(self) -> Table:
-        return self.positions, self.keys, self.starts, self.corner, self.size, self.shape
+        return self.positions, self.keys, self.starts, self.corner, self.size, self.shape, self.turns
 
     def numbers(self, centers: FloatArray, reaches: FloatArray) -> IntArray:
         """(C,) how many points lie within reaches (C,) of the centers (C, 3)."""
@@ -62,23 +67,38 @@ class Cells:
 @njit
 def place(table: Table, along: float, axis: int) -> int:
     """The cell along an axis that holds a coordinate; the outermost for what lies outside."""
-    _, _, _, corner, size, shape = table
+    _, _, _, corner, size, shape, _ = table
     return int(min(max(np.floor((along - corner[axis]) / size), 0.0), shape[axis] - 1.0))
 
 
 @njit
-def gather(table: Table, center: FloatArray, reach: float, near: IntArray) -> int:
-    """Write which points lie within `reach` of a center (3,) into `near` (K,), evenly thinned to K; returns how many
-    were written. The points are numbered in the order of the cells."""
-    total = walk(table, center, reach, near, 0)
-    return walk(table, center, reach, near, total)
+def room(limit: int) -> int:
+    """How long `near` should be, so that about `limit` points fit in whatever turns they have."""
+    return int(limit + 4.0 * np.sqrt(limit))
 
 
 @njit
-def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: int) -> int:
-    """Without a `total`, count the points; with it, write them as `gather` does."""
-    positions, keys, starts, _, _, shape = table
-    limit, seen, written = len(near), 0, 0
+def gather(table: Table, center: FloatArray, reach: float, limit: int, near: IntArray) -> int:
+    """Write which points lie within `reach` of a center (3,) into `near` (K,) and return how many were written.
+
+    Of more than `limit`, those whose turn comes first, about `limit` of them: which they are does not depend on how the
+    cells lie. The points are numbered in the order of the cells.
+    """
+    total = count(table, center, reach)
+    return walk(table, center, reach, limit / max(total, limit), near)
+
+
+@njit
+def count(table: Table, center: FloatArray, reach: float) -> int:
+    """How many points lie within `reach` of a center (3,)."""
+    return walk(table, center, reach, 1.0, np.empty(0, np.int64))
+
+
+@njit
+def walk(table: Table, center: FloatArray, reach: float, share: float, near: IntArray) -> int:
+    """Write the points whose turn is below `share` as `gather` does; count them all where `near` is empty."""
+    positions, keys, starts, _, _, shape, turns = table
+    space, written = len(near), 0
     z0, z1 = place(table, center[2] - reach, 2), place(table, center[2] + reach, 2)
     for x in range(place(table, center[0] - reach, 0), place(table, center[0] + reach, 0) + 1):
         for y in range(place(table, center[1] - reach, 1), place(table, center[1] + reach, 1) + 1):
@@ -93,13 +113,12 @@ def walk(table: Table, center: FloatArray, reach: float, near: IntArray, total: 
                     positions[p, 1] - center[1],
                     positions[p, 2] - center[2],
                 )
-                if dx * dx + dy * dy + dz * dz > reach * reach:
+                if dx * dx + dy * dy + dz * dz > reach * reach or turns[p] >= share:
                     continue
-                seen += 1
-                if total > 0 and (total <= limit or seen * limit >= (written + 1) * total):
+                if written < space:
                     near[written] = p
-                    written += 1
-    return written if total > 0 else seen
+                written += 1
+    return min(written, space) if space > 0 else written
 
 
 @njit
@@ -109,16 +128,16 @@ def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> Int
     centers = table[0]
     taken, near = np.zeros(len(radii), np.bool_), np.empty(len(radii), np.int64)
     kept = np.empty(len(order), np.int64)
-    count = 0
+    number = 0
     for c in order:
         if taken[c]:
             continue
-        kept[count] = c
-        count += 1
+        kept[number] = c
+        number += 1
         reach = share * radii[c]
-        for k in range(gather(table, centers[c], reach, near)):
+        for k in range(walk(table, centers[c], reach, 1.0, near)):
             taken[near[k]] |= abs(radii[near[k]] - radii[c]) < reach
-    return kept[:count]
+    return kept[:number]
 
 
 @njit
@@ -128,7 +147,7 @@ def linked(table: Table, reach: float, near: float) -> IntArray:
     Points within `reach` of each other are linked; one within `near` of a point that asked for its neighbours does not
     ask for its own.
     """
-    positions, keys, starts, _, _, shape = table
+    positions, keys, starts, _, _, shape, _ = table
     parents, answered = np.arange(len(positions)), np.zeros(len(positions), np.bool_)
     for p in range(len(positions)):
         if answered[p]:
@@ -168,6 +187,5 @@ def _join(parents: IntArray, p: int, q: int) -> None:
 
 @kernel
 def _numbers(table: Table, centers: FloatArray, reaches: FloatArray, found: IntArray) -> None:
-    nothing = np.empty(0, np.int64)
     for c in prange(len(centers)):
-        found[c] = walk(table, centers[c], reaches[c], nothing, 0)
+        found[c] = count(table, centers[c], reaches[c])

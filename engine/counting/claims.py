@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .cells import Cells, Table, gather
+from .cells import Cells, Table, gather, room
 from .sphere import CORE, FACING, MOST_POINTS, SHELL
 
 FloatArray = NDArray[np.float64]
@@ -50,9 +50,9 @@ def members(owners: IntArray, count: int) -> list[IntArray]:
 
 def claim(cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray) -> Claims:
     """What each of C spheres, centers (C, 3) and radii (C,), claims of the points in their cells."""
-    numbers = np.minimum(cells.numbers(centers, REACH * radii), MOST_POINTS)
+    numbers = np.minimum(cells.numbers(centers, REACH * radii), room(MOST_POINTS))
     bounds = np.concatenate([np.zeros(1, np.int64), np.cumsum(numbers)])
-    points, worths = np.empty(bounds[-1], np.int64), np.empty(bounds[-1])
+    points, worths = np.empty(bounds[-1], np.int64), np.full(bounds[-1], OFF)
     _claim(cells.table, normals, centers, radii, bounds, points, worths)
     kept = worths > OFF
     ends = np.concatenate([np.zeros(1, np.int64), np.cumsum(kept)])
@@ -72,8 +72,7 @@ def _claim(
     positions = table[0]
     for c in prange(len(radii)):
         near = points[bounds[c] : bounds[c + 1]]
-        gather(table, centers[c], REACH * radii[c], near)
-        for k in range(len(near)):
+        for k in range(gather(table, centers[c], REACH * radii[c], MOST_POINTS, near)):
             p = near[k]
             square, turned = 0.0, 0.0
             for axis in range(3):

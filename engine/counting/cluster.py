@@ -17,7 +17,7 @@ from .gate import Features, features_of, stored_gate
 from .sample import SurfacePoints
 from .size import FruitSize
 from .sphere import REACH, Spheres, fit_spheres
-from .visibility import Picture
+from .visibility import Picture, distance_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,6 +32,8 @@ SPREADS = (0.08, 0.5)
 """Least and largest deviation of log diameter that is believed."""
 SETTLED = 0.03
 """A size that changes the logarithms of diameter and spread by less needs no further round."""
+DIAMETER_STEP, SPREAD_STEP = 0.02, 0.02
+"""To which estimates of log diameter and of its deviation are rounded."""
 FEWEST = 3
 """Fruit from which a size can be told."""
 USUAL, USUALLY = 0.15, 5.0
@@ -104,12 +106,14 @@ def search(
     """
     progress(0.0, "finding normals")
     if not given:
-        skin = Skin.of(points.select(np.arange(0, len(points), COARSE)), size.diameter)
+        unit = distance_of([picture.camera for picture in pictures])
+        size = rounded(size, unit)
+        skin = Skin.of(points.thinned(1.0 / COARSE), size.diameter)
         for step in range(ROUNDS):
             progress(0.1 + 0.1 * step, f"looking for fruit of diameter {size.diameter:.3g}")
             coarse = _searched(skin, size, pictures, threshold)
             loose = _refitted(coarse, coarse.found.spheres, LOOSE, FAR)
-            before, size = size, refine(size, coarse.found.spheres, coarse.chances, loose)
+            before, size = size, rounded(refine(size, coarse.found.spheres, coarse.chances, loose), unit)
             change = np.log([size.diameter / before.diameter, size.spread / before.spread])
             if (np.abs(change) < SETTLED).all():
                 break
@@ -172,6 +176,13 @@ def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Sphere
     known = float(weights.sum())
     variance = (known * variance + USUALLY * USUAL**2) / (known + USUALLY)
     return FruitSize(float(np.exp(mean)), float(np.clip(np.sqrt(variance), *SPREADS)))
+
+
+def rounded(size: FruitSize, unit: float) -> FruitSize:
+    """The size to steps of log diameter and spread: sizes that differ by less than an estimate can tell find the same
+    fruit. unit: a length that is scaled with the scene."""
+    diameter = unit * np.exp(DIAMETER_STEP * np.round(np.log(size.diameter / unit) / DIAMETER_STEP))
+    return FruitSize(float(diameter), float(SPREAD_STEP * np.round(size.spread / SPREAD_STEP)))
 
 
 def _moments(spheres: Spheres, weights: FloatArray) -> tuple[float, float]:

@@ -212,7 +212,7 @@ def fruit_size(
         seed=config.seed,
         largest=8.0 * typical,
     )
-    estimate = estimate_diameter(points, typical, seed=config.seed, progress=progress)
+    estimate = estimate_diameter(points, typical, progress=progress)
     if estimate is None or estimate.evidence < LEAST_EVIDENCE:
         return None
     return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))

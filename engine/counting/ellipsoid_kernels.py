@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .cells import Table, gather
+from .cells import Table, count, room, walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,24 +44,23 @@ def fit_all(
     xz, yz) are from the sphere's, `hold` (9, 9) the inverse of their covariance before a point is seen, covariances
     (K, 9, 9) that after.
     """
-    positions = table[0]
+    positions, turns = table[0], table[6]
     for k in prange(len(chosen)):
         f = chosen[k]
-        near = np.empty(4 * limit, np.int64)
-        count = gather(table, centers[f], reach * radii[f], near)
+        near = np.empty(count(table, centers[f], reach * radii[f]), np.int64)
         own = 0
-        for p in near[:count]:
+        for p in near[: walk(table, centers[f], reach * radii[f], 1.0, near)]:
             if owners[p] == f or owners[p] < 0:
                 near[own] = p
                 own += 1
-        stride = max(1, (own + limit - 1) // limit)
-        offsets, faces = np.empty((limit, 3)), np.empty((limit, 3))
+        offsets, faces = np.empty((room(limit), 3)), np.empty((room(limit), 3))
         total = 0
-        for place in range(0, own, stride):
-            for i in range(3):
-                offsets[total, i] = (positions[near[place], i] - centers[f, i]) / radii[f]
-                faces[total, i] = normals[near[place], i]
-            total += 1
+        for p in near[:own]:
+            if turns[p] * own < limit and total < len(offsets):
+                for i in range(3):
+                    offsets[total, i] = (positions[p, i] - centers[f, i]) / radii[f]
+                    faces[total, i] = normals[p, i]
+                total += 1
         fit(offsets[:total], faces[:total], hold, rounds, found[k], covariances[k])
 
 

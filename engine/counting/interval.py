@@ -89,9 +89,10 @@ class Ratio:
         """The predicted number of fruit."""
         return evidence.expected * float(np.exp(self.mean(evidence)))
 
-    def interval(self, evidence: Evidence) -> tuple[int, int]:
-        """Low and high number of fruit."""
-        number, factor = self.likeliest(evidence), float(np.exp(QUANTILE * self.deviation(evidence)))
+    def interval(self, evidence: Evidence, least_deviation: float = 0.0) -> tuple[int, int]:
+        """Low and high number of fruit; least_deviation: of the log ratio, where something else is known of it."""
+        deviation = max(self.deviation(evidence), least_deviation)
+        number, factor = self.likeliest(evidence), float(np.exp(QUANTILE * deviation))
         # Half a fruit either way: of a few fruit nothing is surer than that.
         return max(int(np.ceil(number / factor - 0.5)), 0), int(np.floor(number * factor + 0.5))
 
@@ -109,7 +110,9 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
     """How many fruit there are where `count` were counted, which lie within both intervals' ends or below; `total` lies
     within its own."""
     of_visible, of_all = stored_ratios()
-    (low, high), (least, most) = of_visible.interval(evidence), of_all.interval(evidence)
+    low, high = of_visible.interval(evidence)
+    # The visible fruit are among all: nobody is surer of these than of those.
+    least, most = of_all.interval(evidence, of_visible.deviation(evidence))
     low, high = min(low, count), max(high, count)
     total = max(of_all.likeliest(evidence), float(count))
     bounds = min(max(least, low), int(total)), max(most, high, int(np.ceil(total)))

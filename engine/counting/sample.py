@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..splatting.gaussians import Gaussians
 from .cells import Cells
+from .lots import Lots, even_turns
 from .skin_kernels import cover
 from .visibility import Visibility
 
@@ -40,7 +41,7 @@ class SurfacePoints:
 
     positions: (P, 3) scene units; normals: (P, 3) unit, out of the surface towards the cameras that saw it;
     gaussians: (P,) index of the Gaussian each came from; probabilities: (P,); directions: (P, 3) mean direction towards
-    the seeing cameras.
+    the seeing cameras; turns: (P,) of [0, 1), those below a share are an even part of the points.
     """
 
     positions: FloatArray
@@ -48,25 +49,25 @@ class SurfacePoints:
     gaussians: IntArray
     probabilities: FloatArray
     directions: FloatArray
+    turns: FloatArray
 
     def __len__(self) -> int:
         return len(self.positions)
 
+    def thinned(self, share: float) -> SurfacePoints:
+        """An even part of the points, which is the same one however they were moved."""
+        part = self.select(self.turns < share)
+        return replace(part, turns=part.turns / share)
+
     @staticmethod
     def join(parts: Sequence[SurfacePoints]) -> SurfacePoints:
         """The points of all parts, one after the other."""
-        names = [field.name for field in fields(SurfacePoints)]
+        names = [each.name for each in fields(SurfacePoints)]
         return SurfacePoints(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def select(self, index: NDArray) -> SurfacePoints:
         """The points at `index` (bool mask (P,) or integer indices)."""
-        return SurfacePoints(
-            self.positions[index],
-            self.normals[index],
-            self.gaussians[index],
-            self.probabilities[index],
-            self.directions[index],
-        )
+        return SurfacePoints(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
 
 
 def sample_volume(
@@ -92,7 +93,8 @@ def sample_volume(
     own = np.random.default_rng(seed).standard_normal((len(owner), 3)).clip(-2.0, 2.0)
     positions = chosen.means[owner] + np.einsum("pij,pj->pi", chosen.axes[owner], own * chosen.scales[owner])
     flat = np.take_along_axis(chosen.axes, chosen.scales.argmin(axis=1)[:, None, None], axis=2)[:, :, 0]
-    return chosen.points(positions, turn_towards(flat, chosen.directions)[owner], owner)
+    normals = turn_towards(flat, chosen.directions)[owner]
+    return chosen.points(positions, normals, owner, even_turns(len(owner)))
 
 
 def sample_skin(
@@ -111,31 +113,31 @@ def sample_skin(
     make fruit look a fifth too small. These points lie on the ellipsoids of SKIN standard deviations, on the side that
     the seeing cameras face and outside the other Gaussians; the normal is the ellipsoid's. N_i ∝ the pixels that
     Gaussian i draws in a view that sees it: fruit that few views see have as many points as the others. Gaussians wider
-    than `largest` give none.
+    than `largest` give none. Where a Gaussian's points lie depends on its place in the cameras' frame alone (`lots`).
     """
-    return _skin(_Chosen.of(gaussians, probability, visibility, selected, largest), budget, seed)
+    chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
+    return _skin(chosen, chosen.lots(visibility.frame, seed), budget)
 
 
-def _skin(chosen: _Chosen, budget: int, seed: int) -> SurfacePoints:
+def _skin(chosen: _Chosen, lots: Lots, budget: int) -> SurfacePoints:
     pixels = chosen.weights / np.maximum(chosen.views, 1) * (chosen.opacities >= LEAST_OPACITY)
     owner = np.repeat(np.arange(len(chosen)), share_out(pixels, SPARE * budget))
-    rng = np.random.default_rng(seed)
-    blocks = range(0, max(len(owner), 1), BLOCK)
-    return SurfacePoints.join([_skin_of(chosen, owner[start : start + BLOCK], rng) for start in blocks])
+    numbers = lots.number(owner)
+    blocks = [slice(start, start + BLOCK) for start in range(0, max(len(owner), 1), BLOCK)]
+    return SurfacePoints.join([_skin_of(chosen, lots, owner[block], numbers[block]) for block in blocks])
 
 
-def _skin_of(chosen: _Chosen, owner: IntArray, rng: np.random.Generator) -> SurfacePoints:
-    """Of a point for each entry of `owner`, those that are seen."""
-    own = rng.standard_normal((len(owner), 3))
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
+def _skin_of(chosen: _Chosen, lots: Lots, owner: IntArray, numbers: IntArray) -> SurfacePoints:
+    """Of a point for each entry of `owner`, with its number in that Gaussian's place, those that are seen."""
+    own, turns = lots.directions(owner, numbers), lots.turns(owner, numbers)
     axes, scales = chosen.axes[owner], chosen.scales[owner]
     normals = np.einsum("pij,pj->pi", axes, own / scales)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     faced = np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING
-    owner, normals = owner[faced], normals[faced]
+    owner, normals, turns = owner[faced], normals[faced], turns[faced]
     positions = chosen.means[owner] + SKIN * np.einsum("pij,pj->pi", axes[faced], (own * scales)[faced])
     free = ~covered(positions, chosen)
-    return chosen.points(positions[free], normals[free], owner[free])
+    return chosen.points(positions[free], normals[free], owner[free], turns[free])
 
 
 def sample_enough(
@@ -153,17 +155,17 @@ def sample_enough(
     A first sample tells how dense its points lie on the fruit; density grows with the budget.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, LARGEST_SCALE * diameter)
-    budget = min(SURVEY, most)
-    points = _skin(chosen, budget, seed)
+    lots, budget = chosen.lots(visibility.frame, seed), min(SURVEY, most)
+    points = _skin(chosen, lots, budget)
     if len(points) == 0:
         return points
-    return _skin(chosen, min(most, int(budget * ENOUGH / max(density(points.positions, diameter), 1.0))), seed)
+    return _skin(chosen, lots, min(most, int(budget * ENOUGH / max(density(points, diameter), 1.0))))
 
 
-def density(positions: FloatArray, diameter: float) -> float:
-    """Median over points (P, 3) of how many lie within a quarter of a diameter, itself among them."""
-    cells = Cells.of(positions, 0.3 * diameter)
-    asked = cells.positions[:: max(1, len(positions) // SURVEYED)]
+def density(points: SurfacePoints, diameter: float) -> float:
+    """Median over the points of how many lie within a quarter of a diameter, itself among them."""
+    cells = Cells.of(points.positions, 0.3 * diameter)
+    asked = points.thinned(min(1.0, SURVEYED / len(points))).positions
     return float(np.median(cells.numbers(asked, np.full(len(asked), 0.25 * diameter))))
 
 
@@ -204,9 +206,14 @@ class _Chosen:
             directions=visibility.directions[index],
         )
 
-    def points(self, positions: FloatArray, normals: FloatArray, owner: IntArray) -> SurfacePoints:
+    def lots(self, frame: FloatArray, seed: int) -> Lots:
+        """What is drawn for each in the cameras' frame (3, 4)."""
+        return Lots.draw(self.means @ frame[:, :3].T + frame[:, 3], seed)
+
+    def points(self, positions: FloatArray, normals: FloatArray, owner: IntArray, turns: FloatArray) -> SurfacePoints:
         """Points whose Gaussians are `owner` (P,), counted in this order."""
-        return SurfacePoints(positions, normals, self.index[owner], self.probabilities[owner], self.directions[owner])
+        chances, directions = self.probabilities[owner], self.directions[owner]
+        return SurfacePoints(positions, normals, self.index[owner], chances, directions, turns)
 
 
 def covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:

@@ -48,34 +48,30 @@ class SizeEstimate(FruitSize):
     evidence: float
 
 
-def estimate_diameter(
-    points: SurfacePoints, smallest: float, *, seed: int, progress: Progress = silent
-) -> SizeEstimate | None:
+def estimate_diameter(points: SurfacePoints, smallest: float, *, progress: Progress = silent) -> SizeEstimate | None:
     """First high mode of the radii that spheres started at p − r·n along a log grid of r keep when refined freely.
 
     `smallest`: least radius tried, scene units (about the size of a Gaussian). A fit counts when it keeps its radius
     within 0.6 to 1.6 of the start, by its coverage of directions times the share of its points that lie on the shell.
     None when nothing in the scene looks round.
     """
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(len(points))
-    seeds = order[: min(SEEDS, len(points))]
+    seeds = np.argsort(points.turns, kind="stable")[:SEEDS]
     largest = 0.5 * float(np.linalg.norm(points.positions.max(axis=0) - points.positions.min(axis=0)))
     grid = smallest * GRID_STEP ** np.arange(max(1, int(np.log(max(largest / smallest, 1.0)) / np.log(GRID_STEP)) + 1))
     starting, inward = points.positions[seeds], points.normals[seeds]
-    positions, normals = points.positions, points.normals
+    part = points
     logs, weights = [], []
     for step, radius in enumerate(grid[:40]):
         progress(step / min(len(grid), 40), f"trying fruit of radius {radius:.3g}")
         starts = starting - radius * inward
-        cells = Cells.of(positions, radius)
+        cells = Cells.of(part.positions, radius, part.turns)
         reaches, radii = np.full(len(seeds), REACH * radius), np.full(len(seeds), radius)
         spheres = fit_spheres(
-            cells, normals[cells.index], starts, reaches, radii,
+            cells, part.normals[cells.index], starts, reaches, radii,
             prior=radius, prior_sd=0.6, rounds=8, limit=NEIGHBORS,
         )  # fmt: skip
         if np.median(cells.numbers(starts, reaches)) > CROWDED:
-            positions, normals = positions[::2], normals[::2]
+            part = part.thinned(0.5)
         kept_radius = (spheres.radii > 0.6 * radius) & (spheres.radii < 1.6 * radius) & (spheres.support >= 8)
         round_enough = kept_radius & (spheres.thinness > LEAST_THINNESS)
         logs.append(np.log(spheres.radii))

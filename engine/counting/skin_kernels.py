@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, prange
-from .cells import Table, gather, walk
+from .cells import Table, count, walk
 
 FloatArray = NDArray[np.float64]
 
@@ -25,13 +25,13 @@ def cover(
     axes: (G, 3, 3), columns are the directions of scales (G, 3); squares: (G,) of how many scales each reaches, 0 for
     one that covers nothing. Threads write the same value, if they meet.
     """
-    positions, nothing = table[0], np.empty(0, np.int64)
+    positions = table[0]
     for g in prange(len(means)):
         if squares[g] <= 0.0:
             continue
         reach = np.sqrt(squares[g]) * scales[g].max()
-        near = np.empty(walk(table, means[g], reach, nothing, 0), np.int64)
-        for p in near[: gather(table, means[g], reach, near)]:
+        near = np.empty(count(table, means[g], reach), np.int64)
+        for p in near[: walk(table, means[g], reach, 1.0, near)]:
             square = 0.0
             for axis in range(3):
                 along = 0.0

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, njit, prange
-from .cells import Table, gather
+from .cells import Table, gather, room
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,8 +32,8 @@ def fit_all(
 ) -> None:
     """Refine spheres from starts (C, 3) on the points within reaches (C,); see `sphere.fit_spheres`."""
     for c in prange(len(starts)):
-        near = np.empty(limit, np.int64)
-        found = gather(table, starts[c], reaches[c], near)
+        near = np.empty(room(limit), np.int64)
+        found = gather(table, starts[c], reaches[c], limit, near)
         points, sphere = np.empty((6, found)), np.empty(4)
         for k in range(found):
             for axis in range(3):
@@ -110,14 +110,18 @@ def weigh_all(
 ) -> None:
     """Fill evidence (C, 6): support, points inside, coverage, thinness, residual, agreement; see `sphere.Spheres`."""
     for c in prange(len(centers)):
-        near = np.empty(limit, np.int64)
-        found = gather(table, centers[c], reaches[c], near)
-        weigh(table[0], normals, near[:found], centers[c], radii[c], shell, core, facing, directions, evidence[c])
+        near = np.empty(room(limit), np.int64)
+        found = gather(table, centers[c], reaches[c], limit, near)
+        weigh(
+            table[0], table[6], normals, near[:found], centers[c], radii[c],
+            shell, core, facing, directions, evidence[c],
+        )  # fmt: skip
 
 
 @njit
 def weigh(
     positions: FloatArray,
+    turns: FloatArray,
     normals: FloatArray,
     near: IntArray,
     center: FloatArray,
@@ -128,9 +132,9 @@ def weigh(
     directions: FloatArray,
     evidence: FloatArray,
 ) -> None:
-    covered = np.zeros(len(directions), np.bool_)
     mean, spread, offset = np.zeros(3), np.zeros((3, 3)), np.empty(3)
     support, inside, at_surface, residual, agreement = 0, 0, 0, 0.0, 0.0
+    on, first, turn = np.empty((len(near), 3)), 0, 2.0
     for p in near:
         for axis in range(3):
             offset[axis] = (positions[p, axis] - center[axis]) / radius
@@ -143,14 +147,11 @@ def weigh(
         agreement += turned / distance
         if turned <= facing * distance:
             continue
+        on[support] = offset
+        if turns[p] < turn:
+            first, turn = support, turns[p]
         support += 1
         residual += abs(distance - 1.0)
-        best, most = 0, -2.0
-        for d in range(len(directions)):
-            along = offset[0] * directions[d, 0] + offset[1] * directions[d, 1] + offset[2] * directions[d, 2]
-            if along > most:
-                best, most = d, along
-        covered[best] = True
         for i in range(3):
             mean[i] += offset[i]
             for j in range(3):
@@ -160,6 +161,31 @@ def weigh(
     for i in range(3):
         for j in range(3):
             spread[i, j] = spread[i, j] / count - mean[i] * mean[j]
-    evidence[0], evidence[1], evidence[2] = support, inside, covered.sum() / len(directions)
+    evidence[0], evidence[1] = support, inside
+    evidence[2] = coverage(on[:support], mean, on[first], directions) if support > 0 else 0.0
     evidence[3] = np.sqrt(max(np.linalg.eigvalsh(spread)[0], 0.0))
     evidence[4], evidence[5] = residual / count, agreement / max(at_surface, 1)
+
+
+@njit
+def coverage(points: FloatArray, middle: FloatArray, first: FloatArray, directions: FloatArray) -> float:
+    """Share of the directions (D, 3) that are the nearest of a point (P, 3) on a sphere about the origin.
+
+    They are laid out from the middle of the points (3,), turned to the first of them (3,): they turn with the points.
+    """
+    frame = np.eye(3)
+    frame[0] = middle / max(np.sqrt((middle**2).sum()), 1e-12)
+    frame[1] = first - (first * frame[0]).sum() * frame[0]
+    frame[1] /= max(np.sqrt((frame[1] ** 2).sum()), 1e-12)
+    for i in range(3):
+        frame[2, i] = frame[0, i - 2] * frame[1, i - 1] - frame[0, i - 1] * frame[1, i - 2]
+    turned, covered = directions @ frame, np.zeros(len(directions), np.bool_)
+    for p in range(len(points)):
+        best, most = 0, -np.inf
+        for d in range(len(directions)):
+            along = points[p, 0] * turned[d, 0] + points[p, 1] * turned[d, 1] + points[p, 2] * turned[d, 2]
+            if along > most:
+                best, most = d, along
+        covered[best] = True
+    share: float = covered.sum() / len(directions)
+    return share

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import torch
@@ -52,12 +52,13 @@ class Visibility:
 
     weights: (N,) pixels drawn by each Gaussian, summed over views; views: (N,) views that see it;
     directions: (N, 3) weighted mean of the unit directions towards the seeing cameras, zero where none sees it. Its
-    length tells how alike these directions are.
+    length tells how alike these directions are. frame: (3, 4) of the cameras, see `frame_of`.
     """
 
     weights: FloatArray
     views: NDArray[np.int64]
     directions: FloatArray
+    frame: FloatArray = field(default_factory=lambda: np.eye(3, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ class Looks:
 
     def select(self, index: NDArray) -> Looks:
         """The looks at the spheres at `index`."""
-        return Looks(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+        return Looks(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
 
 
 def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
@@ -95,7 +96,22 @@ def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress =
         weights += drawn
         views += drawn > SEEN_WEIGHT
         directions += drawn[:, None] * towards
-    return Visibility(weights, views, directions / np.maximum(weights, 1e-12)[:, None])
+    return Visibility(weights, views, directions / np.maximum(weights, 1e-12)[:, None], frame_of(cameras))
+
+
+def frame_of(cameras: Sequence[Camera]) -> FloatArray:
+    """(3, 4) from the world to the frame of the first camera, in units of `distance_of` them: a place keeps its
+    coordinates when scene and cameras are moved alike."""
+    frame: FloatArray = cameras[0].world_to_camera[:3] / distance_of(cameras)
+    return frame
+
+
+def distance_of(cameras: Sequence[Camera]) -> float:
+    """Root mean square distance of the cameras from their middle, scene units; 1 where they stand in one place."""
+    centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
+    if len(centers) < 2:
+        return 1.0
+    return float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean())) or 1.0
 
 
 def draw(

@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import kernel, prange
-from .cells import Table, gather
+from .cells import Table, gather, room
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAST_FLAT = 8
 """Neighbours from which a scatter tells a normal."""
+MOST_VOTES = 256
+"""Points that tell a middle."""
 FLAT = 0.5
 """A scatter is flat where its least variance is below this share of the next one."""
 
@@ -24,8 +26,8 @@ def turn_normals(
     """See `candidates.Skin`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
     positions = table[0]
     for p in prange(len(positions)):
-        near = np.empty(limit, np.int64)
-        found = gather(table, positions[p], reach, near)
+        near = np.empty(room(limit), np.int64)
+        found = gather(table, positions[p], reach, limit, near)
         turned[p] = normals[p]
         if found < LEAST_FLAT:
             continue
@@ -59,8 +61,8 @@ def middles(table: Table, centers: FloatArray, reach: float, found: FloatArray) 
     """The mean (C, 3) of the points within `reach` of each center (C, 3); each has at least one."""
     positions = table[0]
     for c in prange(len(centers)):
-        near = np.empty(256, np.int64)
-        count = gather(table, centers[c], reach, near)
+        near = np.empty(room(MOST_VOTES), np.int64)
+        count = gather(table, centers[c], reach, MOST_VOTES, near)
         for axis in range(3):
             total = 0.0
             for k in range(count):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -44,7 +45,8 @@ class Features:
     such vectors; weights: (N, L) float32, pixels drawn by the Gaussian (Σ α·T) for which there was a feature, summed
     over views; agreement: (N, L) float32, how far the views say the same: the mean cosine of what each view says to
     what is kept, weighted by how much it says, 0 where weight is 0; encoder_id: the identity of the encoder that made
-    them; decoders: none, one for all levels or one a level.
+    them; decoders: none, one for all levels or one a level; gaussians: the `gaussians_id` of those they are of, empty
+    where an older file does not say it.
 
     An encoder that sees photos whole has one level. 100,000 Gaussians with 3 levels of 512 take 293 MB in half
     precision, in memory as on disk, twice that in single; cosines change by less than 1e-3.
@@ -55,6 +57,7 @@ class Features:
     agreement: Tensor
     encoder_id: str
     decoders: tuple[Perceptron, ...] = ()
+    gaussians: str = ""
 
     def __len__(self) -> int:
         return self.vectors.shape[0]
@@ -70,6 +73,19 @@ class Features:
             return self.decoders[level if len(self.decoders) > 1 else 0](vectors)
         return vectors
 
+    def of(self, means: Tensor) -> Features:
+        """The same, which say that they are of the Gaussians at means (N, 3)."""
+        return replace(self, gaussians=gaussians_id(means))
+
+    def are_of(self, means: Tensor) -> bool:
+        """Whether they are features of the Gaussians at means (N, 3), as far as they say."""
+        return len(self) == len(means) and self.gaussians in ("", gaussians_id(means))
+
+
+def gaussians_id(means: Tensor) -> str:
+    """What tells Gaussians at means (N, 3) from others, also from as many of another training: a hash of them."""
+    return hashlib.sha256(means.detach().cpu().float().contiguous().numpy().tobytes()).hexdigest()
+
 
 def blocks(n: int, size: int) -> list[slice]:
     """Ranges of at most `size` rows."""
@@ -77,12 +93,17 @@ def blocks(n: int, size: int) -> list[slice]:
 
 
 def save_features(path: Path, features: Features) -> None:
-    """Write `features.safetensors` atomically; the encoder's identity is in its header.
+    """Write `features.safetensors` atomically; whose features they are and by which encoder is in its header.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    header = {"format": FORMAT, "encoder_id": features.encoder_id, "decoders": len(features.decoders)}
+    header = {
+        "format": FORMAT,
+        "encoder_id": features.encoder_id,
+        "decoders": len(features.decoders),
+        "gaussians": features.gaussians,
+    }
     tensors = {name: getattr(features, name).contiguous() for name in ("vectors", "weights", "agreement")}
     for number, decoder in enumerate(features.decoders):
         for part in ("weights", "biases"):
@@ -105,7 +126,12 @@ def load_features(path: Path) -> Features:
         tensors = load_file(path)
         decoders = tuple(_read_decoder(tensors, number) for number in range(int(header["decoders"])))
         features = Features(
-            tensors["vectors"], tensors["weights"], tensors["agreement"], str(header["encoder_id"]), decoders
+            tensors["vectors"],
+            tensors["weights"],
+            tensors["agreement"],
+            str(header["encoder_id"]),
+            decoders,
+            str(header.get("gaussians", "")),
         )
         shape = features.vectors.shape
         if len(shape) != 3 or not shape[:2] == features.weights.shape == features.agreement.shape:

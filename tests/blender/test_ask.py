@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import time
 
 import bpy
 import numpy as np
 import pytest
+import torch
 from blender_examples import written
 
+from fruitlangs.engine.language.features import load_features, save_features
 from fruitlangs.operators import ask
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects, set_attribute
 from fruitlangs.operators.write_gaussians import ASKED
@@ -97,11 +100,33 @@ def test_features_that_vanished_are_a_report_that_says_what_to_do(opened):
         bpy.ops.fruitlangs.ask()
 
 
-def test_features_of_other_gaussians_are_refused(opened):
+def test_features_of_more_gaussians_are_refused(opened):
     item = owned_object(bpy.context.scene, "gaussians")
     item.data.vertices.add(1)
-    with pytest.raises(RuntimeError, match=r"features of \d+ Gaussians and the scene"):
+    with pytest.raises(RuntimeError, match="features of other Gaussians than those shown"):
         bpy.ops.fruitlangs.ask()
+
+
+def replaced_by(file, means) -> None:
+    """Leave in the file features of as many other Gaussians, as a later run does."""
+    features = load_features(file)
+    others = torch.randperm(len(features), generator=torch.Generator().manual_seed(0))
+    shuffled = {name: getattr(features, name)[others] for name in ("vectors", "weights", "agreement")}
+    features = dataclasses.replace(features, **shuffled, gaussians="")
+    save_features(file, features if means is None else features.of(means[others]))
+
+
+def test_features_of_as_many_other_gaussians_are_refused_and_the_highlight_stays(opened, counted_balls):
+    before = probability()
+    replaced_by(opened / "features.safetensors", counted_balls.gaussians.means)
+    with pytest.raises(RuntimeError, match=r"other Gaussians than those shown.* press Reconstruct or count again"):
+        bpy.ops.fruitlangs.ask()
+    np.testing.assert_array_equal(probability(), before)
+
+
+def test_features_of_an_older_file_that_does_not_say_whose_they_are_answer_still(opened):
+    replaced_by(opened / "features.safetensors", None)
+    assert bpy.ops.fruitlangs.ask() == {"FINISHED"}
 
 
 def test_the_timer_answers_the_last_of_several_edits(opened):

@@ -9,6 +9,8 @@ import pytest
 
 from fruitlangs.engine.errors import Cancelled, SceneError
 from fruitlangs.operators import jobs
+from fruitlangs.operators.blender_data import owned_objects
+from fruitlangs.operators.showing import show_result
 
 
 @pytest.fixture
@@ -153,6 +155,88 @@ def test_a_result_waits_for_the_end_of_a_render(started, window, monkeypatch):
     assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
     assert item.modal(window.context, TICK) == {"FINISHED"}
     assert asked == ["RENDER"] * 2
+
+
+class Counting(Shower):
+    """An operator that shows a count in the Blender scene that it works for, and waits for `hold` before it has one."""
+
+    failed = jobs.JobOperator.failed
+
+    def __init__(self, started, result):
+        self.hold, self.told = threading.Event(), []
+        super().__init__(started(lambda progress: (self.hold.wait(5), progress(0.5, "half"), result)[2]))
+
+    def finish(self, context, result):
+        show_result(bpy.context, self._target.scene(bpy.context), result)
+
+    def report(self, level, text):
+        self.told.append(text)
+
+    def end(self, context):
+        """Let the work end, and give the operator the tick that comes after it."""
+        self.hold.set()
+        self._job.wait(5)
+        return self.modal(context, TICK)
+
+
+@pytest.fixture
+def counting(extension, started, window, monkeypatch, counted, result_of, tmp_path):
+    """A count at work in a window."""
+    item = Counting(started, result_of(counted, tmp_path))
+    monkeypatch.setattr(jobs, "_shower", item)
+    yield item
+    item.hold.set()
+
+
+def fruit_shown() -> int:
+    return sum(len(owned_objects(scene, "fruit")) for scene in bpy.data.scenes)
+
+
+def test_esc_stops_the_job_at_its_next_report_and_nothing_is_shown(counting, window):
+    assert counting.modal(window.context, SimpleNamespace(type="A", value="PRESS")) == {"PASS_THROUGH"}
+    assert not counting._job.cancelling
+    assert counting.modal(window.context, SimpleNamespace(type="ESC", value="PRESS")) == {"RUNNING_MODAL"}
+    assert counting.modal(window.context, TICK) == {"PASS_THROUGH"}
+    assert counting.end(window.context) == {"CANCELLED"}
+    assert counting.told == ["Count cancelled; finished stages are kept"]
+    assert jobs.running() is None
+    assert fruit_shown() == 0
+
+
+def test_what_is_undone_while_a_job_runs_takes_nothing_of_its_result(counting, window):
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.ed.undo_push(message="Add Cube")
+    bpy.ops.ed.undo()
+    assert "Cube" not in bpy.data.objects
+    assert counting.end(window.context) == {"FINISHED"}
+    assert fruit_shown() == bpy.context.scene.fruitlangs.result.count == 3
+
+
+def test_another_file_opened_while_a_job_runs_gets_nothing_of_its_result(counting, window, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"), copy=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "other.blend"))
+    assert counting.end(window.context) == {"CANCELLED"}
+    assert counting.told == ["The scene Scene was deleted or closed meanwhile; results are in the results folder"]
+    assert fruit_shown() == 0
+    assert bpy.context.scene.fruitlangs.error == ""
+
+
+def test_a_closed_window_cancels_its_job_which_is_not_forgotten_before_its_thread_ends(counting, window):
+    counting.cancel(window.context)
+    assert counting.has_left
+    assert jobs.running() is counting._job
+    assert not bpy.ops.fruitlangs.import_scene.poll()
+    counting.hold.set()
+    counting._job.wait(5)
+    assert isinstance(counting._job.error, Cancelled)
+    assert jobs.running() is None
+    assert bpy.ops.fruitlangs.import_scene.poll()
+
+
+def test_a_closed_file_dialog_has_no_job_to_cancel(window):
+    jobs.JobOperator().cancel(window.context)
+    assert jobs.running() is None
 
 
 def test_disabling_the_extension_stops_the_job_and_takes_away_what_shows_it(extension, started, window, monkeypatch):

@@ -189,13 +189,52 @@ def test_an_earlier_result_of_a_source_is_the_same_scene(settings, counted_balls
     assert is_of_another(settings, tmp_path / "tree")
 
 
-def test_a_scene_whose_folder_was_moved_and_kept_its_name_is_the_same(settings, tmp_path):
-    moved = tmp_path / "elsewhere" / "tree"
-    settings.result.source = str(tmp_path / "before" / "tree")
-    assert not is_of_another(settings, moved)
-    assert is_of_another(settings, moved.with_name("other tree"))
-    (tmp_path / "before" / "tree").mkdir(parents=True)
-    assert is_of_another(settings, moved)
+def photos_of(folder, look):
+    """A folder with photos of a tree of that look, which are named as every camera names them."""
+    (folder / "images").mkdir(parents=True)
+    for number in range(3):
+        (folder / "images" / f"IMG_{number}.jpg").write_bytes(f"{look} {number}".encode())
+    return folder
+
+
+@pytest.fixture
+def reviewed(engine, settings, counted, result_of, tmp_path):
+    """A tree in before/photos that was counted, measured and reviewed."""
+    source = photos_of(tmp_path / "before" / "photos", "red")
+    show_result(bpy.context, bpy.context.scene, from_source(result_of(counted, tmp_path / "out"), source))
+    bpy.ops.fruitlangs.set_length(points=(0, 0, 0, 0, 0, 1), length=0.5)
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    return source
+
+
+def test_a_scene_whose_folder_was_moved_with_its_photos_is_the_same(reviewed, settings, tmp_path):
+    settings.source = str(shutil.move(reviewed.parent, tmp_path / "elsewhere") / "photos")
+    bpy.ops.fruitlangs.import_scene()
+    assert settings.result.count == 3
+    assert len(settings.review.log) == 1
+    assert settings.config.units.length == 0.5
+
+
+def test_another_tree_in_a_folder_of_the_same_name_takes_nothing_of_the_first(reviewed, settings, tmp_path):
+    shutil.move(reviewed.parent, tmp_path / "archive")
+    settings.source = str(photos_of(tmp_path / "next" / "photos", "green"))
+    bpy.ops.fruitlangs.import_scene()
+    assert settings.result.count == -1
+    assert len(settings.review.log) == 0
+    assert settings.config.units.length == 0.0
+
+
+def test_decisions_that_waited_find_their_source_where_it_was_moved(reviewed, settings, tmp_path):
+    settings.source = str(photos_of(tmp_path / "next" / "photos", "green"))
+    bpy.ops.fruitlangs.import_scene()
+    assert len(settings.review.log) == 0
+    settings.source = str(shutil.move(reviewed.parent, tmp_path / "archive") / "photos")
+    bpy.ops.fruitlangs.import_scene()
+    assert len(settings.review.log) == 1
+
+
+def test_a_copy_of_a_scene_beside_the_first_is_another(reviewed, settings, tmp_path):
+    assert is_of_another(settings, shutil.copytree(reviewed, tmp_path / "copy" / "photos"))
 
 
 def test_import_of_the_same_source_keeps_the_count_and_its_scale(engine, settings, counted_with, result_of, tmp_path):

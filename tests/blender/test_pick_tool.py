@@ -10,20 +10,33 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from fruitlangs.operators import pick_tool, viewport
+from fruitlangs.operators import jobs, pick_tool, viewport, waiting_tool
 from fruitlangs.operators.pick_tool import PickTool
+from fruitlangs.operators.showing import show_result
 
 PASSED = {"CANCELLED", "PASS_THROUGH"}
-MOVE, ESC = (SimpleNamespace(type=name, value="PRESS", mouse_x=0, mouse_y=0) for name in ("MOUSEMOVE", "ESC"))
+MOVE, ESC, CLICK = (
+    SimpleNamespace(type=name, value="PRESS", mouse_x=0, mouse_y=0) for name in ("MOUSEMOVE", "ESC", "LEFTMOUSE")
+)
 
 
 class Tool(PickTool):
     bl_label, asks = "Pick", ("click on one", "click on another")
 
+    allowed = True
+
+    def __init__(self):
+        self.reports, self.points = [], None
+
+    @classmethod
+    def poll(cls, context):
+        return cls.allowed
+
     def report(self, level, text):
-        raise AssertionError(text)
+        self.reports.append(text)
 
     def picked(self, context, points):
+        self.points = points
         return {"FINISHED"}
 
 
@@ -68,7 +81,7 @@ def context(monkeypatch, status, drawn):
         temp_override=bpy.context.temp_override,
         window_manager=SimpleNamespace(modal_handler_add=lambda tool: None),
     )
-    pick_tool.end_waiting()
+    waiting_tool.end_waiting()
 
 
 def started(context) -> Tool:
@@ -113,6 +126,62 @@ def test_another_tool_ends_the_one_that_waits(context, status, drawn):
     assert len(drawn) == 1
     second.cancel(context)
     assert has_ended(context, status, drawn)
+
+
+@pytest.fixture
+def clicks(context, monkeypatch):
+    """The views that clicks looked along, and the region that they are in."""
+    found = []
+    region = SimpleNamespace(x=0, y=0, data="front")
+    monkeypatch.setattr(pick_tool, "window_region", lambda area, event: region)
+    hit = SimpleNamespace(hit=lambda region, view, place: found.append(view) or np.zeros(3))
+    monkeypatch.setattr(pick_tool, "Target3D", lambda bpy_scene: hit)
+    return SimpleNamespace(views=found, region=region)
+
+
+def test_a_click_looks_along_the_view_of_its_own_region(context, clicks):
+    tool = started(context)
+    tool.modal(context, CLICK)
+    clicks.region.data = "top"
+    assert tool.modal(context, CLICK) == {"FINISHED"}
+    assert clicks.views == ["front", "top"]
+    assert tool.points.shape == (2, 3)
+
+
+def test_another_scene_in_the_window_ends_the_tool_before_its_last_click(context, clicks, status, drawn):
+    tool = started(context)
+    tool.modal(context, CLICK)
+    context.scene = bpy.data.scenes.new("Row 2")
+    assert tool.modal(context, CLICK) == PASSED
+    assert tool.points is None
+    assert has_ended(context, status, drawn)
+
+
+def test_what_may_not_be_done_any_more_is_not_done_with_the_last_click(context, clicks, monkeypatch):
+    tool = started(context)
+    tool.modal(context, CLICK)
+    monkeypatch.setattr(Tool, "allowed", False)
+    assert tool.modal(context, CLICK) == {"CANCELLED"}
+    assert tool.points is None
+    assert tool.reports == ["What was clicked on is gone meanwhile; nothing was done"]
+
+
+def test_a_job_that_starts_ends_the_tool_that_waits(extension, context, status, drawn):
+    tool = started(context)
+    with pytest.raises(RuntimeError, match="No scene is chosen"):
+        bpy.ops.fruitlangs.import_scene()
+    assert has_ended(context, status, drawn)
+    assert tool.modal(context, CLICK) == PASSED
+
+
+@pytest.mark.parametrize("name", ["measure", "set_ground", "set_length", "add_fruit"])
+def test_nothing_is_measured_or_added_while_a_job_would_take_it_away(
+    extension, counted, result_of, tmp_path, monkeypatch, name
+):
+    show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
+    assert getattr(bpy.ops.fruitlangs, name).poll()
+    monkeypatch.setattr(jobs, "running", lambda: "a job")
+    assert not getattr(bpy.ops.fruitlangs, name).poll()
 
 
 def test_disabling_the_extension_ends_the_tool_that_waits(extension, context, status, drawn):

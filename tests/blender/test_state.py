@@ -11,6 +11,7 @@ import pytest
 
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.showing import show_result
+from fruitlangs.operators.target import Target
 
 
 def open_balls(counted_balls, folder: Path) -> None:
@@ -78,14 +79,34 @@ def test_two_scenes_in_one_file_each_keep_their_own(extension, counted, counted_
 
 
 def test_a_count_that_ends_in_edit_mode_is_shown_all_the_same(extension, counted, result_of, tmp_path):
-    from fruitlangs.operators.target import Target
-
     bpy.ops.mesh.primitive_cube_add()
     target = Target(bpy.context.scene)
     bpy.ops.object.mode_set(mode="EDIT")
     show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
     assert bpy.context.mode == "OBJECT"
     assert len(owned_objects(bpy.context.scene, "fruit")) == 3
+
+
+def test_a_count_that_ends_leaves_a_person_in_the_edit_mode_of_another_scene(extension, counted, result_of, tmp_path):
+    first, second = bpy.context.scene, bpy.data.scenes.new("Row 2")
+    target = Target(first)
+    bpy.context.window.scene = second
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
+    assert bpy.context.mode == "EDIT_MESH"
+    assert len(owned_objects(first, "fruit")) == 3
+
+
+def test_a_count_that_ends_leaves_the_edit_mode_of_its_scene_in_another_window(extension, counted, result_of, tmp_path):
+    first, second = bpy.context.scene, bpy.data.scenes.new("Row 2")
+    target = Target(first)
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):  # the timer's window shows this one
+        show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
+    assert bpy.context.mode == "OBJECT"
+    assert len(owned_objects(first, "fruit")) == 3
 
 
 def test_gaussians_in_edit_mode_are_not_written_and_it_is_said(extension, counted_balls, tmp_path):
@@ -106,6 +127,24 @@ def test_gaussians_deleted_meanwhile_come_back_with_the_next_count(extension, co
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
     assert owned_object(bpy.context.scene, "gaussians").parent == owned_object(bpy.context.scene, "root")
     assert len(owned_objects(bpy.context.scene, "fruit")) == 3
+
+
+ON_A_SCENE = ("import_scene", "reconstruct", "count", "ask", "export_csv")
+ON_FRUIT = ("confirm_fruit", "add_fruit", "next_doubtful", "best_photo")
+MEASURING = ("measure", "set_length", "set_ground", "add_region")
+
+
+@pytest.mark.parametrize("name", [*ON_A_SCENE, *ON_FRUIT, *MEASURING])
+def test_a_linked_scene_is_said_to_be_one_before_anything_is_done_in_it(extension, tmp_path, name):
+    bpy.context.scene.name = "Orchard"
+    bpy.context.scene.fruitlangs.source = str(tmp_path)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, here):
+        here.scenes = ["Orchard"]
+    bpy.context.window.scene = bpy.data.scenes["Orchard"]
+    with pytest.raises(RuntimeError, match="linked from another file; make it local first"):
+        getattr(bpy.ops.fruitlangs, name)()
 
 
 def test_undo_takes_an_import_back_and_redo_brings_it_again(extension, counted_balls, tmp_path):

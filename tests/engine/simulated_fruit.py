@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fruitlangs.engine.counting.visibility import Visibility
+from fruitlangs.engine.counting.visibility import Visibility, frame_of
 from fruitlangs.engine.evaluation.truth import Truth
 from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.splatting.gaussians import Gaussians
@@ -107,7 +107,8 @@ def _as_gaussians(rng, setting, truth, cameras, eyes, spots, normals, sizes, see
     )
     truth = Truth(truth.centers * unit, truth.diameters * unit, truth.visible, truth.visible_fractions)
     moved = [_moved(camera, unit) for camera in cameras]
-    return Simulation(gaussians, probability, Visibility(weights, seen.sum(axis=1), directions), moved, truth)
+    seen_by = Visibility(weights, seen.sum(axis=1), directions, frame_of(moved))
+    return Simulation(gaussians, probability, seen_by, moved, truth)
 
 
 def quats_along_z(axes: FloatArray) -> FloatArray:

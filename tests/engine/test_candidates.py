@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.counting.candidates import FruitSize, Skin, vote
 from fruitlangs.engine.counting.cluster import USUAL, USUALLY, Clusters, find_fruit, refine, search
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import Spheres
 
@@ -38,7 +39,8 @@ def seen_from(centers: np.ndarray, eye: np.ndarray, *, diameter: float = 1.0, ea
 
 
 def points_of(positions: np.ndarray, normals: np.ndarray, towards: np.ndarray) -> SurfacePoints:
-    return SurfacePoints(positions, normals, np.arange(len(positions)), np.ones(len(positions)), towards)
+    count = len(positions)
+    return SurfacePoints(positions, normals, np.arange(count), np.ones(count), towards, even_turns(count))
 
 
 def joined(*parts: SurfacePoints) -> SurfacePoints:

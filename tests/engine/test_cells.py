@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from fruitlangs.engine.counting.cells import MOST_CELLS, Cells, apart, linked
+from fruitlangs.engine.counting.cells import MOST_CELLS, Cells, apart, gather, linked, room
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.vote_kernels import middles
 
 
@@ -75,3 +76,18 @@ def test_points_are_linked_as_brute_force_links_them(count: int, size: float, re
     assert (brute[spared] == brute).all()
     close = np.linalg.norm(cells.positions[:, None] - cells.positions, axis=2) <= 0.6 * reach
     assert (spared[close.nonzero()[0]] == spared[close.nonzero()[1]]).all()
+
+
+@pytest.mark.parametrize("size", [0.2, 0.9])
+def test_which_neighbours_are_left_when_they_are_thinned_does_not_depend_on_the_cells(size: float):
+    points = cloud(3000, 4)
+    turns, near = even_turns(3000), np.empty(room(50), np.int64)
+
+    def thinned(side: float) -> list[int]:
+        cells = Cells.of(points, side, turns)
+        return sorted(cells.index[near[: gather(cells.table, np.ones(3), 1.8, 50, near)]])
+
+    left = thinned(size)
+    assert left == thinned(0.35)
+    assert len(left) == pytest.approx(50, abs=20)
+    assert (np.linalg.norm(points[left] - 1.0, axis=1) <= 1.8).all()

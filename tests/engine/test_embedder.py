@@ -13,7 +13,7 @@ from checkpoints import DIMENSION, write_clip
 from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.language.embedder import Embedder
-from fruitlangs.engine.language.features import load_features
+from fruitlangs.engine.language.features import gaussians_id, load_features
 from fruitlangs.engine.pipeline import Result, count_scene
 
 
@@ -40,6 +40,7 @@ def lifted(scene: Path, config: Config, tmp_path_factory: pytest.TempPathFactory
 def test_masks_are_lifted_at_three_levels_and_any_word_is_counted(lifted: Result) -> None:
     features = load_features(lifted.out / "features.safetensors")
     assert features.vectors.shape == (len(lifted.gaussians), 3, DIMENSION)
+    assert features.gaussians == gaussians_id(lifted.gaussians.means)
     assert not features.decoders
     assert lifted.fruit_count.count == len(lifted.fruit_count.fruits)
     assert {fruit.label for fruit in lifted.fruit_count.fruits} <= {"durian fruit"}
@@ -62,6 +63,7 @@ def test_codes_are_trained_along_kept_with_their_decoder_and_leave_the_colours_a
     first = count_scene(scene, ["apple"], tmp_path, config=joint)
     features = load_features(tmp_path / "features.safetensors")
     assert features.vectors.shape == (len(first.gaussians), 3, 3)
+    assert features.gaussians == gaussians_id(first.gaussians.means)
     assert features.unit(0).shape == (len(first.gaussians), DIMENSION)
     np.testing.assert_array_equal(first.gaussians.means, lifted.gaussians.means)
     assert count_scene(scene, ["pear"], tmp_path, config=joint).reused == ["train", "embed"]

@@ -9,7 +9,7 @@ import torch
 
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.files import write_tensors
-from fruitlangs.engine.language.features import Features, Perceptron, load_features, save_features
+from fruitlangs.engine.language.features import FORMAT, Features, Perceptron, load_features, save_features
 
 FILE = "features.safetensors"
 
@@ -30,6 +30,23 @@ def test_features_come_back_from_disk_as_they_were(tmp_path: Path, decoders: int
     assert len(loaded.decoders) == decoders
     assert all(torch.equal(loaded.unit(level), features.unit(level)) for level in range(3))
     assert [path.name for path in tmp_path.iterdir()] == [FILE]
+
+
+def test_features_know_their_gaussians_from_others_after_they_came_back_from_disk(tmp_path: Path):
+    means = torch.rand(7, 3)
+    save_features(tmp_path / FILE, _features().of(means))
+    loaded = load_features(tmp_path / FILE)
+    assert loaded.are_of(means)
+    assert not loaded.are_of(means.flip(0))
+    assert not loaded.are_of(means[:6])
+
+
+def test_features_of_a_file_that_does_not_say_whose_they_are_fit_as_many_gaussians(tmp_path: Path):
+    features = _features()
+    tensors = {name: getattr(features, name) for name in ("vectors", "weights", "agreement")}
+    write_tensors(tmp_path / FILE, tensors, {"format": FORMAT, "encoder_id": "x", "decoders": 0})
+    assert load_features(tmp_path / FILE).are_of(torch.rand(7, 3))
+    assert not load_features(tmp_path / FILE).are_of(torch.rand(6, 3))
 
 
 def test_half_precision_halves_the_file_and_moves_cosines_by_less_than_a_thousandth(tmp_path: Path):

@@ -12,6 +12,7 @@ import pytest
 from fruitlangs.engine.counting.candidates import Candidates, Skin
 from fruitlangs.engine.counting.cells import Cells
 from fruitlangs.engine.counting.gate import STORED, WEIGHED, Features, Gate, curvatures, features_of, stored_gate
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.size import FruitSize
 from fruitlangs.engine.counting.sphere import Spheres, unit_directions
@@ -48,7 +49,7 @@ def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, 
     normals = UP + column["curvature"][owners, None] * (outwards - UP)
     positions = spheres.radii[owners, None] * outwards
     chances = np.where(owners == 1, probability, 1.0)
-    points = SurfacePoints(positions, normals, np.arange(150), chances, outwards)
+    points = SurfacePoints(positions, normals, np.arange(150), chances, outwards, even_turns(150))
     found = Candidates(spheres, looks, column["share"], column["free"], owners)
     return found, Skin(points, Cells.of(positions, 1.0), normals)
 

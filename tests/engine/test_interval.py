@@ -85,6 +85,12 @@ def test_the_count_lies_within_its_interval_and_no_more_are_visible_than_there_a
     assert sure.total >= n
 
 
+def test_nobody_is_surer_of_all_fruit_than_of_the_visible_ones_among_them():
+    faint = Evidence(1000.0, 50.0, np.array([0.05, TRAINED, 0.0]))
+    sure = estimate(faint, 1000)
+    assert np.divide(*sure.total_interval) <= np.divide(*sure.visible) + 0.002
+
+
 def test_of_few_fruit_nothing_is_surer_than_half_a_fruit():
     low, high = stored_ratios()[0].interval(replace(SURE, expected=3.0))
     assert low <= 3.0 <= high

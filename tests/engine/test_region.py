@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import FruitCount
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.region import Box, Prism, keep_inside, region_of
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import unit_directions
@@ -122,7 +123,9 @@ def sampled() -> SurfacePoints:
     directions = unit_directions(1500)
     places = np.concatenate([0.5 * directions + [3.0 * number, 0.0, 0.0] for number in range(3)])
     normals = np.tile(directions, (3, 1))
-    return SurfacePoints(places, normals, np.arange(len(places)), np.ones(len(places)), normals)
+    return SurfacePoints(
+        places, normals, np.arange(len(places)), np.ones(len(places)), normals, even_turns(len(places))
+    )
 
 
 def test_a_region_without_gaussians_is_an_error_that_says_where_the_scene_is(tree: sim.Simulation) -> None:

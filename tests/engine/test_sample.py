@@ -26,7 +26,8 @@ def gaussians(count: int = 60) -> Gaussians:
 
 def sampled(chosen: Gaussians, budget: int = 3000) -> SurfacePoints:
     n = len(chosen)
-    seen = Visibility(np.ones(n), np.ones(n, np.int64), np.zeros((n, 3)) + [0.0, 0.0, 1.0])
+    nowhere = np.zeros((3, 4))  # so that the same is drawn wherever the Gaussians are
+    seen = Visibility(np.ones(n), np.ones(n, np.int64), np.zeros((n, 3)) + [0.0, 0.0, 1.0], nowhere)
     return sample_skin(chosen, np.ones(n), seen, np.arange(n), budget=budget, seed=5)
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.size import LEAST_EVIDENCE, estimate_diameter
 
@@ -23,19 +26,20 @@ def surfaces(centers: np.ndarray, diameter: float, each: int, noise: float) -> S
     outward = np.repeat(centers, each, axis=0)
     facing = (normals * outward).sum(axis=1) >= 0
     count = int(facing.sum())
-    return SurfacePoints(positions[facing], normals[facing], np.arange(count), np.ones(count), normals[facing])
+    own = normals[facing]
+    return SurfacePoints(positions[facing], own, np.arange(count), np.ones(count), own, even_turns(count))
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.05])
 def test_a_crown_that_is_round_itself_is_not_taken_for_the_fruit(noise: float) -> None:
     centers = 0.6 * directions(np.random.default_rng(1), 90)
-    estimate = estimate_diameter(surfaces(centers, 0.08, 150, noise), 0.01, seed=0)
+    estimate = estimate_diameter(surfaces(centers, 0.08, 150, noise), 0.01)
     assert estimate is not None
     assert estimate.diameter == pytest.approx(0.08, rel=0.25)
 
 
 def test_a_single_large_fruit_keeps_its_own_diameter() -> None:
-    estimate = estimate_diameter(surfaces(np.array([[0.0, 0.0, 0.1]]), 1.0, 4000, 0.01), 0.02, seed=0)
+    estimate = estimate_diameter(surfaces(np.array([[0.0, 0.0, 0.1]]), 1.0, 4000, 0.01), 0.02)
     assert estimate is not None
     assert estimate.diameter == pytest.approx(1.0, rel=0.1)
 
@@ -46,8 +50,8 @@ def test_blurred_fruit_are_still_round_and_scatter_is_not(noise: float, round_: 
     points = surfaces(4.0 * directions(rng, 40), 1.0, 300, noise)
     tilted = points.normals + rng.normal(0.0, 2.0 * noise, points.normals.shape)
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    blurred = SurfacePoints(points.positions, tilted, points.gaussians, points.probabilities, points.directions)
-    estimate = estimate_diameter(blurred, 0.05, seed=0)
+    blurred = replace(points, normals=tilted)
+    estimate = estimate_diameter(blurred, 0.05)
     assert (estimate is not None and estimate.evidence > LEAST_EVIDENCE) == round_
     if round_ and estimate is not None:
         assert estimate.diameter == pytest.approx(1.0, rel=0.15)
@@ -62,6 +66,7 @@ def test_sheets_of_leaves_are_not_round() -> None:
         normal = across[2] * np.sign(across[2, 0])  # seen from x
         flats.append((spots, np.tile(normal, (200, 1))))
     positions, normals = (np.concatenate(each) for each in zip(*flats, strict=True))
-    points = SurfacePoints(positions, normals, np.arange(len(positions)), np.ones(len(positions)), normals)
-    estimate = estimate_diameter(points, 0.05, seed=0)
+    count = len(positions)
+    points = SurfacePoints(positions, normals, np.arange(count), np.ones(count), normals, even_turns(count))
+    estimate = estimate_diameter(points, 0.05)
     assert estimate is None or estimate.evidence < LEAST_EVIDENCE

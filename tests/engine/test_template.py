@@ -18,6 +18,7 @@ from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.cluster import Clusters
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruitnerf import MERGED, cluster_as_fruitnerf
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.registration import register
 from fruitlangs.engine.counting.sample import SurfacePoints, spread_out
 from fruitlangs.engine.counting.template import split_by_template
@@ -38,7 +39,8 @@ def surface(body: np.ndarray, center: np.ndarray, *, seen: float = -1.0) -> Surf
     kept = normals[:, 2] >= seen
     noise = np.random.default_rng(len(body)).normal(0.0, 0.01, (int(kept.sum()), 3))
     positions, count = body[kept] + center + noise, int(kept.sum())
-    return SurfacePoints(positions, normals[kept], np.arange(count), np.ones(count), normals[kept])
+    own = normals[kept]
+    return SurfacePoints(positions, own, np.arange(count), np.ones(count), own, even_turns(count))
 
 
 def balls(centers: np.ndarray, *, seen: float = -1.0, each: int = 400) -> SurfacePoints:
@@ -101,7 +103,7 @@ def test_a_cap_is_a_small_fruit_to_the_paper_and_nothing_to_fruitnerf() -> None:
 def test_a_leaf_is_no_fruit(road) -> None:
     leaf = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 3)) * [0.7, 0.35, 0.01] + [6.0, 6.0, 6.0]
     up = np.tile([0.0, 0.0, 1.0], (400, 1))
-    found = road(joined(balls(APART), SurfacePoints(leaf, up, np.arange(400), np.ones(400), up)), 1.0)
+    found = road(joined(balls(APART), SurfacePoints(leaf, up, np.arange(400), np.ones(400), up, even_turns(400))), 1.0)
     assert len(found.spheres) == 4
 
 
@@ -166,7 +168,7 @@ def test_moving_turning_and_scaling_leaves_the_count_alone(road, seed: int, scal
 @EVERY_ROAD
 def test_a_few_scattered_points_are_no_fruit_and_no_failure(road) -> None:
     spots, up = np.random.default_rng(0).uniform(-9.0, 9.0, (7, 3)), np.tile([0.0, 0.0, 1.0], (7, 1))
-    found = road(SurfacePoints(spots, up, np.arange(7), np.ones(7), up), 1.0)
+    found = road(SurfacePoints(spots, up, np.arange(7), np.ones(7), up, even_turns(7)), 1.0)
     assert len(found.spheres) == 0
     assert found.refusal(0) == "too thin to be part of any cluster"
 
