@@ -52,10 +52,14 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str,
     from safetensors.torch import save_file
 
     with replacing(path) as temporary:
+        # save_file makes a file that nobody else may read; a result is as open as its other files.
+        temporary.touch()
+        mode = temporary.stat().st_mode
         try:
             save_file(dict(tensors), temporary, metadata={"fruitlangs": json.dumps(about, sort_keys=True)})
         except SafetensorError as error:  # so it calls a full disk
             raise OSError(str(error)) from error
+        temporary.chmod(mode)
 
 
 def require_writable(folder: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -11,15 +13,15 @@ from .errors import EncoderError, FormatError
 from .language.embedder import Embedder
 from .language.selection import select
 from .publishing import Result
-from .reconstruction import Stages, reopen
-from .report.results import FRUITS_JSON, read_results, stored_count
+from .reconstruction import Reconstruction, Stages, reopen
+from .report.results import FRUITS_JSON, near_members, read_results, stored_count
+from .report.selection import SELECTION, Selection, read_selection
 
 
 def open_result(folder: Path) -> Result:
     """The result that lies in `folder`, with its photos where they still are; nothing is written or computed anew.
 
-    Where its encoder is not on this computer the probabilities are 0, and a notice says so. Fruit lack their sampled
-    points.
+    Fruit lack their sampled points.
 
     Raises:
         OutputError: there is no result, or its files are not of one run.
@@ -28,22 +30,16 @@ def open_result(folder: Path) -> Result:
     document = read_results(folder)
     stored, stages = Config.from_document(document["config"]), Stages()
     made = reopen(folder, folder, None, stored, stages)
-    prompts, negatives = document["provenance"]["prompts"], document["provenance"].get("negatives", [])
     try:
-        encoder = Embedder.open(stored.embed).encoder
-        probability = select(made.features, encoder, prompts, negatives, stored.count, made.gaussians.means)
-    except EncoderError as error:
-        stages.notices.append(f"what the words fit is not shown: {error}")
-        probability = torch.zeros(len(made.gaussians))
-    try:
-        counted = stored_count(document, made.gaussians.means.double().numpy())
+        selection = _selection(folder, document, made, stored, stages)
+        counted = stored_count(document, selection.fruit_ids)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}); count again into this folder") from error
     return Result(
         scene=made.scene,
         gaussians=made.gaussians,
         features=made.features,
-        probability=probability,
+        probability=selection.probability,
         fruit_count=counted,
         origin=document["provenance"],
         config=stored,
@@ -53,3 +49,24 @@ def open_result(folder: Path) -> Result:
         out=folder,
         set_id=document["set_id"],
     )
+
+
+def _selection(
+    folder: Path, document: Mapping[str, Any], made: Reconstruction, stored: Config, stages: Stages
+) -> Selection:
+    """What the count said of every Gaussian.
+
+    Results of before `selection.safetensors` are asked again; where their encoder is not on this computer the
+    probabilities are 0, and a notice says so.
+    """
+    if SELECTION in document["files"]:
+        return read_selection(folder / SELECTION)
+    prompts, negatives = document["provenance"]["prompts"], document["provenance"].get("negatives", [])
+    means = made.gaussians.means
+    try:
+        encoder = Embedder.open(stored.embed).encoder
+        probability = select(made.features, encoder, prompts, negatives, stored.count, means)
+    except EncoderError as error:
+        stages.notices.append(f"what the words fit is not shown: {error}")
+        probability = torch.zeros(len(means))
+    return Selection(probability, near_members(document, means.double().numpy()))

@@ -67,6 +67,7 @@ def count_scene(
         given["template_sha256"] = file_hash(Path(config.count.template))
     stages = Stages()
     made = _made(source, out, embedder, config, foreign, watch, stages, part(progress, 0.0, 0.9))
+    known = _known(made, source, out)
     with stages.timed("count"):
         probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
         fruit_count = count_fruit(
@@ -75,7 +76,7 @@ def count_scene(
             made.scene.cameras,
             config.count,
             label=_label(prompts),
-            known=_known(made, source, out),
+            known=known,
             up=made.scene.up,
             progress=part(progress, 0.9, 0.97),
         )
@@ -85,6 +86,7 @@ def count_scene(
         features=made.features,
         probability=probability,
         fruit_count=fruit_count,
+        known=known,
         origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives), **given},
         config=made.config,
         seconds=stages.seconds,

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from .config import Config
 from .counting.fruit import FruitCount
+from .counting.ids import NOBODY, KnownFruit
 from .errors import FruitLangsError, OutputError
 from .files import file_hash, write_text
 from .language.features import Features
@@ -27,6 +28,7 @@ from .report.page import write_page
 from .report.pictures import write_strips
 from .report.provenance import run_stamp, versions
 from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
+from .report.selection import SELECTION, write_selection
 from .report.still import draw_still, save_still
 from .report.tables import fruits_csv
 from .report.words import headline
@@ -44,8 +46,8 @@ class Result:
     """What a run leaves in memory beside its files.
 
     probability: (N,) that a Gaussian belongs to the prompt; seconds by stage; reused: stages that an earlier run had
-    done; notices: what the user should know though the run went well; set_id names this set of result files; files:
-    their paths, fruits.json last.
+    done; notices: what the user should know though the run went well; known: fruit that earlier counts of the scene
+    numbered; set_id names this set of result files; files: their paths, fruits.json last.
     """
 
     scene: Scene
@@ -59,6 +61,7 @@ class Result:
     reused: Sequence[str]
     notices: Sequence[str]
     out: Path
+    known: KnownFruit = NOBODY
     set_id: str = ""
     files: Sequence[Path] = ()
 
@@ -88,6 +91,7 @@ def publish(
             files=files,
             unhashed_files=list(writers),
             metres_per_unit=result.scene.metres_per_unit,
+            known=result.known,
         )
         write_text(staging / FRUITS_JSON, dump(document))
         names = [*hashed, *writers, FRUITS_JSON]
@@ -107,15 +111,18 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     write_text(folder / CAMERAS, told_anew(made.cameras_file, result.scene))
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
-    write_text(folder / "audit.txt", audit_text(result.fruit_count, prompt=", ".join(result.origin["prompts"])))
+    prompt = ", ".join(result.origin["prompts"])
+    audit = audit_text(result.fruit_count, prompt=prompt, metres_per_unit=result.scene.metres_per_unit)
+    write_text(folder / "audit.txt", audit)
     write_glb(folder / "fruits.glb", result.fruit_count, result.scene.metres_per_unit, up=result.scene.up)
     write_points_ply(folder / "fruits.ply", result.fruit_count)
+    write_selection(folder / SELECTION, result.probability, result.fruit_count, result.origin)
     pictures = write_strips(
         folder / PICTURES, result.scene, result.gaussians, result.features, result.probability, result.fruit_count
     )
     _write_page(folder, result)
-    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply", STILL, PAGE]
-    return names + [f"{PICTURES}/{path.name}" for path in pictures]
+    names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply"]
+    return names + [SELECTION, STILL, PAGE] + [f"{PICTURES}/{path.name}" for path in pictures]
 
 
 def _write_page(folder: Path, result: Result) -> None:

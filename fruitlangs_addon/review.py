@@ -52,6 +52,9 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
     aside: CollectionProperty(type=FRUITLANGS_PG_aside)
     reason: StringProperty(name="Reason", description="Why, for the log; taken by the next decision")
     label: StringProperty(name="Label", description="What Move to Label calls the selected fruit")
+    dropped: IntProperty(
+        name="From", default=1, min=1, description="The panel shows dropped clusters from this one on, largest first"
+    )
     parts: IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit Split makes of one")
     show: EnumProperty(
         name="Show",

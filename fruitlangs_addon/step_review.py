@@ -20,6 +20,7 @@ from ..operators.review import (
 from .fruit_list import FRUITLANGS_UL_fruits, draw_head
 from .panel_parts import SidebarPanel, State, StepPanel, draw_text
 from .photos import draw_photos
+from .why_panel import FRUITLANGS_PT_review_why
 
 LAST = 8
 """Entries of the log that the panel shows."""
@@ -87,4 +88,4 @@ class FRUITLANGS_PT_review_log(SidebarPanel, bpy.types.Panel):
             self.layout.label(text=f"… and {len(log) - LAST} before")
 
 
-CLASSES = (FRUITLANGS_PT_review, FRUITLANGS_PT_review_log)
+CLASSES = (FRUITLANGS_PT_review, FRUITLANGS_PT_review_why, FRUITLANGS_PT_review_log)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..engine.errors import CountingError
 from .blender_data import gaussian_attributes, owned_object
 from .fruit_objects import LAST_ID, metres_per_unit, next_ids, spot_of, standing
+from .keep_audit import read_audit
 from .keep_review import is_reviewed, reviewed_interval
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
 
     Rejected fruit are left out. A copy that a person made of a fruit has its number; it gets a free one here. The
     interval is the corrected one. Of all fruit, seen or not, something is told only while nothing was reviewed.
-    The account of the clusters and the sampled points are not in a .blend; a tree's place is the middle of its fruit,
-    and trees without any are not known.
+    The audit is that of the count, before the review. The sampled points are not in a .blend; a tree's place is the
+    middle of its fruit, and trees without any are not known.
 
     Raises:
         CountingError: nothing was counted.
@@ -47,7 +48,7 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
     told = shown.total >= 0.0 and not is_reviewed(bpy_scene) and len(fruits) == shown.count
     return FruitCount(
         fruits=fruits,
-        audit=(),
+        audit=read_audit(bpy_scene),
         max_probability=float(_gaussian_attribute(bpy_scene, "probability", np.float32).max(initial=0.0)),
         mean_diameter=float(np.mean([fruit.diameter for fruit in fruits])) if fruits else None,
         last_id=max([int(bpy_scene.get(LAST_ID, 0)), *numbers]),

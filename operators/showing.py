@@ -131,7 +131,8 @@ def keep_result(settings: Any, result: Result) -> None:
     shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
     shown.unit, scale = length_unit(result.scene.metres_per_unit)
     shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
-    shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, result.config.count.threshold)
+    threshold, metres = result.config.count.threshold, result.scene.metres_per_unit
+    shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, threshold, metres)
     shown.sureness = sureness(fruit_count) if fruit_count.fruits else ""
     shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
     shown.notices = "; ".join(result.notices)

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from .blender_data import owned_object, owned_objects, remove_objects
+from .keep_audit import AUDIT
 from .keep_review import keep_corrections
 from .scale import METRES
 from .settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
@@ -69,6 +70,7 @@ def forget_count(bpy_scene: bpy.types.Scene) -> None:
             if each.identifier not in {"rna_type", "name", *OF_SOURCE}:
                 group.property_unset(each.identifier)
     bpy_scene.pop(SET_ID, None)
+    bpy_scene.pop(AUDIT, None)
 
 
 def _forget_measures(bpy_scene: bpy.types.Scene) -> bool:

@@ -17,6 +17,7 @@ from ..engine.errors import OutputError
 from ..engine.files import replacing
 from .blender_data import OWNER, new_object, owned_collection
 from .gaussian_nodes import THRESHOLD
+from .keep_audit import write_audit
 from .look import set_threshold
 from .viewport import look_at_scene, show_colors
 from .write_cameras import write_cameras
@@ -53,6 +54,7 @@ def write_result(
     write_gaussians(bpy_scene, scene, gaussians, probability, fruit_count.fruits, root, asked)
     write_fruits(bpy_scene, fruit_count, root, metres_per_unit=scene.metres_per_unit)
     write_cameras(bpy_scene, scene, root)
+    write_audit(bpy_scene, fruit_count.audit)
     return root
 
 

@@ -81,6 +81,8 @@ def gaussian_mesh(
     gaussians: Gaussians, probability: Tensor | NDArray[Any] | None, fruits: Sequence[Fruit]
 ) -> bpy.types.Mesh:
     """Points at the means, in the scene's frame, with the attributes named above."""
+    from ..engine.counting.fruit import member_ids
+
     count = len(gaussians)
     mesh = point_mesh("Gaussians", array(gaussians.means))
     quats = array(gaussians.quats)
@@ -90,15 +92,7 @@ def gaussian_mesh(
     set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(array(gaussians.base_colors))))
     set_attribute(mesh, "opacity", "FLOAT", array(gaussians.opacities))
     set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else array(probability))
-    set_attribute(mesh, "fruit_id", "INT", fruit_ids(count, fruits))
+    set_attribute(mesh, "fruit_id", "INT", member_ids(count, fruits))
     mesh[ANTIALIASED] = bool(gaussians.antialiased)
     mesh.update()
     return mesh
-
-
-def fruit_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
-    """(N,) the id of the fruit each Gaussian is a member of, -1 for none."""
-    ids = np.full(count, -1, np.int32)
-    for fruit in fruits:
-        ids[array(fruit.members, np.int64)] = fruit.id
-    return ids

@@ -70,17 +70,17 @@ def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArr
     if len(spheres) == 0:
         return AuditEntry(component, "dropped", clusters.refusal(component), center, size)
     verdict: Verdict = "split" if len(spheres) > 1 else "kept"
+    diameter = float(2.0 * clusters.spheres.radii[spheres].mean())
     if component in clusters.findings:
-        return AuditEntry(component, verdict, clusters.findings[component], center, size, ids)
+        return AuditEntry(component, verdict, clusters.findings[component], center, size, ids, diameter)
     fits = clusters.spheres.select(spheres)
     told = (
         f"covered from {fits.coverage.mean():.0%} of directions, {fits.shell.mean():.0%} of points on the surface, "
         f"{explained:.0%} of the cluster's points explained"
     )
     if len(spheres) == 1:
-        reason = f"one sphere of diameter {2 * fits.radii[0]:.3g}, {told}"
-        return AuditEntry(component, verdict, reason, center, size, ids)
-    return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {told}", center, size, ids)
+        return AuditEntry(component, verdict, f"one sphere, {told}", center, size, ids, diameter)
+    return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {told}", center, size, ids, diameter)
 
 
 def _listed(numbers: tuple[int, ...]) -> str:

@@ -113,7 +113,7 @@ def count_fruit(
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        return nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own))
+        return nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own), sized.diameter)
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
@@ -297,9 +297,9 @@ def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label:
     """Why the Gaussians that are seen give no points to count in."""
     large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
     if large == len(seen):
-        return f"all {large} Gaussians of {label} are larger than a fruit of diameter {diameter:.3g}"
+        return f"all {large} Gaussians of {label} are larger than the fruit that were looked for"
     told = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
-    return told + (f"; {large} others are larger than a fruit of diameter {diameter:.3g}" if large else "")
+    return told + (f"; {large} others are larger than the fruit that were looked for" if large else "")
 
 
 def _sampled(
@@ -339,8 +339,11 @@ def _find(
 
 
 def _mean_top(cameras: Sequence[Camera]) -> FloatArray:
-    """(3,) mean of the cameras' own upward axes."""
-    return -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+    """(3,) mean of the cameras' own upward axes, of length 1; cameras that cancel each other out leave the first's."""
+    upward = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(upward))
+    top: FloatArray = upward / length if length > 1e-6 else -cameras[0].world_to_camera[1, :3]
+    return top
 
 
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
@@ -348,6 +351,6 @@ def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
     return np.argsort(-(centers @ _mean_top(cameras)), kind="stable").astype(np.int64)
 
 
-def _none(highest: float, known: KnownFruit, reason: str, points: int = 0) -> FruitCount:
-    entry = AuditEntry(cluster=0, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
+def _none(highest: float, known: KnownFruit, reason: str, points: int = 0, diameter: float | None = None) -> FruitCount:
+    entry = AuditEntry(0, "dropped", reason, (0.0, 0.0, 0.0), points, diameter=diameter)
     return FruitCount(fruits=[], audit=[entry], max_probability=highest, mean_diameter=None, last_id=known.last)

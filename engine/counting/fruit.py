@@ -53,6 +53,14 @@ class Fruit:
         return 2.0 * np.linalg.norm(self.axes, axis=1)
 
 
+def member_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
+    """(N,) the id of the fruit that each of `count` Gaussians is a member of, -1 for none."""
+    ids = np.full(count, -1, np.int32)
+    for fruit in fruits:
+        ids[fruit.members] = fruit.id
+    return ids
+
+
 @dataclass(frozen=True, eq=False)
 class Tree:
     """One tree of a row. number: from 1 along the row; position: (3,) in the scene's frame; count: of its fruit;
@@ -68,7 +76,11 @@ class Tree:
 
 @dataclass(frozen=True)
 class AuditEntry:
-    """Why one cluster of selected points became fruit, several fruit, or nothing."""
+    """Why one cluster of selected points became fruit, several fruit, or nothing.
+
+    diameter: of its fruit, the mean of several, or of what was looked for, scene units; None where there is none.
+    reason holds no length, because the unit that people read may become known later.
+    """
 
     cluster: int
     verdict: Verdict
@@ -76,6 +88,7 @@ class AuditEntry:
     center: tuple[float, float, float]
     points: int
     fruit_ids: tuple[int, ...] = ()
+    diameter: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Numbers of fruit that stay: a later count of the same scene calls each fruit what an earlier one called it."""
+"""Numbers of fruit that stay: a later count of the same scene calls each fruit what any earlier one called it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class KnownFruit:
-    """What an earlier count of the scene found. ids: (K,); centers: (K, 3) in the scene's frame; last: the highest id
-    that was ever given in the scene, which a fruit that has gone since may have had."""
+    """Every fruit that earlier counts of the scene numbered, where the last count that found it did. ids: (K,);
+    centers: (K, 3) in the scene's frame; diameters: (K,) scene units; last: the highest id that was ever given in the
+    scene, also by results that kept only the fruit of their own count."""
 
     ids: IntArray
     centers: FloatArray
+    diameters: FloatArray
     last: int
 
 
-NOBODY = KnownFruit(np.zeros(0, np.int64), np.zeros((0, 3)), 0)
+NOBODY = KnownFruit(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), 0)
 
 
 def number(centers: FloatArray, order: IntArray, diameter: float, known: KnownFruit = NOBODY) -> IntArray:
@@ -32,7 +34,8 @@ def number(centers: FloatArray, order: IntArray, diameter: float, known: KnownFr
 
     centers: (F, 3); order: (F,) in which new ids are given, from known.last + 1 on; diameter: mean, scene units.
     """
-    same = match_centers(centers, known.centers, NEAR * diameter)
+    # Of the smaller of both: a count that took the crown for one fruit must not take a number from far away.
+    same = match_centers(centers, known.centers, NEAR * np.minimum(diameter, known.diameters))
     ids = np.zeros(len(centers), np.int64)
     ids[same.predicted] = known.ids[same.true]
     new = order[ids[order] == 0]

@@ -25,18 +25,20 @@ class Matching:
         return len(self.predicted)
 
 
-def match_centers(predicted: FloatArray, true: FloatArray, radius: float) -> Matching:
+def match_centers(predicted: FloatArray, true: FloatArray, radius: float | FloatArray) -> Matching:
     """Pair as many centres as lie within `radius`, and of all such pairings take the one of least total distance.
 
-    predicted: (P, 3), true: (T, 3), radius in the same unit. By the Hungarian method.
+    predicted: (P, 3), true: (T, 3), radius in the same unit: one, or (T,) of each true centre. By the Hungarian method.
     """
-    if len(predicted) == 0 or len(true) == 0 or not radius > 0:
+    longest = float(np.max(radius, initial=0.0))
+    if len(predicted) == 0 or len(true) == 0 or not longest > 0:
         none = np.zeros(0, np.int64)
         return Matching(none, none, np.zeros(0))
     distances = cdist(predicted, true)
+    within = distances <= radius
     # A pair out of reach costs more than all pairs within reach together, so that the number of pairs comes first.
-    cost = np.where(distances <= radius, distances, radius * (1.0 + min(distances.shape)) * 2.0)
+    cost = np.where(within, distances, longest * (1.0 + min(distances.shape)) * 2.0)
     rows, columns = linear_sum_assignment(cost)
-    close = distances[rows, columns] <= radius
+    close = within[rows, columns]
     rows, columns = rows[close], columns[close]
     return Matching(rows.astype(np.int64), columns.astype(np.int64), distances[rows, columns])

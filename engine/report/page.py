@@ -20,10 +20,12 @@ from .meshes import id_color
 from .provenance import versions
 from .still import jpeg
 from .tables import fruit_cells, fruit_heads, size_lines
-from .words import length_unit, nothing_found, sureness, whereabouts
+from .words import audit_reason, length_unit, nothing_found, sureness, whereabouts
 
 _STRIP_WIDTH = 1600
 """Pixels across a strip on the page; wider ones are made smaller."""
+REASONS = 3
+"""Clusters that tell why there is no fruit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +71,7 @@ def write_page(
         title=title,
         count=fruit_count.count,
         sureness=sureness(fruit_count),
-        reason=None if fruit_count.fruits else _zero(fruit_count, given),
+        reason=None if fruit_count.fruits else _zero(fruit_count, given, metres_per_unit),
         notices=notices,
         facts=[*whereabouts(fruit_count), *size_lines(fruit_count, metres_per_unit)] if fruit_count.fruits else [],
         reviewed=reviewed,
@@ -94,12 +96,15 @@ def _template() -> Any:
     return environment.get_template("page.html")
 
 
-def _zero(fruit_count: FruitCount, provenance: Mapping[str, Any]) -> str:
-    """Why there is no fruit. Without the settings the audit alone tells it."""
+def _zero(fruit_count: FruitCount, provenance: Mapping[str, Any], metres_per_unit: float | None) -> str:
+    """Why there is no fruit. Without the settings the largest clusters of the audit tell it."""
+    if any(entry.fruit_ids for entry in fruit_count.audit):
+        return "every fruit that was found was rejected"
     threshold = provenance.get("config", {}).get("count", {}).get("threshold")
     if threshold is None:
-        return "; ".join(entry.reason for entry in fruit_count.audit) or "nothing was found"
-    return nothing_found(fruit_count, threshold)
+        largest = sorted(fruit_count.audit, key=lambda entry: -entry.points)[:REASONS]
+        return "; ".join(audit_reason(entry, metres_per_unit) for entry in largest) or "nothing was found"
+    return nothing_found(fruit_count, threshold, metres_per_unit)
 
 
 def _tree_row(tree: Tree) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ _FIELDS: dict[str, dict[str, Any]] = {
     "provenance": {"source": str, "inputs_sha256": str, "encoder": str, "training": dict, "prompts": list},
     "training": {"psnr": (*_NUMBER, type(None)), "ssim": (*_NUMBER, type(None))},
     "fruit": {"id": int, "label": str, "center": list, "diameter": _NUMBER},
+    "earlier fruit": {"id": int, "center": list, "diameter": _NUMBER},
 }
 """What a reader relies on: {part: {field: its type}}."""
 
@@ -51,11 +52,13 @@ def fruits_document(
     files: Mapping[str, str],
     unhashed_files: Sequence[str] = (),
     metres_per_unit: float | None,
+    known: KnownFruit = NOBODY,
 ) -> dict[str, Any]:
     """The content of fruits.json.
 
     Lengths are metres when metres_per_unit is known, else scene units; centres are always in the input scene's frame.
-    unhashed_files: names of the set's files that are not in `files`.
+    unhashed_files: names of the set's files that are not in `files`; known: fruit that earlier counts of the scene
+    numbered, of which those that this one did not find are kept for the next.
     """
     unit_name, unit = file_unit(metres_per_unit)
     return {
@@ -71,9 +74,10 @@ def fruits_document(
         "trees": [_tree_entry(tree) for tree in fruit_count.trees],
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
         "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
+        "earlier_fruits": _earlier_entries(known, {fruit.id for fruit in fruit_count.fruits}, unit),
         "audit": {
             "max_probability": round(fruit_count.max_probability, 6),
-            "clusters": [_audit_entry(entry) for entry in fruit_count.audit],
+            "clusters": [_audit_entry(entry, unit) for entry in fruit_count.audit],
         },
         "config": dict(config),
         "files": dict(sorted(files.items())),
@@ -101,6 +105,19 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
     }
 
 
+def _earlier_entries(known: KnownFruit, found: Collection[int], unit: float) -> list[dict[str, Any]]:
+    """The known fruit whose ids are not among those `found`, by rising id."""
+    return [
+        {
+            "id": int(known.ids[index]),
+            "center": [round(float(value), 6) for value in known.centers[index]],
+            "diameter": round(float(known.diameters[index]) * unit, 6),
+        }
+        for index in np.argsort(known.ids)
+        if known.ids[index] not in found
+    ]
+
+
 def _tree_entry(tree: Tree) -> dict[str, Any]:
     position = [round(float(value), 6) for value in tree.position]
     return {"number": tree.number, "position": position, "count": tree.count, **_sure(tree)}
@@ -110,8 +127,9 @@ def _sure(counted: FruitCount | Tree) -> dict[str, Any]:
     return {"interval": counted.interval, "total": counted.total, "total_interval": counted.total_interval}
 
 
-def _audit_entry(entry: AuditEntry) -> dict[str, Any]:
+def _audit_entry(entry: AuditEntry, unit: float) -> dict[str, Any]:
     document = dataclasses.asdict(entry)
+    document["diameter"] = None if entry.diameter is None else round(entry.diameter * unit, 6)
     center = place(entry)
     document["center"] = None if center is None else [round(float(value), 6) for value in center]
     document["fruit_ids"] = list(entry.fruit_ids)
@@ -148,10 +166,11 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
     _check_fields(document, "document", path)
     _check_fields(document["provenance"], "provenance", path)
     _check_fields(document["provenance"]["training"], "training", path)
-    for fruit in document["fruits"]:
-        _check_fields(fruit, "fruit", path)
-        if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
-            raise FormatError(f"{path}: the centre of fruit {fruit['id']} is not three numbers; count again")
+    for part, entries in (("fruit", document["fruits"]), ("earlier fruit", document.get("earlier_fruits", []))):
+        for fruit in entries:
+            _check_fields(fruit, part, path)
+            if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
+                raise FormatError(f"{path}: the centre of {part} {fruit['id']} is not three numbers; count again")
     if verify:
         for name, expected in document["files"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != expected:
@@ -161,32 +180,38 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
     return document
 
 
-def stored_count(document: Mapping[str, Any], means: NDArray[np.float64]) -> FruitCount:
-    """The count that fruits.json holds, without its sampled points; means (N, 3) of the Gaussians tell its members."""
-    unit = document["metres_per_unit"] or 1.0
+def near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDArray[np.int32]:
+    """(N,) the id of the fruit of fruits.json that each of the means (N, 3) lies in or near, -1 none: its members in
+    results that do not say which they are."""
     entries = document["fruits"]
     centers = np.array([entry["center"] for entry in entries], np.float64).reshape(-1, 3)
-    radii = np.array([entry["diameter"] for entry in entries], np.float64) / (2.0 * unit)
-    owners = nearest_sphere(means, centers, radii)
+    diameters = np.array([entry["diameter"] for entry in entries], np.float64) / (document["metres_per_unit"] or 1.0)
+    ids = np.array([*(entry["id"] for entry in entries), -1], np.int32)
+    return ids[nearest_sphere(means, centers, diameters / 2.0)]
+
+
+def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> FruitCount:
+    """The count that fruits.json holds, without its sampled points. member_ids: (N,) the fruit of each Gaussian."""
+    unit = document["metres_per_unit"] or 1.0
     fruits = [
         Fruit(
             **{name: entry[name] for name in ("id", "label", "probability", "visible_fraction", "views", "kind")},
-            center=centers[index],
+            center=np.array(entry["center"], np.float64),
             diameter=entry["diameter"] / unit,
             diameter_sd=entry["diameter_sd"] / unit,
             volume=entry["volume"] / unit**3,
             axes=np.array(entry["axes"], np.float64) / unit,
             color=np.array(entry["color"], np.uint8),
-            members=np.flatnonzero(owners == index),
+            members=np.flatnonzero(member_ids == entry["id"]),
             fallen=entry["fallen"],
             tree=entry["tree"],
         )
-        for index, entry in enumerate(entries)
+        for entry in document["fruits"]
     ]
     mean = document["mean_diameter"]
     return FruitCount(
         fruits=fruits,
-        audit=[_stored_audit(entry) for entry in document["audit"]["clusters"]],
+        audit=[_stored_audit(entry, unit) for entry in document["audit"]["clusters"]],
         max_probability=document["audit"]["max_probability"],
         mean_diameter=None if mean is None else mean / unit,
         last_id=document["last_id"],
@@ -198,9 +223,10 @@ def stored_count(document: Mapping[str, Any], means: NDArray[np.float64]) -> Fru
     )
 
 
-def _stored_audit(entry: Mapping[str, Any]) -> AuditEntry:
+def _stored_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
     center = tuple(entry["center"] or (0.0, 0.0, 0.0))
-    return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"])})
+    diameter = None if entry.get("diameter") is None else entry["diameter"] / unit
+    return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"]), "diameter": diameter})
 
 
 def _stored_sure(entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -210,16 +236,18 @@ def _stored_sure(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:
-    """The numbered fruit of an earlier count in `folder` of the same inputs; none where there is no such count."""
+    """The fruit that earlier counts of the same inputs in `folder` numbered; none where there is no such count."""
     try:
         document = read_results(folder, verify=False)
     except FruitLangsError:
         return NOBODY
     if document["provenance"]["inputs_sha256"] != inputs_sha256:
         return NOBODY
-    ids = np.array([fruit["id"] for fruit in document["fruits"]], np.int64)
-    centers = np.array([fruit["center"] for fruit in document["fruits"]], np.float64).reshape(-1, 3)
-    return KnownFruit(ids, centers, max(int(document.get("last_id", 0)), int(ids.max(initial=0))))
+    fruits = document["fruits"] + document.get("earlier_fruits", [])
+    ids = np.array([fruit["id"] for fruit in fruits], np.int64)
+    centers = np.array([fruit["center"] for fruit in fruits], np.float64).reshape(-1, 3)
+    diameters = np.array([fruit["diameter"] for fruit in fruits], np.float64) / (document["metres_per_unit"] or 1.0)
+    return KnownFruit(ids, centers, diameters, max(int(document.get("last_id", 0)), int(ids.max(initial=0))))
 
 
 def _check_fields(content: Any, part: str, path: Path) -> None:

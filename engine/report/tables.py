@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import length_unit, nothing_found, place, sureness, three_digits, whereabouts
+from .words import audit_reason, length_unit, nothing_found, place, sureness, three_digits, whereabouts
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -67,9 +67,9 @@ def summary(
         if fruit_count.count > rows:
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
     else:
-        lines.append(f"  {nothing_found(fruit_count, threshold)}")
+        lines.append(f"  {nothing_found(fruit_count, threshold, metres_per_unit)}")
         clusters = [entry for entry in fruit_count.audit if place(entry) is not None]
-        lines += [f"  {entry.verdict}: {entry.reason}" for entry in clusters[:rows]]
+        lines += [f"  {entry.verdict}: {audit_reason(entry, metres_per_unit)}" for entry in clusters[:rows]]
     lines += ["", "  " + "  ".join(f"{stage} {value:.1f} s" for stage, value in seconds.items())]
     return "\n".join(lines)
 

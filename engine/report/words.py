@@ -23,6 +23,15 @@ def place(entry: AuditEntry) -> tuple[float, float, float] | None:
     return entry.center if any(entry.center) else None
 
 
+def audit_reason(entry: AuditEntry, metres_per_unit: float | None) -> str:
+    """Why a cluster became what it is, with the size of its fruit: 'one sphere, …; diameter 78.3 mm'."""
+    if entry.diameter is None:
+        return entry.reason
+    unit, scale = length_unit(metres_per_unit)
+    mean = "mean " if len(entry.fruit_ids) > 1 else ""
+    return f"{entry.reason}; {mean}diameter {three_digits(scale * entry.diameter)} {unit}"
+
+
 def sureness(fruit_count: FruitCount) -> str:
     """The count with what it may be: '114 visible fruit (90 %: 105 to 122); all in all about 121 (108 to 140)'."""
     told = f"{fruit_count.count} visible fruit"
@@ -62,7 +71,7 @@ def _tree_sureness(tree: Tree) -> str:
     return f" (90 %: {low} to {high}, with those nobody saw {least} to {most})"
 
 
-def nothing_found(fruit_count: FruitCount, threshold: float) -> str:
+def nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: float | None) -> str:
     """Why there is no fruit: nothing reached `threshold`, or what reached it has not the form of a fruit."""
     highest = fruit_count.max_probability
     if highest < threshold:
@@ -72,7 +81,7 @@ def nothing_found(fruit_count: FruitCount, threshold: float) -> str:
         return f"1 cluster reached the threshold {threshold:.2f}, it has not the form of a fruit"
     if clusters:
         return f"{clusters} clusters reached the threshold {threshold:.2f}, none has the form of a fruit"
-    return "; ".join(entry.reason for entry in fruit_count.audit)
+    return "; ".join(audit_reason(entry, metres_per_unit) for entry in fruit_count.audit)
 
 
 def length_unit(metres_per_unit: float | None) -> tuple[str, float]:

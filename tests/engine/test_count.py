@@ -18,6 +18,7 @@ from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.counting.visibility import Visibility, frame_of
 from fruitlangs.engine.errors import ConfigError, CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
+from fruitlangs.engine.report.words import nothing_found
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians, harmonics_of
 
@@ -253,7 +254,8 @@ def test_a_given_diameter_is_used(small: sim.Simulation) -> None:
 def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
     result = counted(small, dataclasses.replace(CONFIG, diameter=1e-6))
     assert result.count == 0
-    assert "larger than a fruit of diameter 1e-06" in result.audit[0].reason
+    assert "larger than the fruit" in result.audit[0].reason
+    assert nothing_found(result, 0.5, None).endswith("diameter 1e-06 scene units")
 
 
 def test_fruit_that_are_transparent_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:

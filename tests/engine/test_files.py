@@ -3,9 +3,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 
 from fruitlangs.engine.errors import OutputError
-from fruitlangs.engine.files import files_hash, replacing, require_writable, write_text
+from fruitlangs.engine.files import files_hash, replacing, require_writable, write_tensors, write_text
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path: Path) -> None:
@@ -21,6 +22,13 @@ def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path: Path)
         fail()
     assert target.read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_tensors_may_be_read_by_whoever_may_read_the_other_files(tmp_path: Path) -> None:
+    write_text(tmp_path / "fruits.json", "{}")
+    write_tensors(tmp_path / "selection.safetensors", {"a": torch.zeros(3)}, {})
+    modes = {path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(modes) == 1
 
 
 def test_an_output_folder_below_a_file_is_an_error_that_names_it(tmp_path: Path) -> None:

@@ -151,16 +151,24 @@ def test_a_published_road_tells_no_interval_and_claims_none(tree: sim.Simulation
 
 def test_the_audit_for_people_lists_every_cluster_under_its_verdict():
     entries = [
-        AuditEntry(0, "split", "2 touching spheres", (0.0, 0.5, 1.0), 400, (1, 2)),
+        AuditEntry(0, "split", "2 touching spheres", (0.0, 0.5, 1.0), 400, (1, 2), 0.08),
         AuditEntry(1, "merged", "80% of its points belong to fruit 2", (1.0, 0.5, 1.0), 30, (2,)),
         AuditEntry(2, "dropped", "flat", (1.0, 0.5, 2.0), 90),
         AuditEntry(3, "dropped", "4 clusters of fewer than 20 points each", (0.0, 0.0, 0.0), 33),
     ]
-    text = audit_text(FruitCount([], entries, 1.0, None), prompt="apple").splitlines()
+    text = audit_text(FruitCount([], entries, 1.0, None), prompt="apple", metres_per_unit=None).splitlines()
     assert text[0] == "apple: 0 visible fruit"
     assert "     2 clusters dropped: no fruit" in text
     start = text.index("Dropped (no fruit)")
     assert text[start + 1 :] == [
         "  90 points at 1.000 0.500 2.000: flat", "  33 points: 4 clusters of fewer than 20 points each",
     ]  # fmt: skip
-    assert "  400 points at 0.000 0.500 1.000, fruit 1, 2: 2 touching spheres" in text
+    told = "  400 points at 0.000 0.500 1.000, fruit 1, 2: 2 touching spheres; mean diameter 0.08 scene units"
+    assert told in text
+
+
+def test_the_audit_tells_lengths_in_millimetres_where_the_scale_is_known_and_says_so_at_its_head():
+    entry = AuditEntry(0, "kept", "one sphere", (0.0, 0.5, 1.0), 400, (1,), 0.08)
+    text = audit_text(FruitCount([], [entry], 1.0, None), prompt="apple", metres_per_unit=0.5).splitlines()
+    assert text[1] == "Places are x y z in the frame of the scene, in scene units; diameters are in mm."
+    assert text[-1] == "  400 points at 0.000 0.500 1.000, fruit 1: one sphere; diameter 40 mm"

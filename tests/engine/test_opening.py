@@ -38,7 +38,7 @@ def test_an_opened_result_is_what_was_counted(counted):
         np.testing.assert_allclose(mine.axes, its.axes, atol=1e-6)
         assert mine.volume == pytest.approx(its.volume, rel=1e-5)
         np.testing.assert_array_equal(mine.color, its.color)
-        assert set(its.members) <= set(mine.members)  # members of a stored fruit are asked no probability
+        np.testing.assert_array_equal(mine.members, its.members)
 
 
 def test_lengths_of_an_opened_result_are_scene_units_whatever_its_scale(counted, tmp_path):
@@ -52,12 +52,40 @@ def test_lengths_of_an_opened_result_are_scene_units_whatever_its_scale(counted,
     np.testing.assert_allclose(opened.fruit_count.centers, counted.fruit_count.centers, atol=1e-6)
 
 
-def test_a_result_whose_encoder_is_missing_is_still_shown(counted, monkeypatch):
+@pytest.fixture
+def without_encoder(monkeypatch):
     def missing(config):
         raise EncoderError("the checkpoint is not there")
 
     monkeypatch.setattr("fruitlangs.engine.opening.Embedder.open", missing)
+
+
+@pytest.fixture
+def before_selections(counted, tmp_path):
+    """The same result as a version wrote it that kept no selection."""
+    folder = shutil.copytree(counted.out, tmp_path / "older", ignore=shutil.ignore_patterns("cache"))
+    document = json.loads((folder / "fruits.json").read_text())
+    del document["files"]["selection.safetensors"]
+    (folder / "selection.safetensors").unlink()
+    (folder / "fruits.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_an_older_result_is_asked_again_and_finds_its_members_by_place(counted, before_selections):
+    opened = open_result(before_selections)
+    torch.testing.assert_close(opened.probability, counted.probability, rtol=0, atol=0)
+    for mine, its in zip(opened.fruit_count.fruits, counted.fruit_count.fruits, strict=True):
+        assert set(its.members) <= set(mine.members)  # members of a stored fruit are asked no probability
+
+
+def test_a_result_is_shown_with_its_answer_where_its_encoder_is_missing(counted, without_encoder):
     opened = open_result(counted.out)
+    torch.testing.assert_close(opened.probability, counted.probability, rtol=0, atol=0)
+    assert opened.notices == counted.notices == []
+
+
+def test_an_older_result_whose_encoder_is_missing_is_still_shown(counted, before_selections, without_encoder):
+    opened = open_result(before_selections)
     assert opened.fruit_count.count == counted.fruit_count.count
     assert float(opened.probability.max()) == 0.0
     assert any("the checkpoint is not there" in notice for notice in opened.notices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import tomllib
 from html.parser import HTMLParser
@@ -12,7 +13,7 @@ import pytest
 from fruit_examples import NO_FRUIT, count_of, fruit
 from PIL import Image
 
-from fruitlangs.engine.counting.fruit import Tree
+from fruitlangs.engine.counting.fruit import AuditEntry, Tree
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.report.histogram import drawing, histogram
 from fruitlangs.engine.report.page import Reviewed, write_page
@@ -101,7 +102,7 @@ def test_the_page_needs_no_other_file_and_no_network(tmp_path: Path) -> None:
 
 def test_a_zero_tells_its_reason(tmp_path: Path) -> None:
     settings = {"config": {"count": {"threshold": 0.5}}}
-    assert nothing_found(NO_FRUIT, 0.5) in page(tmp_path, NO_FRUIT, provenance=settings).text
+    assert nothing_found(NO_FRUIT, 0.5, None) in page(tmp_path, NO_FRUIT, provenance=settings).text
     assert "highest probability .31 is below .50" in page(tmp_path, NO_FRUIT, still=None).text
 
 
@@ -170,3 +171,16 @@ def test_the_template_is_part_of_the_package() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     assert "page.html" in settings["tool"]["setuptools"]["package-data"]["fruitlangs.engine.report"]
     assert any(requirement.startswith("jinja2") for requirement in settings["project"]["dependencies"])
+
+
+def test_a_zero_without_settings_is_told_by_the_largest_clusters_alone(tmp_path: Path) -> None:
+    many = [AuditEntry(number, "dropped", f"reason {number}", (0.0, 1.0, 2.0), 10 + number) for number in range(50)]
+    text = page(tmp_path, dataclasses.replace(NO_FRUIT, audit=many)).text
+    assert "reason 49; reason 48; reason 47" in text
+    assert "reason 46" not in text
+
+
+def test_fruit_that_a_person_rejected_all_were_found_nevertheless(tmp_path: Path) -> None:
+    found = AuditEntry(0, "kept", "one sphere", (0.0, 1.0, 2.0), 400, (1,))
+    text = page(tmp_path, dataclasses.replace(NO_FRUIT, audit=[found])).text
+    assert "every fruit that was found was rejected" in text

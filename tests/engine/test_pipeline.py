@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, ConfigError, OutputError, VocabularyError
@@ -20,7 +21,7 @@ SMALL = Config(
     count=CountConfig(threshold=0.3),
 )
 CONTRACT = ["gaussians.ply", "features.safetensors", "fruits.json", "fruits.csv", "fruits.glb", "fruits.ply"]
-CONTRACT += ["still.jpg", "report.html"]
+CONTRACT += ["selection.safetensors", "still.jpg", "report.html"]
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +107,26 @@ def test_a_later_count_calls_a_fruit_what_an_earlier_one_called_it(counted: Resu
             i for c, i in before.items() if np.linalg.norm(np.subtract(c, fruit["center"])) < 0.1 * fruit["diameter"]
         ]
         assert fruit["id"] in near or (not near and fruit["id"] > 500)
+
+
+def test_every_gaussian_says_how_likely_it_is_and_whose(counted: Result) -> None:
+    said = load_file(counted.out / "selection.safetensors")
+    assert (said["probability"].dtype, said["fruit_id"].dtype) == (np.float32, np.int32)
+    np.testing.assert_array_equal(said["probability"], counted.probability.numpy())
+    for fruit in counted.fruit_count.fruits:
+        np.testing.assert_array_equal(np.flatnonzero(said["fruit_id"] == fruit.id), fruit.members)
+    assert (said["fruit_id"] == -1).sum() == len(counted.gaussians) - sum(
+        len(fruit.members) for fruit in counted.fruit_count.fruits
+    )
+    assert "selection.safetensors" in document(counted.out)["files"]
+
+
+def test_a_count_of_other_things_between_takes_no_fruit_its_number(counted: Result, tmp_path: Path) -> None:
+    shutil.copytree(counted.out, tmp_path / "out")
+    nothing = count_scene(tmp_path / "out", ["sky"], tmp_path / "out", config=SMALL)
+    assert nothing.fruit_count.count == 0
+    again = count_scene(tmp_path / "out", ["fruit"], tmp_path / "out", config=SMALL)
+    assert document(again.out)["fruits"] == document(counted.out)["fruits"]
 
 
 def test_a_torn_result_folder_is_refused(counted: Result, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color
-from fruitlangs.engine.report.results import dump, fruits_document, read_results
+from fruitlangs.engine.report.results import dump, fruits_document, read_results, stored_count
 from fruitlangs.engine.report.tables import fruits_csv, summary
 from fruitlangs.engine.report.words import nothing_found, whereabouts
 
@@ -133,9 +133,9 @@ def test_a_zero_blames_the_threshold_only_where_nothing_reached_it() -> None:
     clusters = [AuditEntry(number, "dropped", "flat", (1.0, 2.0, 3.0), 40) for number in range(3)]
     dust = AuditEntry(3, "dropped", "9 clusters are too small", (0.0, 0.0, 0.0), 12)
     refused = dataclasses.replace(NO_FRUIT, max_probability=0.9, audit=[*clusters, dust])
-    assert nothing_found(NO_FRUIT, 0.5).startswith("nothing reached the threshold 0.50")
-    assert nothing_found(refused, 0.5) == "3 clusters reached the threshold 0.50, none has the form of a fruit"
-    assert nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5) == dust.reason
+    assert nothing_found(NO_FRUIT, 0.5, None).startswith("nothing reached the threshold 0.50")
+    assert nothing_found(refused, 0.5, None) == "3 clusters reached the threshold 0.50, none has the form of a fruit"
+    assert nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5, None) == dust.reason
 
 
 def test_the_table_gives_the_reason_of_a_zero_once() -> None:
@@ -146,6 +146,15 @@ def test_the_table_gives_the_reason_of_a_zero_once() -> None:
 def test_an_audit_entry_without_a_place_has_no_centre() -> None:
     document = fruits_document(NO_FRUIT, config={}, provenance={}, files={}, metres_per_unit=None)
     assert document["audit"]["clusters"][0]["center"] is None
+
+
+def test_the_audit_of_a_result_comes_back_in_scene_units_whatever_the_scale() -> None:
+    entry = AuditEntry(1, "kept", "one sphere", (0.0, 0.5, -1.0), 40, (1,), diameter=0.08)
+    document = fruits_document(
+        count_of(fruit(1, 0.0), audit=[entry]), config={}, provenance={}, files={}, metres_per_unit=2.0
+    )
+    assert document["audit"]["clusters"][0]["diameter"] == 0.16
+    assert stored_count(document, np.zeros(0, np.int32)).audit == [entry]
 
 
 def test_a_file_of_another_run_is_noticed(tmp_path: Path) -> None:
