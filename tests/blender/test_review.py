@@ -7,9 +7,11 @@ import dataclasses
 import bpy
 import numpy as np
 import pytest
+from blender_examples import drawn
 
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.fruitlangs_addon.fruit_list import cells, head, is_shown, ranks
+from fruitlangs.fruitlangs_addon.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.fruit_objects import REVIEW, fruit_collection, members, read_log, standing
 from fruitlangs.operators.keep_review import entry_text, review_line
@@ -139,6 +141,51 @@ def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
     assert new["diameter"] == pytest.approx(0.2)
     assert (new["label"], new["probability"], new[REVIEW]) == ("apple", 1.0, "added")
     assert review_line(shown) == "machine 3, after review 4, interval 3–5"
+
+
+@pytest.fixture
+def nothing(extension, counted_with, result_of, tmp_path):
+    """A count of 0 in a scene of that scale."""
+
+    def nothing(metres_per_unit=None):
+        none = counted_with(metres_per_unit=metres_per_unit, fruits=0)
+        found = dataclasses.replace(none.fruit_count, max_probability=0.3)
+        show_result(bpy.context, bpy.context.scene, result_of(none, tmp_path, fruit_count=found))
+        return bpy.context.scene
+
+    return nothing
+
+
+def test_after_a_count_of_0_a_fruit_is_added_with_the_diameter_that_was_typed(nothing):
+    scene = nothing()
+    panel = drawn(FRUITLANGS_PT_review)
+    assert "add_fruit" in panel.buttons
+    assert "diameter" in panel.settings
+    with pytest.raises(RuntimeError, match="type its diameter below Add first"):
+        bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    scene.fruitlangs.review.diameter = 0.25
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    assert fruit(1)["diameter"] == pytest.approx(0.25)
+    assert "diameter" not in drawn(FRUITLANGS_PT_review).settings
+    assert review_line(scene) == "machine 0, after review 1"
+
+
+def test_where_the_scale_is_known_the_diameter_is_typed_in_millimetres(nothing):
+    scene = nothing(metres_per_unit=0.5)
+    assert "diameter_mm" in drawn(FRUITLANGS_PT_review).settings
+    scene.fruitlangs.review.diameter = 9.0
+    scene.fruitlangs.review.diameter_mm = 80.0
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    assert fruit(1)["diameter"] == pytest.approx(0.08)
+    assert fruit(1).scale[0] == pytest.approx(0.16)
+
+
+def test_where_every_fruit_is_rejected_an_added_one_is_as_large_as_those(shown):
+    select(1, 2, 3)
+    bpy.ops.fruitlangs.reject_fruit()
+    assert "diameter" not in drawn(FRUITLANGS_PT_review).settings
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    assert fruit(4)["diameter"] == pytest.approx(0.2)
 
 
 def test_a_relabelled_fruit_has_the_name_and_mesh_of_its_new_label(shown):
