@@ -48,6 +48,7 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
     """`scene.fruitlangs.review`."""
 
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
+    known: CollectionProperty(type=FRUITLANGS_PG_spot, description="The fruit that stood when last looked")
     aside: CollectionProperty(type=FRUITLANGS_PG_aside)
     reason: StringProperty(name="Reason", description="Why, for the log; taken by the next decision")
     label: StringProperty(name="Label", description="What Move to Label calls the selected fruit")

@@ -14,6 +14,7 @@ import bpy
 from ..engine.errors import FruitLangsError, OutputError
 from ..engine.progress import Progress
 from .jobs import JobOperator, Work, busy
+from .keep_review import keep_corrections
 from .read_fruits import counted, read_fruits
 from .settings import result_folder
 
@@ -69,9 +70,10 @@ class ExportFile(JobOperator):
 
     def prepare(self: Any, context: bpy.types.Context) -> Work:
         path = chosen_file(self.filepath, self.suffixes)
+        told = keep_corrections(context.scene)
         fruit_count = read_fruits(context.scene)
         write = self.writing(context, fruit_count)
-        self._said = f"Wrote {fruit_count.count} fruit to {path}"
+        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}", *told])
         return lambda progress: write(path, progress)
 
     def finish(self: Any, context: bpy.types.Context, result: Any) -> None:

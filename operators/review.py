@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import CountingError
 from .blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
+from .by_hand import remember_fruit
 from .fruit_objects import (
     ADDED,
     CONFIRMED,
@@ -33,6 +34,7 @@ from .fruit_objects import (
     write_log,
 )
 from .jobs import busy, describe_error, editing
+from .keep_review import keep_corrections
 from .pick_tool import PickTool
 from .viewport import look_at_point, shown_screens
 from .write_fruits import label_fruit
@@ -82,7 +84,10 @@ class Judgement:
 
     def execute(self: Any, context: bpy.types.Context) -> set[str]:
         try:
+            for line in keep_corrections(context.scene):
+                self.report({"INFO"}, line)
             self.decide(context)
+            remember_fruit(context.scene)
         except Exception as error:
             self.report({"ERROR"}, describe_error(error))
             return {"CANCELLED"}

@@ -88,8 +88,7 @@ def show_reconstruction(
 
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Everything of a count."""
-    told = _enter(bpy_scene, result.origin)
-    keep_corrections(bpy_scene)
+    told = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
     first = owned_object(bpy_scene, "root") is None
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)

@@ -378,6 +378,123 @@ def test_a_decision_about_a_fruit_that_is_gone_is_said_and_stays_in_the_log(show
     assert len(read_log(shown)) == 1
 
 
+def delete(*doomed: int) -> None:
+    """As X does."""
+    select(*doomed)
+    bpy.ops.object.delete()
+
+
+def copy_of(number: int, place: tuple[float, float, float]) -> bpy.types.Object:
+    """As Shift-D and a move do."""
+    select(number)
+    bpy.ops.object.duplicate()
+    made = bpy.context.view_layer.objects.active
+    made.location = place
+    return made
+
+
+def told(scene) -> list[tuple]:
+    """The log in short: action, reason, numbers before and after."""
+    return [
+        (each.action, each.reason, *([spot.id for spot in spots] for spots in (each.before, each.after)))
+        for each in read_log(scene)
+    ]
+
+
+def test_a_deleted_fruit_is_rejected_in_the_log_and_stays_so_after_a_recount(shown, again):
+    fruit(2).location.x = 9.0  # the machine finds it where it found it before
+    select(1)
+    bpy.ops.fruitlangs.confirm_fruit()
+    delete(2)
+    again()
+    assert told(shown)[1:] == [("reject", "deleted", [2], [])]
+    assert numbers() == [1, 3]
+    assert fruit(2)[REVIEW] == "rejected"
+    assert "deleted by hand and rejected in the log: 2" in shown.fruitlangs.result.notices
+    again()
+    assert len(read_log(shown)) == 2
+
+
+def test_a_copied_fruit_is_added_in_the_log_and_a_recount_keeps_it_where_it_is(shown, again):
+    copy_of(2, (9.0, 6.0, 7.0))
+    again()
+    assert told(shown) == [("add", "copied", [], [4])]
+    assert numbers() == [1, 2, 3, 4]
+    assert tuple(fruit(4).location) == (9.0, 6.0, 7.0)
+    assert fruit(4)[REVIEW] == "added"
+    assert "copied by hand and added in the log: 4" in shown.fruitlangs.result.notices
+
+
+def test_the_next_decision_logs_what_was_done_by_hand_first_and_the_copy_stays_selected(shown):
+    made = copy_of(2, (9.0, 6.0, 7.0))
+    bpy.ops.fruitlangs.relabel_fruit(label="pear")
+    assert [each[0] for each in told(shown)] == ["add", "relabel"]
+    assert (made["id"], made.name, made.get("probability")) == (4, "pear.004", None)
+    assert bpy.context.selected_objects == [made] == [bpy.context.view_layer.objects.active]
+    assert fruit(2)["probability"] == pytest.approx(0.6)
+
+
+def test_of_a_fruit_and_its_copy_the_one_that_stayed_is_the_machines(shown):
+    select(2)
+    bpy.ops.object.duplicate()
+    fruit(2).name, bpy.context.view_layer.objects.active.name = "z", "a"
+    bpy.data.objects["a"].location.x = 9.0
+    select(3)
+    bpy.ops.fruitlangs.confirm_fruit()
+    assert (bpy.data.objects["z"]["id"], bpy.data.objects["apple.004"].location.x) == (2, 9.0)
+
+
+def test_deleted_parts_of_a_split_stay_deleted_after_a_recount(shown, again):
+    select(3)
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    fruit(5).location.x += 4.0
+    select(1)
+    bpy.ops.fruitlangs.confirm_fruit()
+    delete(5)
+    again()
+    assert numbers() == [1, 2, 4]
+
+
+def test_fruit_merged_and_split_by_the_panel_are_neither_deleted_nor_copied(shown, again):
+    select(2, 3)
+    bpy.ops.fruitlangs.merge_fruit()
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    select(1)
+    bpy.ops.fruitlangs.reject_fruit()
+    bpy.data.objects.remove(fruit(1))  # it does not count any more
+    again()
+    assert [each[0] for each in told(shown)] == ["merge", "split", "reject"]
+
+
+def test_a_fruit_deleted_after_a_recount_that_renumbered_is_the_one_that_was_there(shown, again, counted):
+    again([dataclasses.replace(each, id=4 - each.id) for each in counted.fruit_count.fruits])
+    gone = tuple(fruit(3).location)
+    delete(3)
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    np.testing.assert_allclose(read_log(shown)[0].before[0].center, gone, atol=1e-6)
+
+
+def test_who_deletes_the_whole_scene_has_judged_no_fruit(shown, again):
+    bpy.data.batch_remove(list(shown.objects))
+    again()
+    assert (numbers(), read_log(shown)) == ([1, 2, 3], [])
+
+
+def test_an_export_logs_what_was_done_by_hand_and_undo_takes_both_back(shown, tmp_path):
+    bpy.ops.ed.undo_push(message="before")
+    delete(1, 2)
+    bpy.ops.ed.undo_push(message="Delete")
+    bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
+    assert told(shown) == [("reject", "deleted", [1, 2], [])]
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert (numbers(), read_log(scene)) == ([1, 2, 3], [])
+    bpy.ops.ed.redo()
+    bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
+    assert told(bpy.context.scene) == [("reject", "deleted", [1, 2], [])]
+
+
 def test_numbers_of_fruit_that_persons_made_are_never_given_twice(shown):
     select(2, 3)
     bpy.ops.fruitlangs.merge_fruit()
