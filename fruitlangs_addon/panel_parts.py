@@ -9,6 +9,7 @@ from typing import Any, Literal
 import bpy
 
 from ..operators.jobs import FRUITLANGS_OT_cancel, Job, running
+from ..operators.splat_drawing import problem
 
 State = Literal["done", "next", "later", "wrong"]
 ICONS: dict[State, str] = {"done": "CHECKMARK", "next": "PLAY", "later": "RADIOBUT_OFF", "wrong": "ERROR"}
@@ -69,6 +70,17 @@ def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "N
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(text, max(int(pixels / 6.3) - 6, 12))):
         column.label(text=line, icon=icon if number == 0 else "NONE")
+
+
+def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
+    """Why splats cannot be drawn, with what can be instead; nothing while they can."""
+    if not problem():
+        return
+    box, look = layout.box(), context.scene.fruitlangs.look
+    box.alert = True
+    draw_text(box, f"Splats cannot be drawn here ({problem()}). Another look tries again", context, icon="ERROR")
+    if look.style == "SPLATS":
+        box.prop_enum(look, "style", "ELLIPSOIDS")
 
 
 def draw_settings(layout: Any, group: Any, names: Iterable[str]) -> None:

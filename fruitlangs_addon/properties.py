@@ -12,8 +12,8 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 
 from ..operators.ask import suggestions, threshold_changed, words_changed
 from ..operators.gaussian_nodes import DIMMING
-from ..operators.look import look_changed
 from ..operators.settings import apply_preset, config_properties, stage_classes
+from ..operators.splat_drawing import look_edited
 from . import review
 from .photos import FRUITLANGS_PG_photos
 from .review import FRUITLANGS_PG_review
@@ -95,13 +95,13 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
             ("NONE", "Nothing", "Not in viewports; renders show them still"),
         ],
         default="SPLATS",
-        update=look_changed,
+        update=look_edited,
         description="How viewports show Gaussians; renders always show ellipsoids",
     )
     highlight: BoolProperty(
         name="Highlight",
         default=True,
-        update=look_changed,
+        update=look_edited,
         description="Light what answers to the prompt, grey at the threshold to yellow where it is certain, and dim "
         "the rest",
     )
@@ -111,7 +111,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=look_changed,
+        update=look_edited,
         description="How much of its brightness loses what stays below the threshold",
     )
 

@@ -7,7 +7,7 @@ import bpy
 from ..operators.blender_data import owned_object
 from ..operators.jobs import running
 from ..operators.reconstruct import FRUITLANGS_OT_reconstruct
-from .panel_parts import State, StepPanel, draw_job, draw_settings, draw_text, work_state
+from .panel_parts import State, StepPanel, draw_job, draw_settings, draw_splat_problem, draw_text, work_state
 from .settings_panels import settings_panel
 
 MAIN = ("steps", "max_gaussians")
@@ -36,6 +36,7 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
         column.prop(settings, "out")
         if not draw_job(layout, FRUITLANGS_OT_reconstruct.title, context):
             layout.operator(FRUITLANGS_OT_reconstruct.bl_idname, icon="OUTLINER_OB_POINTCLOUD")
+        draw_splat_problem(layout, context)
         result = settings.result
         if result.gaussians:
             layout.label(text=f"{result.gaussians:,} Gaussians", icon="CHECKMARK")
