@@ -48,6 +48,8 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
     apply_look(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(settings.result, scene)
+    if told:  # else what an earlier import or the shown count told still holds
+        settings.result.notices = "; ".join(told)
     show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
     look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
     return told
