@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.caches import work_caches
 from fruitlangs.operators.showing import show_result
 
 
@@ -106,6 +107,12 @@ def test_gaussians_deleted_meanwhile_come_back_with_the_next_count(extension, co
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
     assert owned_object(bpy.context.scene, "gaussians").parent == owned_object(bpy.context.scene, "root")
     assert len(owned_objects(bpy.context.scene, "fruit")) == 3
+
+
+def test_all_that_a_run_keeps_beside_its_results_is_what_can_be_cleared(extension, counted_balls, tmp_path):
+    bpy.context.scene.fruitlangs.out = str(counted_balls.out)
+    kept = sorted((counted_balls.out / "cache").iterdir())
+    assert kept == work_caches(bpy.context.scene) != []
 
 
 def test_undo_takes_an_import_back_and_redo_brings_it_again(extension, counted_balls, tmp_path):
