@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import bpy
 
 from ..operators.jobs import FRUITLANGS_OT_cancel, Job, running
 from ..operators.splat_drawing import problem
-
-State = Literal["done", "next", "later", "wrong"]
-ICONS: dict[State, str] = {"done": "CHECKMARK", "next": "PLAY", "later": "RADIOBUT_OFF", "wrong": "ERROR"}
+from .steps import ICONS, Name, step_of
 
 
 class SidebarPanel:
@@ -24,18 +22,18 @@ class SidebarPanel:
 class StepPanel(SidebarPanel):
     """One step of the day: its header shows how far it is, its body what it needs next."""
 
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        """How far this step is; must be quick, it is asked at every draw."""
-        raise NotImplementedError
+    step: ClassVar[Name]
 
     def draw_header(self: Any, context: bpy.types.Context) -> None:
-        self.layout.label(text="", icon=ICONS[self.state(context)])
+        self.layout.label(text="", icon=ICONS[step_of(self.step, context.scene).state])
 
-    def body(self: Any) -> Any:
-        """The panel's layout with names left of their values."""
+    def body(self: Any, context: bpy.types.Context) -> Any:
+        """The panel's layout with names left of their values, below what the step needs next."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
+        sentence = step_of(self.step, context.scene).sentence
+        if sentence and running() is None:
+            draw_text(self.layout, sentence, context, icon="INFO")
         return self.layout
 
 
@@ -55,13 +53,6 @@ def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
     draw_text(column, job.text, context)
     column.operator(FRUITLANGS_OT_cancel.bl_idname, icon="CANCEL")
     return True
-
-
-def work_state(context: bpy.types.Context, title: str, done: bool, ready: bool) -> State:
-    """How far a step is whose work is the job of that title: `done` before, `ready` to be done."""
-    if context.scene.fruitlangs.failed == title:
-        return "wrong"
-    return "done" if done else "next" if ready else "later"
 
 
 def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:

@@ -66,6 +66,12 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     whereabouts: StringProperty(name="Whereabouts", description="Fruit on the ground, and fruit on each tree of a row")
     notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
     folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=RELATIVE)
+    exported: StringProperty(
+        name="Exported",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="The file of this count that was written last",
+    )
     source: StringProperty(
         name="Source", subtype="DIR_PATH", options=RELATIVE, description="What is shown and measured was made from it"
     )

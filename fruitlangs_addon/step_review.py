@@ -6,8 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..operators.blender_data import owned_objects
-from ..operators.fruit_objects import REVIEW, fruit_collection, metres_per_unit
+from ..operators.fruit_objects import fruit_collection, metres_per_unit
 from ..operators.keep_review import entry_text, review_line
 from ..operators.read_fruits import counted
 from ..operators.review import (
@@ -22,7 +21,7 @@ from ..operators.review import (
     usual_diameter,
 )
 from .fruit_list import FRUITLANGS_UL_fruits, draw_head
-from .panel_parts import SidebarPanel, State, StepPanel, draw_text
+from .panel_parts import SidebarPanel, StepPanel, draw_text
 from .photos import draw_photos
 
 LAST = 8
@@ -33,20 +32,11 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_review"
     bl_label = "5 Review"
     bl_order = 5
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        fruit = owned_objects(context.scene, "fruit")
-        if not fruit:
-            return "later"
-        bound = context.scene.fruitlangs.review.doubt
-        doubtful = any(REVIEW not in item and item.get("probability", 1.0) < bound for item in fruit)
-        return "next" if doubtful else "done"
+    step = "review"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, review = self.body(), context.scene.fruitlangs.review
+        layout, review = self.body(context), context.scene.fruitlangs.review
         if not counted(context.scene):
-            draw_text(layout, "Count first; then every fruit can be looked at here", context)
             return
         draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
         draw_list(layout, context)

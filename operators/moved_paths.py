@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 
 from .settings import path_names, relative_path, stage_classes
 
-CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "source", "work")
+CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "exported", "source", "work")
 """The paths of `scene.fruitlangs` and of its result; those among the stages' settings say so themselves."""
 
 

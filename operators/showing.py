@@ -137,6 +137,7 @@ def keep_result(settings: Any, result: Result) -> None:
     shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
     shown.notices = "; ".join(result.notices)
     shown.folder = stored_path(result.out)
+    shown.exported = ""
 
 
 def _keep_scene(shown: Any, scene: Scene) -> None:

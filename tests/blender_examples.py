@@ -67,6 +67,8 @@ class Layout:
 
 def drawn(panel) -> Any:
     """What a panel draws of the Blender scene at hand, in a wide sidebar."""
+    from fruitlangs.fruitlangs_addon.panel_parts import StepPanel
+
     layout = Layout()
     context = SimpleNamespace(
         scene=bpy.context.scene,
@@ -75,6 +77,7 @@ def drawn(panel) -> Any:
         view_layer=bpy.context.view_layer,
         mode="OBJECT",
     )
-    made = SimpleNamespace(layout=layout, body=lambda *given: layout)
+    made = SimpleNamespace(layout=layout, step=getattr(panel, "step", None))
+    made.body = lambda given: StepPanel.body(made, given)
     panel.draw(made, context)
     return layout
