@@ -43,6 +43,19 @@ def range_of(setting: Field[Any]) -> Range | None:
     return setting.metadata.get("range")
 
 
+PathKind = Literal["file", "folder"]
+
+
+def _path(default: str, kind: PathKind) -> Any:
+    """A field that names a file or a folder, or something else that a stage finds by name."""
+    return field(default=default, metadata={"path": kind})
+
+
+def path_kind(setting: Field[Any]) -> PathKind | None:
+    """Whether a field of a stage's settings may be the path of a file or of a folder; None where it is no path."""
+    return setting.metadata.get("path")
+
+
 class _Checked:
     """Settings whose numbers are looked at when they are made."""
 
@@ -218,11 +231,11 @@ class EmbedConfig(_Checked):
 
     encoder: Literal["embedded", "clip"] = "embedded"
     """Image and text encoder: 'embedded' ships with the package and knows fruit; 'clip' answers any word."""
-    clip: str = "openai/clip-vit-base-patch16"
+    clip: str = _path("openai/clip-vit-base-patch16", "folder")
     """CLIP or SigLIP checkpoint for encoder 'clip': a local folder or a name on the Hugging Face hub."""
     masks: Literal["classical", "sam"] = "classical"
     """What encoder 'clip' looks at one by one: 'classical' needs no download, 'sam' finds better masks."""
-    sam: str = "facebook/sam-vit-huge"
+    sam: str = _path("facebook/sam-vit-huge", "folder")
     """SAM checkpoint for masks 'sam': a local folder or a name on the Hugging Face hub."""
     allow_download: bool = False
     """Download a checkpoint that is not on this computer from the Hugging Face hub."""
@@ -258,7 +271,7 @@ class CountConfig(_Checked):
     """Lowest probability at which a Gaussian belongs to the prompt."""
     method: Literal["voting", "template", "fruitnerf"] = "voting"
     """'voting': centre votes, sphere fits, a gate; 'template': the paper's templates; 'fruitnerf': FruitNeRF's."""
-    template: str = ""
+    template: str = _path("", "file")
     """Mesh or point cloud of one fruit, for the methods 'template' and 'fruitnerf'; without it the scene or a ball."""
     select: Literal["calibrated", "dual"] = "calibrated"
     """'calibrated': by the probability of the prompt; 'dual': by the paper's two thresholds on cosines (eq. 11)."""

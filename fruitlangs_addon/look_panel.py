@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..operators.blender_data import owned_object
-from .panel_parts import SidebarPanel
+from .panel_parts import SidebarPanel, draw_splat_problem
 from .step_ask import FRUITLANGS_PT_ask
 
 
@@ -24,6 +24,7 @@ class FRUITLANGS_PT_look(SidebarPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings.look, "style")
+        draw_splat_problem(layout, context)
         layout.prop(settings.look, "highlight")
         column = layout.column()
         column.enabled = settings.look.highlight

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import bpy
 
 from ..operators.jobs import FRUITLANGS_OT_cancel, Job, running
-
-State = Literal["done", "next", "later", "wrong"]
-ICONS: dict[State, str] = {"done": "CHECKMARK", "next": "PLAY", "later": "RADIOBUT_OFF", "wrong": "ERROR"}
+from ..operators.splat_drawing import problem
+from .steps import ICONS, Name, step_of
 
 
 class SidebarPanel:
@@ -23,18 +22,18 @@ class SidebarPanel:
 class StepPanel(SidebarPanel):
     """One step of the day: its header shows how far it is, its body what it needs next."""
 
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        """How far this step is; must be quick, it is asked at every draw."""
-        raise NotImplementedError
+    step: ClassVar[Name]
 
     def draw_header(self: Any, context: bpy.types.Context) -> None:
-        self.layout.label(text="", icon=ICONS[self.state(context)])
+        self.layout.label(text="", icon=ICONS[step_of(self.step, context.scene).state])
 
-    def body(self: Any) -> Any:
-        """The panel's layout with names left of their values."""
+    def body(self: Any, context: bpy.types.Context) -> Any:
+        """The panel's layout with names left of their values, below what the step needs next."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
+        sentence = step_of(self.step, context.scene).sentence
+        if sentence and running() is None:
+            draw_text(self.layout, sentence, context, icon="INFO")
         return self.layout
 
 
@@ -56,19 +55,23 @@ def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
     return True
 
 
-def work_state(context: bpy.types.Context, title: str, done: bool, ready: bool) -> State:
-    """How far a step is whose work is the job of that title: `done` before, `ready` to be done."""
-    if context.scene.fruitlangs.failed == title:
-        return "wrong"
-    return "done" if done else "next" if ready else "later"
-
-
 def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
     """Text broken to the sidebar's width; labels do not wrap by themselves."""
     pixels = context.region.width / context.preferences.system.ui_scale
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(text, max(int(pixels / 6.3) - 6, 12))):
         column.label(text=line, icon=icon if number == 0 else "NONE")
+
+
+def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
+    """Why splats cannot be drawn, with what can be instead; nothing while they can."""
+    if not problem():
+        return
+    box, look = layout.box(), context.scene.fruitlangs.look
+    box.alert = True
+    draw_text(box, f"Splats cannot be drawn here ({problem()}). Another look tries again", context, icon="ERROR")
+    if look.style == "SPLATS":
+        box.prop_enum(look, "style", "ELLIPSOIDS")
 
 
 def draw_settings(layout: Any, group: Any, names: Iterable[str]) -> None:

@@ -12,14 +12,11 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 
 from ..operators.ask import suggestions, threshold_changed, words_changed
 from ..operators.gaussian_nodes import DIMMING
-from ..operators.look import look_changed
-from ..operators.settings import apply_preset, config_properties, stage_classes
+from ..operators.settings import RELATIVE, apply_preset, config_properties, stage_classes
+from ..operators.splat_drawing import look_edited
 from . import review
 from .photos import FRUITLANGS_PG_photos
 from .review import FRUITLANGS_PG_review
-
-# Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
-_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 
 
 def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:
@@ -54,7 +51,7 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     points: IntProperty(name="Points", min=0)
     gaussians: IntProperty(name="Gaussians", min=0)
     quality: StringProperty(name="Quality", description="How well photos kept aside from training are drawn")
-    features: StringProperty(name="Features", subtype="FILE_PATH", options=_RELATIVE, description="Of the Gaussians")
+    features: StringProperty(name="Features", subtype="FILE_PATH", options=RELATIVE, description="Of the Gaussians")
     count: IntProperty(name="Count", default=-1, min=-1, description="Fruit counted; -1 before there was a count")
     low: IntProperty(name="Low", default=-1, min=-1, description="Of the 90 % interval; -1 where none is told")
     high: IntProperty(name="High", default=-1, min=-1, description="Of the 90 % interval; -1 where none is told")
@@ -68,13 +65,19 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     sureness: StringProperty(name="Sureness", description="90 % intervals of the visible fruit and of all")
     whereabouts: StringProperty(name="Whereabouts", description="Fruit on the ground, and fruit on each tree of a row")
     notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
-    folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=_RELATIVE)
+    folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=RELATIVE)
+    exported: StringProperty(
+        name="Exported",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="The file of this count that was written last",
+    )
     source: StringProperty(
-        name="Source", subtype="DIR_PATH", options=_RELATIVE, description="What is shown and measured was made from it"
+        name="Source", subtype="DIR_PATH", options=RELATIVE, description="What is shown and measured was made from it"
     )
     mark: StringProperty(name="Mark", description="A file of the source and its hash, by which it is known again")
     work: StringProperty(
-        name="Work", subtype="DIR_PATH", options=_RELATIVE, description="Where the next run on this source goes on"
+        name="Work", subtype="DIR_PATH", options=RELATIVE, description="Where the next run on this source goes on"
     )
 
 
@@ -96,13 +99,13 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
             ("NONE", "Nothing", "Not in viewports; renders show them still"),
         ],
         default="SPLATS",
-        update=look_changed,
+        update=look_edited,
         description="How viewports show Gaussians; renders always show ellipsoids",
     )
     highlight: BoolProperty(
         name="Highlight",
         default=True,
-        update=look_changed,
+        update=look_edited,
         description="Light what answers to the prompt, grey at the threshold to yellow where it is certain, and dim "
         "the rest",
     )
@@ -112,7 +115,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=look_changed,
+        update=look_edited,
         description="How much of its brightness loses what stays below the threshold",
     )
 
@@ -123,20 +126,20 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     source: StringProperty(
         name="Scene",
         subtype="DIR_PATH",
-        options=_RELATIVE,
+        options=RELATIVE,
         description="Folder of photos, with a COLMAP model or alone, or of an earlier result; or a .ply of Gaussians",
     )
     out: StringProperty(
         name="Results",
         subtype="DIR_PATH",
-        options=_RELATIVE,
+        options=RELATIVE,
         description="Folder for results; when empty, that of the last run on this scene, else one beside the .blend "
         "(or beside the scene, if never saved)",
     )
     gaussians: StringProperty(
         name="Gaussians",
         subtype="FILE_PATH",
-        options=_RELATIVE,
+        options=RELATIVE,
         description="A .ply of Gaussians or coloured points in the frame of the scene's cameras, instead of training",
     )
     prompt: StringProperty(

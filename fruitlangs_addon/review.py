@@ -49,11 +49,18 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
     """`scene.fruitlangs.review`."""
 
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
+    known: CollectionProperty(type=FRUITLANGS_PG_spot, description="The fruit that stood when last looked")
     aside: CollectionProperty(type=FRUITLANGS_PG_aside)
     reason: StringProperty(name="Reason", description="Why, for the log; taken by the next decision")
     label: StringProperty(name="Label", description="What Move to Label calls the selected fruit")
     dropped: IntProperty(
         name="From", default=1, min=1, description="The panel shows dropped clusters from this one on, largest first"
+    )
+    diameter: FloatProperty(
+        name="New Diameter", min=0.0, precision=4, description="Of an added fruit, in scene units; 0: not given"
+    )
+    diameter_mm: FloatProperty(
+        name="New Diameter in mm", min=0.0, precision=1, description="Of an added fruit, in millimetres; 0: not given"
     )
     parts: IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit Split makes of one")
     show: EnumProperty(

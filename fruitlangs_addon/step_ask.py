@@ -5,9 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..operators.ask import FRUITLANGS_OT_ask
-from ..operators.blender_data import owned_object
 from ..operators.jobs import running
-from .panel_parts import State, StepPanel, draw_text
+from .panel_parts import StepPanel, draw_text
 from .settings_panels import settings_panel
 
 
@@ -15,18 +14,10 @@ class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_ask"
     bl_label = "3 Ask"
     bl_order = 3
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        answer = context.scene.fruitlangs.answer
-        if answer.problem:
-            return "wrong"
-        if answer.text:
-            return "done"
-        return "next" if owned_object(context.scene, "gaussians") is not None else "later"
+    step = "ask"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(), context.scene.fruitlangs
+        layout, settings = self.body(context), context.scene.fruitlangs
         column = layout.column()
         column.enabled = running() is None
         column.prop(settings, "prompt")

@@ -8,7 +8,7 @@ import bpy
 
 from ..operators.count import FRUITLANGS_OT_count
 from ..operators.showing import size_text
-from .panel_parts import State, StepPanel, draw_job, draw_text, work_state
+from .panel_parts import StepPanel, draw_job, draw_text
 from .settings_panels import settings_panel
 
 
@@ -16,14 +16,10 @@ class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_count"
     bl_label = "4 Count"
     bl_order = 4
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        settings = context.scene.fruitlangs
-        return work_state(context, FRUITLANGS_OT_count.title, settings.result.count >= 0, bool(settings.source))
+    step = "count"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(), context.scene.fruitlangs
+        layout, settings = self.body(context), context.scene.fruitlangs
         if not draw_job(layout, FRUITLANGS_OT_count.title, context):
             row = layout.row()
             row.scale_y = 1.5

@@ -10,10 +10,9 @@ from ..operators.export import NAMES, FRUITLANGS_OT_export_csv
 from ..operators.export_file import TITLE
 from ..operators.export_pictures import FRUITLANGS_OT_export_report, FRUITLANGS_OT_export_still
 from ..operators.export_usd import WITHOUT, has_usd
-from ..operators.fruit_objects import standing
 from ..operators.keep_review import review_line
 from ..operators.read_fruits import counted
-from .panel_parts import State, StepPanel, draw_job, draw_text, work_state
+from .panel_parts import StepPanel, draw_job, draw_text
 
 ICONS: dict[Any, str] = {
     FRUITLANGS_OT_export_report: "FILE_TEXT",
@@ -27,20 +26,13 @@ class FRUITLANGS_PT_export(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_export"
     bl_label = "6 Export"
     bl_order = 6
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        return work_state(context, TITLE, False, counted(context.scene))
+    step = "export"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.body()
+        layout = self.body(context)
         if draw_job(layout, TITLE, context):
             return
-        if not counted(context.scene):
-            draw_text(layout, "Count first; then the fruit can be exported", context)
-        else:
-            fruit = len(standing(context.scene))
-            draw_text(layout, f"Writes the {fruit} fruit that stand now", context)
+        if counted(context.scene):
             draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
         for item, icon in ICONS.items():
             layout.operator(item.bl_idname, text=NAMES[item], icon=icon)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..operators.blender_data import owned_object
 from ..operators.jobs import running
 from ..operators.reconstruct import FRUITLANGS_OT_reconstruct
-from .panel_parts import State, StepPanel, draw_job, draw_settings, draw_text, work_state
+from .panel_parts import StepPanel, draw_job, draw_settings, draw_splat_problem, draw_text
 from .settings_panels import settings_panel
 
 MAIN = ("steps", "max_gaussians")
@@ -18,14 +17,10 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_reconstruct"
     bl_label = "2 Reconstruct"
     bl_order = 2
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        done = owned_object(context.scene, "gaussians") is not None
-        return work_state(context, FRUITLANGS_OT_reconstruct.title, done, bool(context.scene.fruitlangs.result.cameras))
+    step = "reconstruct"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(), context.scene.fruitlangs
+        layout, settings = self.body(context), context.scene.fruitlangs
         column = layout.column()
         column.enabled = running() is None
         column.prop(settings, "gaussians")
@@ -36,6 +31,7 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
         column.prop(settings, "out")
         if not draw_job(layout, FRUITLANGS_OT_reconstruct.title, context):
             layout.operator(FRUITLANGS_OT_reconstruct.bl_idname, icon="OUTLINER_OB_POINTCLOUD")
+        draw_splat_problem(layout, context)
         result = settings.result
         if result.gaussians:
             layout.label(text=f"{result.gaussians:,} Gaussians", icon="CHECKMARK")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
-from ..operators.blender_data import owned_objects
-from ..operators.fruit_objects import REVIEW, fruit_collection
+from ..operators.fruit_objects import fruit_collection, metres_per_unit
 from ..operators.keep_review import entry_text, review_line
+from ..operators.read_fruits import counted
 from ..operators.review import (
     FRUITLANGS_OT_add_fruit,
     FRUITLANGS_OT_confirm_fruit,
@@ -16,9 +18,10 @@ from ..operators.review import (
     FRUITLANGS_OT_relabel_fruit,
     FRUITLANGS_OT_reopen_fruit,
     FRUITLANGS_OT_split_fruit,
+    usual_diameter,
 )
 from .fruit_list import FRUITLANGS_UL_fruits, draw_head
-from .panel_parts import SidebarPanel, State, StepPanel, draw_text
+from .panel_parts import SidebarPanel, StepPanel, draw_text
 from .photos import draw_photos
 from .why_panel import FRUITLANGS_PT_review_why
 
@@ -30,32 +33,14 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_review"
     bl_label = "5 Review"
     bl_order = 5
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        fruit = owned_objects(context.scene, "fruit")
-        if not fruit:
-            return "later"
-        bound = context.scene.fruitlangs.review.doubt
-        doubtful = any(REVIEW not in item and item.get("probability", 1.0) < bound for item in fruit)
-        return "next" if doubtful else "done"
+    step = "review"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, review = self.body(), context.scene.fruitlangs.review
-        collection = fruit_collection(context.scene)
-        if collection is None:
-            draw_text(layout, "Count first; then every fruit can be looked at here", context)
+        layout, review = self.body(context), context.scene.fruitlangs.review
+        if not counted(context.scene):
             return
         draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
-        layout.prop(review, "show")
-        if review.show == "DOUBTFUL":
-            layout.prop(review, "doubt", slider=True)
-        layout.prop(review, "sort")
-        draw_head(layout, context)
-        layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
-        layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
-        draw_photos(layout, context)
-        layout.prop(review, "labels")
+        draw_list(layout, context)
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_confirm_fruit.bl_idname, icon="CHECKMARK")
         row.operator(FRUITLANGS_OT_reject_fruit.bl_idname, icon="X")
@@ -63,6 +48,9 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_merge_fruit.bl_idname, icon="AUTOMERGE_ON")
         row.operator(FRUITLANGS_OT_add_fruit.bl_idname, icon="ADD")
+        if not usual_diameter(context.scene):
+            metric = metres_per_unit(context.scene) is not None
+            layout.prop(review, "diameter_mm" if metric else "diameter", text="Ø mm" if metric else "Ø units")
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_split_fruit.bl_idname, icon="MOD_EXPLODE")
         row.prop(review, "parts", text="")
@@ -70,6 +58,22 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         row.operator(FRUITLANGS_OT_relabel_fruit.bl_idname, icon="FILE_TEXT")
         row.prop(review, "label", text="")
         layout.prop(review, "reason")
+
+
+def draw_list(layout: Any, context: bpy.types.Context) -> None:
+    """The fruit there are, and the ways to look at them; nothing where there is none."""
+    review, collection = context.scene.fruitlangs.review, fruit_collection(context.scene)
+    if collection is None:
+        return
+    layout.prop(review, "show")
+    if review.show == "DOUBTFUL":
+        layout.prop(review, "doubt", slider=True)
+    layout.prop(review, "sort")
+    draw_head(layout, context)
+    layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
+    layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
+    draw_photos(layout, context)
+    layout.prop(review, "labels")
 
 
 class FRUITLANGS_PT_review_log(SidebarPanel, bpy.types.Panel):

@@ -13,7 +13,7 @@ from ..operators.level import FRUITLANGS_OT_set_ground
 from ..operators.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
 from ..operators.scale import FRUITLANGS_OT_measure, scale_text
 from .missing_packages import draw_missing_packages
-from .panel_parts import State, StepPanel, draw_job, work_state
+from .panel_parts import StepPanel, draw_job, draw_text
 from .settings_panels import settings_panel
 
 
@@ -21,14 +21,10 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_scene"
     bl_label = "1 Scene"
     bl_order = 1
-
-    @staticmethod
-    def state(context: bpy.types.Context) -> State:
-        done = bool(context.scene.fruitlangs.result.cameras)
-        return work_state(context, FRUITLANGS_OT_import_scene.title, done, True)
+    step = "scene"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(), context.scene.fruitlangs
+        layout, settings = self.body(context), context.scene.fruitlangs
         draw_missing_packages(layout, context)
         column = layout.column()
         column.enabled = running() is None
@@ -40,6 +36,8 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
             points = f", {result.points:,} points" if result.points else ""
             layout.label(text=f"{result.cameras} cameras{points}", icon="CAMERA_DATA")
             draw_tools(layout, context)
+        if result.notices and not result.gaussians and result.count < 0:  # later steps tell them with what they made
+            draw_text(layout, result.notices, context, icon="INFO")
 
 
 def draw_tools(layout: Any, context: bpy.types.Context) -> None:

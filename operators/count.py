@@ -40,7 +40,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
         config = read_config(settings, source)
         opened = Path(bpy.data.filepath) if bpy.data.filepath else None
         self._out = out
-        self._preview = Preview(context.scene)
+        self._preview = Preview(context.scene, source)
         watch = self._preview.watch
 
         def work(progress: Progress) -> Any:

@@ -14,8 +14,9 @@ import bpy
 from ..engine.errors import FruitLangsError, OutputError
 from ..engine.progress import Progress
 from .jobs import JobOperator, Work, busy, linked
+from .keep_review import keep_corrections
 from .read_fruits import counted, read_fruits
-from .settings import result_folder
+from .settings import result_folder, stored_path
 
 if TYPE_CHECKING:
     from ..engine.counting.fruit import FruitCount
@@ -69,12 +70,17 @@ class ExportFile(JobOperator):
 
     def prepare(self: Any, context: bpy.types.Context) -> Work:
         path = chosen_file(self.filepath, self.suffixes)
+        told = keep_corrections(context.scene)
         fruit_count = read_fruits(context.scene)
         write = self.writing(context, fruit_count)
-        self._said = f"Wrote {fruit_count.count} fruit to {path}"
+        self._path = path
+        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}", *told])
         return lambda progress: write(path, progress)
 
     def finish(self: Any, context: bpy.types.Context, result: Any) -> None:
+        bpy_scene = self._target.find()
+        if bpy_scene is not None:
+            bpy_scene.fruitlangs.result.exported = stored_path(self._path)
         self.report({"INFO"}, self._said)
 
 

@@ -153,9 +153,14 @@ def write_log(bpy_scene: bpy.types.Scene, decision: Decision) -> None:
     entry.action, entry.time, entry.reason = decision.action, decision.time, decision.reason
     for spots, kept in ((decision.before, entry.before), (decision.after, entry.after)):
         for spot in spots:
-            row = kept.add()
-            row.number, row.label = spot.id, spot.label
-            row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
+            keep_spot(kept, spot)
+
+
+def keep_spot(rows: Any, spot: Spot) -> None:
+    """Add a spot to those that the .blend keeps."""
+    row = rows.add()
+    row.number, row.label = spot.id, spot.label
+    row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
 
 
 def read_log(bpy_scene: bpy.types.Scene) -> list[Decision]:
@@ -163,15 +168,16 @@ def read_log(bpy_scene: bpy.types.Scene) -> list[Decision]:
     from ..engine.counting.review import Decision
 
     return [
-        Decision(entry.action, entry.time, entry.reason, _spots(entry.before), _spots(entry.after))
+        Decision(entry.action, entry.time, entry.reason, tuple(spots_of(entry.before)), tuple(spots_of(entry.after)))
         for entry in bpy_scene.fruitlangs.review.log
     ]
 
 
-def _spots(rows: Any) -> tuple[Spot, ...]:
+def spots_of(rows: Any) -> list[Spot]:
+    """The spots that `keep_spot` kept."""
     from ..engine.counting.review import Spot
 
-    return tuple(
+    return [
         Spot(row.number, row.label, np.array(row.center, np.float64), np.array(row.axes, np.float64).reshape(3, 3))
         for row in rows
-    )
+    ]

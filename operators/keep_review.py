@@ -11,6 +11,7 @@ import numpy as np
 
 from ..engine.errors import VocabularyError
 from .blender_data import owned_object, owned_objects, remove_objects
+from .by_hand import log_by_hand, remember_fruit
 from .fruit_objects import (
     ADDED,
     CONFIRMED,
@@ -32,17 +33,20 @@ if TYPE_CHECKING:
     from ..engine.counting.review import Decision, Reviewed
 
 
-def keep_corrections(bpy_scene: bpy.types.Scene) -> None:
-    """Write into the log where the fruit that a person made stand now: they may have been moved and scaled since."""
+def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
+    """Write into the log which fruit a person deleted and copied, which is told in words, and where those that a person
+    made stand now: they may have been moved and scaled since."""
     root = owned_object(bpy_scene, "root")
     if root is None:
-        return
+        return []
+    told = log_by_hand(bpy_scene)
     made = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == ADDED]
     spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
     for row in _rows(bpy_scene):
         spot = spots.get(row.number)
         if spot is not None:
             row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
+    return told
 
 
 def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
@@ -76,6 +80,8 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts:
     remove_objects(gone.values())
     for row in _rows(bpy_scene):
         row.number = found.renumbered.get(row.number, row.number)
+    bpy_scene.fruitlangs.review.known.clear()  # a number may be another fruit's now
+    remember_fruit(bpy_scene)
     return _not_applied(found.lost, others)
 
 

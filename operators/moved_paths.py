@@ -9,10 +9,10 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from .settings import relative_path
+from .settings import path_names, relative_path, stage_classes
 
-CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "source", "work")
-"""The paths of `scene.fruitlangs` and of its result."""
+CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "exported", "source", "work")
+"""The paths of `scene.fruitlangs` and of its result; those among the stages' settings say so themselves."""
 
 
 @persistent
@@ -36,7 +36,8 @@ def _rebase(old: Path, new: Path) -> None:
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.library is None:
             settings = bpy_scene.fruitlangs
-            for group, names in ((settings, CHOSEN), (settings.result, REACHED)):
+            stages = [(getattr(settings.config, stage), path_names(kind)) for stage, kind in stage_classes().items()]
+            for group, names in ((settings, CHOSEN), (settings.result, REACHED), *stages):
                 _rebase_texts(group, names, old, new)
 
 

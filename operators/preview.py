@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
-import numpy as np
+from mathutils import Matrix, Vector
 
 from . import splat_drawing
-from .blender_data import array, in_scene_frame, owned_object, owned_objects
+from .blender_data import array, owned_object
 from .jobs import JobOperator, busy, linked
+from .settings import is_of_another
 from .splats import Splats, splats_in_training
+from .target import find_scene
+from .viewport import look_from_around, shown_screens
 from .write_gaussians import REACH
+from .write_root import GROUND, looked_at, root_matrix
 
 if TYPE_CHECKING:
+    from ..engine.scene.camera import Scene
     from ..engine.splatting.gaussians import Gaussians
 
 SHOW_SECONDS = 4.0
@@ -22,23 +28,26 @@ SHOW_SECONDS = 4.0
 
 
 class Preview:
-    """Takes Gaussians in a thread, shows them on the main thread, of one Blender scene that has a root to stand them
-    upright."""
+    """Takes Gaussians in a thread, shows them on the main thread, in one Blender scene, upright as they will stand when
+    `source` is trained.
 
-    def __init__(self, bpy_scene: bpy.types.Scene) -> None:
+    What is shown there may be of another source, or nothing: then the scene that is trained says how its root would
+    stand, and the viewports are turned to it.
+    """
+
+    def __init__(self, bpy_scene: bpy.types.Scene, source: Path) -> None:
         root = owned_object(bpy_scene, "root")
+        other = is_of_another(bpy_scene.fruitlangs, source)
         self._scene = bpy_scene.session_uid
-        self._matrix: Any = None if root is None else root.matrix_world.copy()
-        self._centre, self._reach = splat_drawing.EVERYWHERE if root is None else _room(bpy_scene, root)
-        self._latest: Splats | None = None
+        self._root: Any = None if root is None or other else root.matrix_world.copy()
+        self._ground = None if other or GROUND not in bpy_scene else list(bpy_scene[GROUND])
+        self._latest: tuple[Splats, Scene] | None = None
         self._shown: Splats | None = None
         self._last = time.monotonic()
 
-    def watch(self, gaussians: Gaussians) -> None:
+    def watch(self, gaussians: Gaussians, scene: Scene) -> None:
         """Keep a copy of the Gaussians; called by the training's thread."""
-        if self._matrix is None:
-            return
-        self._latest = splats_in_training(
+        splats = splats_in_training(
             array(gaussians.means),
             array(gaussians.scales),
             array(gaussians.quats),
@@ -46,14 +55,25 @@ class Preview:
             array(gaussians.opacities),
             gaussians.antialiased,
         )
+        self._latest = splats, scene
 
-    def show(self) -> None:
+    def show(self, context: bpy.types.Context) -> None:
         """Draw what was kept last, if it is new and the last picture is old enough; on the main thread."""
-        if self._latest is None or self._latest is self._shown or time.monotonic() - self._last < SHOW_SECONDS:
+        if self._latest is None or self._latest[0] is self._shown or time.monotonic() - self._last < SHOW_SECONDS:
             return
-        self._shown, self._last = self._latest, time.monotonic()
-        preview = splat_drawing.Interim(self._shown, self._matrix, self._centre, self._reach)
-        splat_drawing.show_preview(self._scene, preview)
+        splats, scene = self._latest
+        matrix = root_matrix(scene, self._ground) if self._root is None else self._root
+        if self._shown is None and self._root is None:
+            self._turn_to(context, scene, matrix)
+        self._shown, self._last = splats, time.monotonic()
+        centre = tuple(looked_at(scene).tolist())
+        splat_drawing.show_preview(self._scene, splat_drawing.Interim(splats, matrix, centre, REACH * scene.extent))
+
+    def _turn_to(self, context: bpy.types.Context, scene: Scene, matrix: Matrix) -> None:
+        bpy_scene = find_scene(self._scene)
+        if bpy_scene is not None:
+            places = [matrix @ Vector(camera.center.tolist()) for camera in scene.cameras]
+            look_from_around(shown_screens(context, bpy_scene), places)
 
     def remove(self) -> None:
         """Draw what the .blend holds again."""
@@ -76,17 +96,7 @@ class SceneJob(JobOperator):
         return True
 
     def ticked(self, context: bpy.types.Context) -> None:
-        self._preview.show()
+        self._preview.show(context)
 
     def ended(self, context: bpy.types.Context) -> None:
         self._preview.remove()
-
-
-def _room(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[tuple[float, ...], float]:
-    """Centre and reach of what is shown, about as `write_gaussians` will have them: the ring of the cameras."""
-    cameras = owned_objects(bpy_scene, "camera")
-    if len(cameras) < 2:
-        return splat_drawing.EVERYWHERE
-    places = np.array([in_scene_frame(item, root).translation for item in cameras])
-    middle = places.mean(0)
-    return tuple(middle.tolist()), 1.1 * REACH * float(np.linalg.norm(places - middle, axis=1).max())

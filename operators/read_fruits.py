@@ -61,7 +61,7 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
 
 def counted(bpy_scene: bpy.types.Scene) -> bool:
     """Whether there was a count, be it of 0 fruit."""
-    return bpy_scene.fruitlangs.result.count >= 0 or bool(standing(bpy_scene))
+    return bpy_scene.fruitlangs.result.count >= 0 or owned_object(bpy_scene, "fruit") is not None
 
 
 def _fruit(

@@ -29,7 +29,7 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
         source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
         config = read_config(settings, source)
         self._out = out
-        self._preview = Preview(context.scene)
+        self._preview = Preview(context.scene, source)
         watch = self._preview.watch
 
         def work(progress: Progress) -> Any:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..engine.errors import CountingError
 from .blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
+from .by_hand import remember_fruit
 from .fruit_objects import (
     ADDED,
     CONFIRMED,
@@ -33,6 +34,7 @@ from .fruit_objects import (
     write_log,
 )
 from .jobs import busy, describe_error, editing
+from .keep_review import keep_corrections
 from .pick_tool import PickTool
 from .viewport import look_at_point, shown_screens
 from .write_fruits import label_fruit
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 
 CLOSE = 8.0
 """Diameters from which a fruit is looked at."""
+NO_SIZE = "There is no fruit whose size the new one could have; type its diameter below Add first"
 
 
 def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -81,7 +84,10 @@ class Judgement:
 
     def execute(self: Any, context: bpy.types.Context) -> set[str]:
         try:
+            for line in keep_corrections(context.scene):
+                self.report({"INFO"}, line)
             self.decide(context)
+            remember_fruit(context.scene)
         except Exception as error:
             self.report({"ERROR"}, describe_error(error))
             return {"CANCELLED"}
@@ -245,19 +251,25 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
         name="Diameter", min=0.0, precision=4, options={"SKIP_SAVE"}, description="Scene units; 0: as the others are"
     )
 
+    def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not new_diameter(context.scene) > 0.0:
+            self.report({"ERROR"}, NO_SIZE)
+            return {"CANCELLED"}
+        return super().invoke(context, event)
+
     def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
         # The click is on the skin: the middle lies half a diameter behind it, away from the viewer.
         direction = self._target3d.direction
-        self.center = (points[0] + 0.5 * usual_diameter(context.scene) * direction).tolist()
+        self.center = (points[0] + 0.5 * new_diameter(context.scene) * direction).tolist()
         return self.execute(context)
 
     def decide(self, context: bpy.types.Context) -> None:
         from ..engine.counting.review import ball
 
         label = context.scene.fruitlangs.result.label or context.scene.fruitlangs.prompt
-        size = self.diameter or usual_diameter(context.scene)
+        size = self.diameter or new_diameter(context.scene)
         if not size > 0.0:
-            raise CountingError("There is no fruit whose size the new one could have; give a diameter")
+            raise CountingError(NO_SIZE)
         spot = ball(next_ids(context.scene, 1)[0], label, np.array(self.center), size)
         made = make_fruit(context.scene, spot, None)
         self.log(context, "add", after=[spot])
@@ -265,10 +277,21 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
 
 
 def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
-    """Median diameter of the fruit there are, scene units; 0 of none."""
+    """Median diameter of the fruit that stand, else of the rejected ones, scene units; 0 without any."""
     unit = metres_per_unit(bpy_scene) or 1.0
-    sizes = [float(item["diameter"]) / unit for item in standing(bpy_scene) if "diameter" in item]
+    items = standing(bpy_scene) or owned_objects(bpy_scene, "fruit")
+    sizes = [float(item["diameter"]) / unit for item in items if "diameter" in item]
     return float(np.median(sizes)) if sizes else 0.0
+
+
+def new_diameter(bpy_scene: bpy.types.Scene) -> float:
+    """What an added fruit gets, scene units: the usual diameter, else the one typed in the panel; 0 of neither.
+
+    The panel has a field for each unit: a length measured meanwhile must not make another size of the same number.
+    """
+    review, metres = bpy_scene.fruitlangs.review, metres_per_unit(bpy_scene)
+    typed = review.diameter if metres is None else review.diameter_mm / (1000.0 * metres)
+    return usual_diameter(bpy_scene) or float(typed)
 
 
 class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..engine.config import LARGEST, range_of
+from ..engine.config import LARGEST, path_kind, range_of
 from ..engine.errors import FruitLangsError, SceneError, VocabularyError
 from .preferred import with_preferred_folders
 from .region import in_region
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from ..engine.config import Config
 
 
+# Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+SUBTYPES = {"file": "FILE_PATH", "folder": "DIR_PATH"}
+"""Of the property of a setting that is a path."""
 PLY = ".ply"
 """How the name of a file of Gaussians or coloured points ends."""
 MEASURES = {
@@ -73,16 +77,25 @@ def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
 
     Raises:
         ConfigError: a value makes no sense.
+        SceneError: a path is relative to a .blend never saved.
     """
     kinds = typing.get_type_hints(config_class)
     values = {field.name: getattr(group, field.name) for field in dataclasses.fields(config_class)}
     for name in values:
         if _is_texts(kinds[name]):
             values[name] = tuple(read_words(values[name]))
+    for name in path_names(config_class):
+        if values[name].startswith("//"):
+            values[name] = str(_absolute(values[name]))
     missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
     typed = {name: value.replace(",", " ").split() for name, value in values.items() if _is_list(kinds[name])}
     plain = {name: _plain(value) for name, value in values.items()}
     return config_class(**{**plain, **typed, **dict.fromkeys(missing)})
+
+
+def path_names(config_class: type) -> list[str]:
+    """The settings of a config dataclass that are paths."""
+    return [field.name for field in dataclasses.fields(config_class) if path_kind(field)]
 
 
 def _is_zero(value: Any) -> bool:
@@ -150,6 +163,9 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callab
         if kind is int:
             return bpy.props.IntProperty(default=default, **bounds, **named)
         return bpy.props.FloatProperty(default=default, precision=3, **bounds, **named)
+    path = path_kind(field)
+    if path is not None:
+        return bpy.props.StringProperty(default=default, subtype=SUBTYPES[path], options=RELATIVE, **named)
     if kind is str or kind is Path:
         return bpy.props.StringProperty(default=str(default), **named)
     raise TypeError(f"{field.name}: no Blender property for {kind}")

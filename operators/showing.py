@@ -48,6 +48,8 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
     apply_look(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(settings.result, scene)
+    if told:  # else what an earlier import or the shown count told still holds
+        settings.result.notices = "; ".join(told)
     show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
     look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
     return told
@@ -88,8 +90,7 @@ def show_reconstruction(
 
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Everything of a count."""
-    told = _enter(bpy_scene, result.origin)
-    keep_corrections(bpy_scene)
+    told = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
     first = owned_object(bpy_scene, "root") is None
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
@@ -137,6 +138,7 @@ def keep_result(settings: Any, result: Result) -> None:
     shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
     shown.notices = "; ".join(result.notices)
     shown.folder = stored_path(result.out)
+    shown.exported = ""
 
 
 def _keep_scene(shown: Any, scene: Scene) -> None:

@@ -65,6 +65,7 @@ def forget_count(bpy_scene: bpy.types.Scene) -> None:
     keep_corrections(bpy_scene)
     remove_objects(owned_objects(bpy_scene, "fruit"))
     settings = bpy_scene.fruitlangs
+    settings.review.known.clear()
     for group in (settings.result, settings.answer):
         for each in group.bl_rna.properties:
             if each.identifier not in {"rna_type", "name", *OF_SOURCE}:

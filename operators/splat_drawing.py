@@ -16,7 +16,7 @@ from mathutils import Matrix
 
 from .blender_data import OWNER, owned_objects
 from .gaussian_nodes import get_input, shown_by
-from .look import look_of
+from .look import look_changed, look_of
 from .photo_backgrounds import photo_cover
 from .splats import Splats, splats_of_mesh, splats_of_points
 from .viewport import Drawing, redraw_viewports
@@ -97,6 +97,21 @@ def draw_viewport() -> None:
     except Exception as error:  # one line; at every redraw it would be thousands
         _drawn.problem = f"{type(error).__name__}: {error}"
         print(f"FruitLangs cannot draw splats here, choose the look Ellipsoids: {_drawn.problem}", file=sys.stderr)
+        # The panels say it too; while Blender draws nothing may be asked to be drawn anew.
+        bpy.app.timers.register(_redraw, first_interval=0.0)
+
+
+def _redraw() -> None:
+    """A timer that runs once."""
+    redraw_viewports()
+
+
+def look_edited(settings: Any, context: Any = None) -> None:
+    """Called when the look was edited: splats that could not be drawn are tried again, from the start."""
+    global _drawn
+    if _drawn.problem:
+        _drawn = Drawn(previews=_drawn.previews)
+    look_changed(settings, context)
 
 
 _drawing = Drawing(draw_viewport, "POST_VIEW")

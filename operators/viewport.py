@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 import bpy
@@ -62,10 +62,15 @@ def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
 def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scene) -> None:
     """Turn viewports to what the photos' cameras look at, from as far as they stand."""
     root = owned_object(bpy_scene, "root")
-    cameras = owned_objects(bpy_scene, "camera")
-    if root is None or not cameras:
+    if root is not None:
+        cameras = owned_objects(bpy_scene, "camera")
+        look_from_around(screens, [root.matrix_basis @ item.matrix_basis.translation for item in cameras])
+
+
+def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vector]) -> None:
+    """Turn viewports to what lies between these places of cameras in the world, from as far as they stand."""
+    if not places:
         return
-    places = [root.matrix_basis @ item.matrix_basis.translation for item in cameras]
     middle = sum(places, Vector()) / len(places)
     distance = max(place.xy.length for place in places)
     for space in _viewports(screens):

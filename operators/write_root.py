@@ -8,6 +8,7 @@ scales scene units to metres where the scale is known.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import bpy
@@ -31,14 +32,18 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
     if root is None:
         root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
         root.empty_display_type = "PLAIN_AXES"
-    scale = scene.metres_per_unit or 1.0
     root.empty_display_size = 0.05 * scene.extent if len(scene.cameras) else 1.0
     root["metres_per_unit"] = scene.metres_per_unit or 0.0
-    matrix = upright_matrix(scene)
-    if GROUND in bpy_scene:
-        matrix[2, 3] = -matrix[2, :3] @ np.array(bpy_scene[GROUND])
-    root.matrix_basis = Matrix.Scale(scale, 4) @ Matrix(matrix.tolist())
+    root.matrix_basis = root_matrix(scene, bpy_scene.get(GROUND))
     return root
+
+
+def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
+    """How the root stands for `scene`; ground: a place that a person picked, in its frame."""
+    matrix = upright_matrix(scene)
+    if ground is not None:
+        matrix[2, 3] = -matrix[2, :3] @ np.array(ground)
+    return Matrix.Scale(scene.metres_per_unit or 1.0, 4) @ Matrix(matrix.tolist())
 
 
 def upright_matrix(scene: Scene) -> FloatArray:

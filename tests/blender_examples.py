@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import bpy
 
 
@@ -24,3 +27,57 @@ def imported(counted):
 
     scene = counted.parts()[0]
     return write_points(bpy.context.scene, scene, write_root(bpy.context.scene, scene))
+
+
+class Layout:
+    """In place of Blender's layouts, which exist in a window only: notes the texts, settings and buttons that a panel
+    draws."""
+
+    def __init__(self):
+        self.texts, self.settings, self.buttons = [], [], []
+
+    def label(self, text="", icon="NONE"):
+        self.texts.append(text)
+
+    def prop(self, group, name, **options):
+        self.settings.append(name)
+
+    def prop_enum(self, group, name, value):
+        self.buttons.append((name, value))
+
+    def operator(self, name, **options):
+        self.buttons.append(name.partition(".")[2])
+        return SimpleNamespace()
+
+    def progress(self, factor, text):
+        self.texts.append(text)
+
+    def template_list(self, name, *given, **options):
+        self.settings.append(name)
+
+    def _part(self, **options):
+        return self
+
+    row = column = box = split = grid_flow = _part
+
+    @property
+    def text(self):
+        return " ".join(self.texts)
+
+
+def drawn(panel) -> Any:
+    """What a panel draws of the Blender scene at hand, in a wide sidebar."""
+    from fruitlangs.fruitlangs_addon.panel_parts import StepPanel
+
+    layout = Layout()
+    context = SimpleNamespace(
+        scene=bpy.context.scene,
+        region=SimpleNamespace(width=4000),
+        preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)),
+        view_layer=bpy.context.view_layer,
+        mode="OBJECT",
+    )
+    made = SimpleNamespace(layout=layout, step=getattr(panel, "step", None))
+    made.body = lambda given: StepPanel.body(made, given)
+    panel.draw(made, context)
+    return layout

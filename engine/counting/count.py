@@ -91,8 +91,8 @@ def count_fruit(
     inside = _inside(region, gaussians)
     highest = float(chances[inside].max())
 
-    def nothing(reason: str, points: int = 0) -> FruitCount:
-        return _on_trees(_none(highest, known, reason, points), [], config, up, cameras)
+    def nothing(reason: str, points: int = 0, diameter: float | None = None) -> FruitCount:
+        return _on_trees(_none(highest, known, reason, points, diameter), [], config, up, cameras)
 
     selected = select_gaussians(gaussians, chances, config)
     if highest < config.threshold:

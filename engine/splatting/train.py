@@ -69,8 +69,8 @@ class Training:
         return float(np.mean([score.ssim for score in self.held_out])) if self.held_out else None
 
 
-Watch = Callable[[Gaussians], None]
-"""Shown what training has made so far, in the frame of the scene; it must not keep the call long."""
+Watch = Callable[[Gaussians, Scene], None]
+"""Shown what training has made so far, in the frame of the scene, and the scene; it must not keep the call long."""
 WATCH_EVERY = 100
 """Steps between two looks of a `Watch`."""
 
@@ -117,7 +117,7 @@ def train(
     near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
-        shown = None if watch is None else _moved(watch, middle)
+        shown = None if watch is None else lambda gaussians: watch(_at(gaussians, middle), scene)
         training = _train(near, config, shelf, views, kept_aside, checkpoint, key, extra, shown, progress)
     finally:
         shelf.close()
@@ -130,11 +130,6 @@ def train(
 def _at(gaussians: Gaussians, offset: NDArray[np.float64]) -> Gaussians:
     """The Gaussians moved by an offset (3,)."""
     return replace(gaussians, means=(gaussians.means.double() + torch.from_numpy(offset)).float())
-
-
-def _moved(watch: Watch, offset: NDArray[np.float64]) -> Watch:
-    """`watch`, shown what it is given moved by an offset (3,)."""
-    return lambda gaussians: watch(_at(gaussians, offset))
 
 
 COARSEST = 1e-3
@@ -175,7 +170,7 @@ def _train(
     checkpoint: Path | None,
     key: str,
     extra: ExtraChannels | None,
-    watch: Watch | None,
+    watch: Callable[[Gaussians], None] | None,
     progress: Progress,
 ) -> Training:
     channels = 0 if extra is None else extra.count

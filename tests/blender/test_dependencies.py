@@ -14,7 +14,7 @@ import pytest
 from tiny_wheels import make_wheel
 
 from fruitlangs.engine.errors import Cancelled
-from fruitlangs.operators import dependencies, package_folder, package_install, package_versions
+from fruitlangs.operators import caches, dependencies, package_folder, package_install, package_versions
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -302,6 +302,34 @@ def test_clearing_deletes_what_was_chosen_and_nothing_beside_it(extension, monke
     bpy.ops.fruitlangs.clear_caches(kernels=False, checkpoints=True)
     assert names(checkpoints) == []
     assert names(kernels) == ["someone-elses"]
+
+
+def test_clearing_the_work_on_a_scene_leaves_its_results_and_what_is_not_a_stage(extension, tmp_path):
+    result = tmp_path / "tree_fruit"
+    for name in ("train-0123", "embed-4567", "mine"):
+        (result / "cache" / name).mkdir(parents=True)
+        (result / "cache" / name / "file").write_bytes(bytes(1000))
+    (result / "fruits.json").touch()
+    assert caches.work_folder(bpy.context.scene) is None
+    bpy.context.scene.fruitlangs.source = str(tmp_path / "tree")
+    assert caches.work_folder(bpy.context.scene) == result / "cache"
+    bpy.ops.fruitlangs.clear_caches(kernels=False)
+    assert names(result / "cache") == ["embed-4567", "mine", "train-0123"]
+    bpy.ops.fruitlangs.clear_caches(kernels=False, work=True)
+    assert names(result / "cache") == ["mine"]
+    assert names(result) == ["cache", "fruits.json"]
+
+
+def test_nothing_is_cleared_while_a_job_that_began_meanwhile_is_at_work(extension, monkeypatch, tmp_path):
+    stage = tmp_path / "tree_fruit" / "cache" / "train-0123"
+    stage.mkdir(parents=True)
+    bpy.context.scene.fruitlangs.source = str(tmp_path / "tree")
+    monkeypatch.setattr(caches, "busy", lambda _: True)
+    told = []
+    chosen = SimpleNamespace(kernels=False, checkpoints=False, work=True, report=lambda kind, text: told.append(text))
+    assert caches.FRUITLANGS_OT_clear_caches.execute(chosen, bpy.context) == {"CANCELLED"}
+    assert told == ["A job is at work; wait or cancel it first"]
+    assert stage.is_dir()
 
 
 def test_the_tested_numpy_is_the_one_that_runs(home, wheels, monkeypatch):

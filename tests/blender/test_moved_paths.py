@@ -6,7 +6,7 @@ import bpy
 import pytest
 
 from fruitlangs.operators import moved_paths
-from fruitlangs.operators.settings import source_folder, stored_file
+from fruitlangs.operators.settings import read_config, source_folder, stored_file
 
 
 @pytest.fixture
@@ -38,6 +38,16 @@ def test_a_saved_copy_finds_them_and_the_open_file_still_does(saved, tmp_path):
     assert source_folder(saved) == tmp_path / "here" / "tree"
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "b.blend"))
     assert source_folder(bpy.context.scene.fruitlangs) == tmp_path / "here" / "tree"
+
+
+def test_paths_among_the_stages_settings_are_kept_true_too_and_names_of_the_hub_as_they_are(saved, tmp_path):
+    saved.config.count.method, saved.config.count.template = "template", "//apple.ply"
+    saved.config.embed.sam = "//sam"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "b.blend"))
+    config = read_config(bpy.context.scene.fruitlangs)
+    assert config.count.template == str(tmp_path / "here" / "apple.ply")
+    assert config.embed.sam == str(tmp_path / "here" / "sam")
+    assert config.embed.clip == "openai/clip-vit-base-patch16"
 
 
 def test_a_file_that_could_not_be_saved_elsewhere_still_finds_them(saved, tmp_path):

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import bpy
 import pytest
+from blender_examples import drawn
 
 from fruitlangs.engine.config import UnitsConfig
 from fruitlangs.engine.errors import SceneError
+from fruitlangs.fruitlangs_addon.step_scene import FRUITLANGS_PT_scene
 from fruitlangs.operators import import_scene
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.settings import is_of_another
@@ -157,6 +159,10 @@ def test_import_of_another_source_takes_the_first_one_away_and_says_so(
     settings.source = str(tmp_path / "row 2")
     bpy.ops.fruitlangs.import_scene()
     assert "scale, ground and region of" in capfd.readouterr().out
+    bpy.ops.fruitlangs.import_scene()
+    told = drawn(FRUITLANGS_PT_scene).text
+    assert "(1) wait until it is shown again" in told
+    assert "scale, ground and region of" in told
     for role in ("gaussians", "fruit", "region"):
         assert owned_objects(scene, role) == []
     assert len(owned_objects(scene, "camera")) == 6

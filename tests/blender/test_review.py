@@ -7,9 +7,11 @@ import dataclasses
 import bpy
 import numpy as np
 import pytest
+from blender_examples import drawn
 
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.fruitlangs_addon.fruit_list import cells, head, is_shown, ranks
+from fruitlangs.fruitlangs_addon.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.fruit_objects import REVIEW, fruit_collection, members, read_log, standing
 from fruitlangs.operators.keep_review import entry_text, review_line
@@ -139,6 +141,51 @@ def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
     assert new["diameter"] == pytest.approx(0.2)
     assert (new["label"], new["probability"], new[REVIEW]) == ("apple", 1.0, "added")
     assert review_line(shown) == "machine 3, after review 4, interval 3–5"
+
+
+@pytest.fixture
+def nothing(extension, counted_with, result_of, tmp_path):
+    """A count of 0 in a scene of that scale."""
+
+    def nothing(metres_per_unit=None):
+        none = counted_with(metres_per_unit=metres_per_unit, fruits=0)
+        found = dataclasses.replace(none.fruit_count, max_probability=0.3)
+        show_result(bpy.context, bpy.context.scene, result_of(none, tmp_path, fruit_count=found))
+        return bpy.context.scene
+
+    return nothing
+
+
+def test_after_a_count_of_0_a_fruit_is_added_with_the_diameter_that_was_typed(nothing):
+    scene = nothing()
+    panel = drawn(FRUITLANGS_PT_review)
+    assert "add_fruit" in panel.buttons
+    assert "diameter" in panel.settings
+    with pytest.raises(RuntimeError, match="type its diameter below Add first"):
+        bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    scene.fruitlangs.review.diameter = 0.25
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    assert fruit(1)["diameter"] == pytest.approx(0.25)
+    assert "diameter" not in drawn(FRUITLANGS_PT_review).settings
+    assert review_line(scene) == "machine 0, after review 1"
+
+
+def test_where_the_scale_is_known_the_diameter_is_typed_in_millimetres(nothing):
+    scene = nothing(metres_per_unit=0.5)
+    assert "diameter_mm" in drawn(FRUITLANGS_PT_review).settings
+    scene.fruitlangs.review.diameter = 9.0
+    scene.fruitlangs.review.diameter_mm = 80.0
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    assert fruit(1)["diameter"] == pytest.approx(0.08)
+    assert fruit(1).scale[0] == pytest.approx(0.16)
+
+
+def test_where_every_fruit_is_rejected_an_added_one_is_as_large_as_those(shown):
+    select(1, 2, 3)
+    bpy.ops.fruitlangs.reject_fruit()
+    assert "diameter" not in drawn(FRUITLANGS_PT_review).settings
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    assert fruit(4)["diameter"] == pytest.approx(0.2)
 
 
 def test_a_relabelled_fruit_has_the_name_and_mesh_of_its_new_label(shown):
@@ -329,6 +376,123 @@ def test_a_decision_about_a_fruit_that_is_gone_is_said_and_stays_in_the_log(show
     again(counted.fruit_count.fruits[:2])
     assert "confirm of 3: no longer found" in shown.fruitlangs.result.notices
     assert len(read_log(shown)) == 1
+
+
+def delete(*doomed: int) -> None:
+    """As X does."""
+    select(*doomed)
+    bpy.ops.object.delete()
+
+
+def copy_of(number: int, place: tuple[float, float, float]) -> bpy.types.Object:
+    """As Shift-D and a move do."""
+    select(number)
+    bpy.ops.object.duplicate()
+    made = bpy.context.view_layer.objects.active
+    made.location = place
+    return made
+
+
+def told(scene) -> list[tuple]:
+    """The log in short: action, reason, numbers before and after."""
+    return [
+        (each.action, each.reason, *([spot.id for spot in spots] for spots in (each.before, each.after)))
+        for each in read_log(scene)
+    ]
+
+
+def test_a_deleted_fruit_is_rejected_in_the_log_and_stays_so_after_a_recount(shown, again):
+    fruit(2).location.x = 9.0  # the machine finds it where it found it before
+    select(1)
+    bpy.ops.fruitlangs.confirm_fruit()
+    delete(2)
+    again()
+    assert told(shown)[1:] == [("reject", "deleted", [2], [])]
+    assert numbers() == [1, 3]
+    assert fruit(2)[REVIEW] == "rejected"
+    assert "deleted by hand and rejected in the log: 2" in shown.fruitlangs.result.notices
+    again()
+    assert len(read_log(shown)) == 2
+
+
+def test_a_copied_fruit_is_added_in_the_log_and_a_recount_keeps_it_where_it_is(shown, again):
+    copy_of(2, (9.0, 6.0, 7.0))
+    again()
+    assert told(shown) == [("add", "copied", [], [4])]
+    assert numbers() == [1, 2, 3, 4]
+    assert tuple(fruit(4).location) == (9.0, 6.0, 7.0)
+    assert fruit(4)[REVIEW] == "added"
+    assert "copied by hand and added in the log: 4" in shown.fruitlangs.result.notices
+
+
+def test_the_next_decision_logs_what_was_done_by_hand_first_and_the_copy_stays_selected(shown):
+    made = copy_of(2, (9.0, 6.0, 7.0))
+    bpy.ops.fruitlangs.relabel_fruit(label="pear")
+    assert [each[0] for each in told(shown)] == ["add", "relabel"]
+    assert (made["id"], made.name, made.get("probability")) == (4, "pear.004", None)
+    assert bpy.context.selected_objects == [made] == [bpy.context.view_layer.objects.active]
+    assert fruit(2)["probability"] == pytest.approx(0.6)
+
+
+def test_of_a_fruit_and_its_copy_the_one_that_stayed_is_the_machines(shown):
+    select(2)
+    bpy.ops.object.duplicate()
+    fruit(2).name, bpy.context.view_layer.objects.active.name = "z", "a"
+    bpy.data.objects["a"].location.x = 9.0
+    select(3)
+    bpy.ops.fruitlangs.confirm_fruit()
+    assert (bpy.data.objects["z"]["id"], bpy.data.objects["apple.004"].location.x) == (2, 9.0)
+
+
+def test_deleted_parts_of_a_split_stay_deleted_after_a_recount(shown, again):
+    select(3)
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    fruit(5).location.x += 4.0
+    select(1)
+    bpy.ops.fruitlangs.confirm_fruit()
+    delete(5)
+    again()
+    assert numbers() == [1, 2, 4]
+
+
+def test_fruit_merged_and_split_by_the_panel_are_neither_deleted_nor_copied(shown, again):
+    select(2, 3)
+    bpy.ops.fruitlangs.merge_fruit()
+    bpy.ops.fruitlangs.split_fruit(parts=2)
+    select(1)
+    bpy.ops.fruitlangs.reject_fruit()
+    bpy.data.objects.remove(fruit(1))  # it does not count any more
+    again()
+    assert [each[0] for each in told(shown)] == ["merge", "split", "reject"]
+
+
+def test_a_fruit_deleted_after_a_recount_that_renumbered_is_the_one_that_was_there(shown, again, counted):
+    again([dataclasses.replace(each, id=4 - each.id) for each in counted.fruit_count.fruits])
+    gone = tuple(fruit(3).location)
+    delete(3)
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    np.testing.assert_allclose(read_log(shown)[0].before[0].center, gone, atol=1e-6)
+
+
+def test_who_deletes_the_whole_scene_has_judged_no_fruit(shown, again):
+    bpy.data.batch_remove(list(shown.objects))
+    again()
+    assert (numbers(), read_log(shown)) == ([1, 2, 3], [])
+
+
+def test_an_export_logs_what_was_done_by_hand_and_undo_takes_both_back(shown, tmp_path):
+    bpy.ops.ed.undo_push(message="before")
+    delete(1, 2)
+    bpy.ops.ed.undo_push(message="Delete")
+    bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
+    assert told(shown) == [("reject", "deleted", [1, 2], [])]
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert (numbers(), read_log(scene)) == ([1, 2, 3], [])
+    bpy.ops.ed.redo()
+    bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
+    assert told(bpy.context.scene) == [("reject", "deleted", [1, 2], [])]
 
 
 def test_numbers_of_fruit_that_persons_made_are_never_given_twice(shown):

@@ -23,6 +23,22 @@ def test_every_setting_of_every_stage_has_a_property_with_its_text(extension):
             assert properties[field.name].description.startswith(text.rstrip("."))
 
 
+def test_settings_that_are_paths_have_a_button_that_looks_for_them(extension):
+    config = bpy.context.scene.fruitlangs.config
+    subtypes = {
+        f"{stage}.{name}": getattr(config, stage).bl_rna.properties[name].subtype
+        for stage, kind in conversions.stage_classes().items()
+        for name in conversions.path_names(kind)
+    }
+    assert subtypes == {"embed.clip": "DIR_PATH", "embed.sam": "DIR_PATH", "count.template": "FILE_PATH"}
+
+
+def test_a_path_relative_to_a_blend_never_saved_is_an_error_that_says_so(extension):
+    bpy.context.scene.fruitlangs.config.embed.clip = "//clip"
+    with pytest.raises(SceneError, match="never saved"):
+        conversions.read_config(bpy.context.scene.fruitlangs)
+
+
 def test_field_docs_are_the_strings_below_the_fields():
     assert conversions.field_docs(TrainConfig)["steps"] == "Optimiser steps, one photo each."
 

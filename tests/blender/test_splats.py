@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
-from blender_examples import imported, written
+from blender_examples import drawn, imported, written
 from mathutils import Matrix
 
 import fruitlangs
+from fruitlangs.fruitlangs_addon.look_panel import FRUITLANGS_PT_look
+from fruitlangs.fruitlangs_addon.step_reconstruct import FRUITLANGS_PT_reconstruct
 from fruitlangs.operators import look, splat_drawing
 from fruitlangs.operators.blender_data import linear_from_srgb, owned_object, set_attribute
 from fruitlangs.operators.gaussian_nodes import PROBABILITY_RAMP, get_input, set_input
@@ -350,6 +353,50 @@ def test_what_has_the_gaussians_role_and_is_no_mesh_is_left_alone(extension, cou
     bpy.context.scene.collection.objects.link(item)
     assert owned_object(bpy.context.scene, "gaussians") is None
     look.apply_look(bpy.context.scene)
+
+
+@pytest.fixture
+def card(extension, counted, monkeypatch):
+    """In place of a viewport and its card: calls of the drawing, and what it raises."""
+    written(counted)
+    calls = SimpleNamespace(count=0, error=RuntimeError("no such shader"), timers=[])
+
+    def layers(*_):
+        calls.count += 1
+        if calls.error:
+            raise calls.error
+        return []
+
+    timers = SimpleNamespace(register=lambda function, first_interval: calls.timers.append(function))
+    context = SimpleNamespace(
+        region=object(), region_data=object(), space_data=None, scene=bpy.context.scene, view_layer=None
+    )
+    blender = SimpleNamespace(context=context, app=SimpleNamespace(timers=timers), types=bpy.types)
+    monkeypatch.setattr(splat_drawing, "bpy", blender)
+    monkeypatch.setattr(splat_drawing, "_layers", layers)
+    monkeypatch.setattr(splat_drawing, "_drawn", splat_drawing.Drawn())
+    return calls
+
+
+def test_why_splats_cannot_be_drawn_stands_in_the_panels_with_a_way_to_ellipsoids(card):
+    for panel in (FRUITLANGS_PT_look, FRUITLANGS_PT_reconstruct):
+        assert "cannot be drawn" not in drawn(panel).text
+    splat_drawing.draw_viewport()
+    splat_drawing.draw_viewport()
+    assert (card.count, len(card.timers)) == (1, 1)
+    for panel in (FRUITLANGS_PT_look, FRUITLANGS_PT_reconstruct):
+        assert "Splats cannot be drawn here (RuntimeError: no such shader)" in drawn(panel).text
+        assert ("style", "ELLIPSOIDS") in drawn(panel).buttons
+
+
+def test_another_look_tries_to_draw_splats_again(card):
+    splat_drawing.draw_viewport()
+    card.error = None
+    bpy.context.scene.fruitlangs.look.style = "ELLIPSOIDS"
+    splat_drawing.draw_viewport()
+    assert card.count == 2
+    assert splat_drawing.problem() == ""
+    assert "cannot be drawn" not in drawn(FRUITLANGS_PT_look).text
 
 
 def test_handlers_come_once_and_go():

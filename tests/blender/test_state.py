@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.caches import work_caches
 from fruitlangs.operators.showing import show_result
 from fruitlangs.operators.target import Target
 
@@ -145,6 +146,12 @@ def test_a_linked_scene_is_said_to_be_one_before_anything_is_done_in_it(extensio
     bpy.context.window.scene = bpy.data.scenes["Orchard"]
     with pytest.raises(RuntimeError, match="linked from another file; make it local first"):
         getattr(bpy.ops.fruitlangs, name)()
+
+
+def test_all_that_a_run_keeps_beside_its_results_is_what_can_be_cleared(extension, counted_balls, tmp_path):
+    bpy.context.scene.fruitlangs.out = str(counted_balls.out)
+    kept = sorted((counted_balls.out / "cache").iterdir())
+    assert kept == work_caches(bpy.context.scene) != []
 
 
 def test_undo_takes_an_import_back_and_redo_brings_it_again(extension, counted_balls, tmp_path):

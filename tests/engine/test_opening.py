@@ -102,8 +102,10 @@ def test_a_damaged_fruit_is_an_error_and_not_a_lower_count(counted, tmp_path):
 
 def test_a_count_finds_what_was_reconstructed_before_it(counted, balls, tmp_path):
     seen = []
-    made, stages = reconstruct_scene(balls, tmp_path / "out", config=counted.config, watch=seen.append)
-    assert [len(gaussians) > 0 for gaussians in seen] == [True]  # 150 steps, one look every hundred
+    made, stages = reconstruct_scene(
+        balls, tmp_path / "out", config=counted.config, watch=lambda *shown: seen.append(shown)
+    )
+    assert [len(gaussians) > 0 for gaussians, _ in seen] == [True]  # 150 steps, one look every hundred
     assert stages.reused == []
     result = count_scene(balls, ["apple"], tmp_path / "out", config=counted.config)
     assert result.reused == ["train", "embed"]
@@ -113,9 +115,11 @@ def test_a_count_finds_what_was_reconstructed_before_it(counted, balls, tmp_path
 
 def test_what_is_watched_lies_in_the_frame_of_the_scene(counted, balls, tmp_path):
     seen = []
-    made, _ = reconstruct_scene(balls, tmp_path / "out", config=counted.config, watch=seen.append)
+    made, _ = reconstruct_scene(balls, tmp_path / "out", config=counted.config, watch=lambda *shown: seen.append(shown))
     middle = made.gaussians.means.median(0).values
-    assert float((seen[0].means.median(0).values - middle).norm()) < 0.1 * made.scene.extent
+    gaussians, scene = seen[0]
+    assert float((gaussians.means.median(0).values - middle).norm()) < 0.1 * made.scene.extent
+    np.testing.assert_array_equal(scene.cameras[0].center, made.scene.cameras[0].center)
 
 
 def test_another_up_direction_trains_nothing_anew(counted):
