@@ -91,7 +91,7 @@ def count_scene(
         config=made.config,
         seconds=stages.seconds,
         reused=stages.reused,
-        notices=stages.notices,
+        notices=[*stages.notices, *fruit_count.notices],
         out=out,
     )
     progress(0.97, "writing results")

@@ -28,7 +28,7 @@ from .ids import NOBODY, KnownFruit, number
 from .interval import estimate, evidence_of
 from .region import REACH, Region, keep_inside, region_of, spaced
 from .row import check_trees, trees_of_row
-from .sample import LARGEST_SCALE, SurfacePoints, sample_enough, sample_skin, sample_volume
+from .sample import LARGEST_SCALE, SKIN, SurfacePoints, sample_enough, sample_skin, sample_volume
 from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .template import split_by_template
 from .template_shape import read_template
@@ -50,6 +50,8 @@ DEFAULT_SPREAD = 0.2
 """Deviation of log diameter between fruit where the diameter is given and not estimated."""
 FACELESS = "has a side that faces the cameras and is not inside another"
 """What is said of Gaussians without points of the skin: those seen from opposite sides alike face no way."""
+UNLIKE = 1.6
+"""Ratio of a given diameter and the scene's own from which the user is told."""
 FIRST_SPREADS = (0.15, 0.35)
 """Least and largest deviation of log diameter that is looked for first."""
 
@@ -82,7 +84,7 @@ def count_fruit(
         FormatError: that file holds no template.
         CountingError: a shape does not fit, a value is not finite, a probability is none, `up` is no direction, there
             are no Gaussians or no cameras, all Gaussians lie in one place, none lies in the region, or there are fewer
-            fruit, or places with fruit, than trees asked for.
+            fruit, or places with fruit, than trees asked for, or the diameter is larger than all that may be fruit.
     """
     chances = _checked(gaussians, probability, cameras)
     up = _mean_top(cameras) if up is None else _checked_up(up)
@@ -107,13 +109,15 @@ def count_fruit(
     own = seen[inside[seen]]
     if len(own) == 0:
         return nothing(f"no view sees any of the {inside[selected].sum()} Gaussians of {label}")
-    sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.5))
+    notices = _check_diameter(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.4))
+    sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.4, 0.5))
     if sized is None:
         return nothing(_why_no_size(gaussians, chances, visibility, own, config, label), len(own))
     points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        return nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own), sized.diameter)
+        none = nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own), sized.diameter)
+        return replace(none, notices=notices)
     pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
@@ -131,6 +135,7 @@ def count_fruit(
         points=clusters.points.positions,
         point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
+        notices=notices,
     )
     others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
@@ -250,12 +255,55 @@ def fruit_size(
     """
     if config.diameter is not None:
         return FruitSize(config.diameter, DEFAULT_SPREAD)
+    return _measured_size(gaussians, chances, visibility, seen, config, progress)
+
+
+def _measured_size(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    visibility: Visibility,
+    seen: IntArray,
+    config: CountConfig,
+    progress: Progress = silent,
+) -> FruitSize | None:
+    """The size that the scene itself tells."""
     points = _sizing_points(gaussians, chances, visibility, seen, config)
     typical = float(np.median(_widths(gaussians, seen)))
     estimate = estimate_diameter(points, typical, progress=progress)
     if estimate is None or estimate.evidence < LEAST_EVIDENCE:
         return None
     return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
+
+
+def _check_diameter(
+    gaussians: Gaussians,
+    chances: FloatArray,
+    visibility: Visibility,
+    seen: IntArray,
+    config: CountConfig,
+    progress: Progress = silent,
+) -> list[str]:
+    """What the user should know of a diameter that was given: one in another unit would find other things, or nothing.
+
+    Raises:
+        CountingError: a fruit of that size is larger than all that may be fruit.
+    """
+    if config.diameter is None:
+        return []
+    places = gaussians.means.detach().double().cpu().numpy()[seen]
+    extent = float(np.linalg.norm(np.ptp(places, axis=0)) + 2.0 * SKIN * _widths(gaussians, seen).max())
+    if config.diameter > extent:
+        raise CountingError(
+            f"--count.diameter {config.diameter:.4g} is larger than all that may be fruit, which extends over "
+            f"{extent:.4g} scene units; give the diameter in scene units, or leave it out"
+        )
+    measured = _measured_size(gaussians, chances, visibility, seen, config, progress)
+    if measured is None or abs(np.log(config.diameter / measured.diameter)) < np.log(UNLIKE):
+        return []
+    return [
+        f"fruit of diameter {config.diameter:.4g} scene units were looked for, as --count.diameter says, but the "
+        f"scene's look {measured.diameter:.4g} wide; without the setting these are counted"
+    ]
 
 
 def _sizing_points(

@@ -97,7 +97,8 @@ class FruitCount:
 
     count: visible fruit = len(fruits); interval, total_interval: low and high of 90 % intervals of the visible fruit
     and of all; total: likeliest number of all, those that nobody saw included; None where the method tells none;
-    trees: those of the row, where they were asked for; mean_diameter: scene units, None when there is no fruit;
+    trees: those of the row, where they were asked for; notices: what the user should know; mean_diameter: scene units,
+    None when there is no fruit;
     last_id: the highest id that this and earlier counts of the scene gave; max_probability: the highest any Gaussian
     reached;
     points, point_fruit_ids: (P, 3) and (P,) the sampled surface points with the id of their fruit (-1 none);
@@ -116,6 +117,7 @@ class FruitCount:
     total: float | None = None
     total_interval: tuple[int, int] | None = None
     trees: Sequence[Tree] = ()
+    notices: Sequence[str] = ()
 
     @property
     def count(self) -> int:

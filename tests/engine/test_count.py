@@ -258,6 +258,22 @@ def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(sma
     assert nothing_found(result, 0.5, None).endswith("diameter 1e-06 scene units")
 
 
+@pytest.mark.parametrize("factor", [0.4, 2.5])
+def test_a_given_diameter_that_is_not_the_scenes_is_told_and_one_that_is_near_it_is_not(
+    small: sim.Simulation, factor: float
+) -> None:
+    own = small.truth.mean_diameter
+    (notice,) = counted(small, dataclasses.replace(CONFIG, diameter=factor * own)).notices
+    assert f"{factor * own:.4g} scene units" in notice
+    assert not counted(small, dataclasses.replace(CONFIG, diameter=1.2 * own)).notices
+
+
+@pytest.mark.parametrize("method", ["voting", "template", "fruitnerf"])
+def test_a_diameter_in_millimetres_is_an_error_and_no_zero(small: sim.Simulation, method: str) -> None:
+    with pytest.raises(CountingError, match=r"--count.diameter 77 is larger than all that may be fruit"):
+        counted(small, dataclasses.replace(CONFIG, diameter=77.0, method=method))
+
+
 def test_fruit_that_are_transparent_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
     opacities = torch.full_like(small.gaussians.opacity_logits, -8.0)
     result = counted(
