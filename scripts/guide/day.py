@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from .hand import MOMENT, Hand, Steps
+from .hand import LEFT, MOMENT, Hand, Steps
 
 WAIT = 0.3
 """Seconds between two looks whether a job has ended."""
@@ -101,7 +101,16 @@ def ends(hand: Hand) -> list[tuple[float, float]]:
 
 
 def reconstruct(hand: Hand, day: Day) -> Steps:
-    """Train, watching the splats; a picture on the way."""
+    """Train, watching the splats; Esc once, then on from there; a picture on the way."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.reconstruct")
+    yield from hand.rest()
+    job = running()
+    while job is not None and job.fraction < 0.2 and running() is not None:
+        yield WAIT
+    yield from hand.press("ESC", *hand.aside)
+    yield from work_done(hand)
+    day.check("Esc ends the job and nothing is shown", not owned("gaussians") and not settings().error)
     yield from hand.top()
     yield from hand.push("fruitlangs.reconstruct")
     yield from hand.rest()
@@ -145,10 +154,15 @@ def count(hand: Hand, day: Day) -> Steps:
 
 
 def review(hand: Hand, day: Day) -> Steps:
-    """Go to the doubtful fruit, look at it in a photo, reject it, undo that, do it again."""
+    """Go to the doubtful fruit, look at it in a photo, reject it, undo that, do it again; then the other tools."""
     before = settings().result.count
+    view = hand.area.spaces.active.region_3d
+    tree = view.view_location.copy(), view.view_distance
+    settings().review.labels = "NUMBER"
     yield from hand.push("fruitlangs.next_doubtful")
+    view.view_distance *= 2.5
     yield from picture(hand, day, "review")
+    settings().review.labels = "NONE"
     yield from hand.push("fruitlangs.best_photo")
     yield from hand.rest()
     day.check("the viewport looks through a photo's camera", view_of(hand) == "CAMERA")
@@ -165,6 +179,29 @@ def review(hand: Hand, day: Day) -> Steps:
     yield 0.5
     day.check("redo rejects it again", counted() == before - 1)
     day.check("the log has it", len(settings().review.log) == 1)
+    yield from other_tools(hand, day)
+    view = hand.area.spaces.active.region_3d
+    view.view_location, view.view_distance = tree
+
+
+def other_tools(hand: Hand, day: Day) -> Steps:
+    """Confirm a fruit, split it, merge the parts again, and add one by a click on the tree."""
+    before = counted()
+    yield from hand.push("fruitlangs.next_doubtful")
+    yield from hand.push("fruitlangs.confirm_fruit", LEFT)
+    day.check("the fruit is confirmed", settings().review.log[-1].action == "confirm")
+    yield from hand.push("fruitlangs.split_fruit", LEFT)
+    day.check("it is split in two, which are selected", counted() == before + 1)
+    yield from hand.push("fruitlangs.merge_fruit", LEFT)
+    day.check("they are one again", counted() == before)
+    yield from hand.push("fruitlangs.add_fruit")
+    middle = owned("fruit")[0].matrix_world.translation
+    yield from hand.click(*hand.place_of(middle))
+    yield 0.5
+    day.check("a click on the tree adds a fruit", counted() == before + 1)
+    yield from hand.press("Z", *hand.aside, ctrl=True)
+    yield 0.5
+    day.check("undo takes it away", counted() == before)
 
 
 def view_of(hand: Hand) -> str:
@@ -176,12 +213,18 @@ def counted() -> int:
 
 
 def export(hand: Hand, day: Day) -> Steps:
-    """Write the report and a table of what stands after the review."""
-    window = bpy.context.window_manager.windows[0]
+    """Write a table of what stands after the review, through its file dialog."""
     yield from hand.find("fruitlangs.export_ply")  # the last one: all are in sight
     yield from picture(hand, day, "export")
-    with bpy.context.temp_override(window=window, area=hand.area, region=hand.region("WINDOW")):
-        bpy.ops.fruitlangs.export_csv(filepath=str(day.work / "fruit.csv"))
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # in this window, where the hand is
+    yield from hand.push("fruitlangs.export_csv")
+    yield 1.0
+    browser = next(area for area in hand.window.screen.areas if area.type == "FILE_BROWSER")
+    chosen = browser.spaces.active.params
+    chosen.directory, chosen.filename = str(day.work).encode(), "fruit.csv"
+    yield 0.5
+    yield from hand.press("RET", browser.x + browser.width / 2, browser.y + browser.height / 2)
+    yield from work_done(hand)
     rows = (day.work / "fruit.csv").read_text(encoding="utf-8").splitlines()
     day.check("the table has the corrected count", len(rows) - 1 == counted())
 

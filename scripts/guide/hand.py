@@ -35,6 +35,10 @@ KEYS = {" ": "SPACE", ",": "COMMA", ".": "PERIOD", "-": "MINUS"} | {
 }
 
 
+LEFT, RIGHT = 0.25, 0.62
+"""Of the sidebar's width: where the first and the second button of a row are; a single one is at both."""
+
+
 class NotThere(RuntimeError):
     """A button is not in the sidebar."""
 
@@ -111,24 +115,24 @@ class Hand:
                     continue
         return manager.clipboard
 
-    def find(self, what: str) -> Steps:
+    def find(self, what: str, across: float = RIGHT) -> Steps:
         """(x, y) in the window of a button of the sidebar that does or holds `what`: the first from here down, or else
-        from the top.
+        from the top. across: of the sidebar's width, for a row of several buttons.
 
         Raises:
             NotThere: there is none.
         """
         for _ in range(2):
-            found = yield from self._below(what)
+            found = yield from self._below(what, across)
             if found is not None:
                 return found
             yield from self.top()
         raise NotThere(f"no button '{what}' in the sidebar")
 
-    def _below(self, what: str) -> Steps:
+    def _below(self, what: str, across: float) -> Steps:
         """As `find`, from here down; None where there is none."""
         region = self.region("UI")
-        x = region.x + region.width * 0.62
+        x = region.x + region.width * across
         for _ in range(PAGES):
             y = region.y + region.height - 2 * STEP
             while y > region.y + STEP:
@@ -149,9 +153,9 @@ class Hand:
             )
         yield SCROLLED
 
-    def push(self, what: str) -> Steps:
+    def push(self, what: str, across: float = RIGHT) -> Steps:
         """Find a button and click it."""
-        x, y = yield from self.find(what)
+        x, y = yield from self.find(what, across)
         yield from self.click(x, y)
         return x, y
 
