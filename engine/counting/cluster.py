@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,8 @@ COVERED, ENOUGH = 0.3, 10
 """Coverage of a loose fit that tells its size, and how many of them tell a spread."""
 NOISE, CUT = 0.07, 0.88
 """Deviation of their log radii that noise alone makes, and that of a normal distribution cut at two deviations."""
+UNTOLD = 0.4
+"""Of the spread of sizes, what a fit's own deviation does not tell of its error: what is not round, and what hides."""
 STEADY = 0.25
 """Radii by which a fruit may move when it is fitted from its own place, so that it does not tell from which start it
 came."""
@@ -135,9 +137,10 @@ def find_fruit(result: Search) -> Clusters:
     owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
     settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
     fitted = fit_ellipsoids(result.skin.cells, result.skin.normals, owners, settled)
+    untold = UNTOLD * result.size.spread * fitted.spheres.radii
     return Clusters(
         result.skin.points,
-        fitted.spheres,
+        replace(fitted.spheres, radius_sds=np.hypot(fitted.spheres.radius_sds, untold)),
         owners,
         components,
         chances[kept],

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.config import CountConfig
+from fruitlangs.engine.counting.cluster import SPREADS, UNTOLD
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.counting.visibility import Visibility, frame_of
@@ -402,3 +403,8 @@ def moved_by(tree: sim.Simulation, turn: np.ndarray, shift: np.ndarray, scale: f
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
     pairs = {name: torch.cat([getattr(first, name), getattr(second, name)]) for name in PARAMETERS}
     return Gaussians(**pairs)
+
+
+def test_no_diameter_is_told_more_surely_than_the_spread_of_sizes_allows(small_count: FruitCount) -> None:
+    told = np.array([fruit.diameter_sd / fruit.diameter for fruit in small_count.fruits])
+    assert told.min() > UNTOLD * SPREADS[0]
