@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -55,11 +55,11 @@ class Stack:
         shifts = SPACING * torch.arange(crowns)[:, None, None] * torch.tensor([0.0, 0.0, 1.0])
         means = (self.gaussians.means + shifts).reshape(-1, 3)
         index = torch.arange(len(self.gaussians)).repeat(crowns)
-        visibility = {field.name: getattr(self.visibility, field.name)[index.numpy()] for field in fields(Visibility)}
+        seen, own = self.visibility, index.numpy()
         return Stack(
             replace(self.gaussians.select(index), means=means),
             np.tile(self.probability, crowns),
-            Visibility(**visibility),
+            Visibility(seen.weights[own], seen.views[own], seen.directions[own], seen.frame),
             [_moved(picture, crown * SPACING) for crown in range(crowns) for picture in self.pictures],
         )
 
