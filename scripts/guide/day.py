@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -195,13 +197,20 @@ def other_tools(hand: Hand, day: Day) -> Steps:
     yield from hand.push("fruitlangs.merge_fruit", LEFT)
     day.check("they are one again", counted() == before)
     yield from hand.push("fruitlangs.add_fruit")
-    middle = owned("fruit")[0].matrix_world.translation
-    yield from hand.click(*hand.place_of(middle))
+    yield from hand.click(*nearest_fruit(hand))
     yield 0.5
     day.check("a click on the tree adds a fruit", counted() == before + 1)
     yield from hand.press("Z", *hand.aside, ctrl=True)
     yield 0.5
     day.check("undo takes it away", counted() == before)
+
+
+def nearest_fruit(hand: Hand) -> tuple[float, float]:
+    """Where the fruit nearest to the middle of the view is drawn."""
+    window = hand.region("WINDOW")
+    middle = window.x + 0.4 * window.width, window.y + 0.5 * window.height
+    places = [hand.place_of(item.matrix_world.translation) for item in owned("fruit")]
+    return min(places, key=partial(math.dist, middle))
 
 
 def view_of(hand: Hand) -> str:

@@ -9,6 +9,7 @@ from fruitlangs.engine.counting.account import account_for
 from fruitlangs.engine.counting.claims import commonest
 from fruitlangs.engine.counting.cluster import Clusters
 from fruitlangs.engine.counting.describe import MEMBER_REACH, nearest_sphere
+from fruitlangs.engine.counting.lots import even_turns
 from fruitlangs.engine.counting.sample import SurfacePoints
 from fruitlangs.engine.counting.sphere import Spheres
 
@@ -23,7 +24,7 @@ def clusters(seed: int) -> Clusters:
     homes = random.integers(0, 25, FRUIT + 1)
     components = np.where(random.random(POINTS) < 0.8, homes[owners], random.geometric(0.1, POINTS).clip(1, 30) - 1)
     return Clusters(
-        points=SurfacePoints(positions, positions, np.arange(POINTS), np.ones(POINTS), positions),
+        points=SurfacePoints(positions, positions, np.arange(POINTS), np.ones(POINTS), positions, even_turns(POINTS)),
         spheres=Spheres(random.normal(size=(FRUIT, 3)), *(count * random.uniform(0.2, 0.9) for _ in range(8))),
         owners=owners,
         components=components,

@@ -80,7 +80,7 @@ def test_another_prompt_needs_neither_the_file_nor_another_lifting(
     first = count_scene(alone, ["fruit"], tmp_path / "first", config=TINY)
     again = count_scene(alone, ["leaf"], tmp_path / "first", config=TINY)
     assert again.reused == ["borrow", "embed"]
-    assert again.notices == first.notices
+    assert [told for told in again.notices if "diameter" not in told] == first.notices[:2]
     alone.unlink()
     asked = count_scene(tmp_path / "first", ["leaf"], tmp_path / "asked", config=TINY)
     assert document(asked.out)["fruits"] == document(again.out)["fruits"]
