@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 
 from ..operators.blender_data import OWNER
-from ..operators.fruit_objects import REJECTED, REVIEW, diameter_text, metres_per_unit
+from ..operators.fruit_objects import REJECTED, REVIEW, diameter_head, diameter_number, metres_per_unit
+from .panel_parts import sidebar_width
 
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
 KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
@@ -66,13 +67,12 @@ def _draw_row(row: Any, context: bpy.types.Context, sign: str, texts: list[str])
 
 def _has_room(context: bpy.types.Context) -> bool:
     """Whether the sidebar has room for the kind's name."""
-    pixels: float = context.region.width / context.preferences.system.ui_scale
-    return pixels >= WIDE
+    return sidebar_width(context) >= WIDE
 
 
 def head(metric: bool) -> list[str]:
     """What `cells` are. metric: lengths are metres."""
-    return ["Fruit", "Ø mm" if metric else "Ø units", "Prob.", "Seen", "Kind"]
+    return ["Fruit", diameter_head(metric), "Prob.", "Seen", "Kind"]
 
 
 def cells(item: Any, metric: bool) -> list[str]:
@@ -81,7 +81,7 @@ def cells(item: Any, metric: bool) -> list[str]:
     visible = item.get("visible_fraction")
     return [
         f"{item.get('id', 0)} {item.get('label', '')}",
-        diameter_text(item, metric).partition(" ")[0],
+        diameter_number(item, metric),
         f"{float(item.get('probability', 1.0)):.2f}",
         "" if visible is None else f"{float(visible):.0%}",
         str(item.get("kind", "")),

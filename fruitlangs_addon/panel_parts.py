@@ -57,9 +57,8 @@ def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
 
 def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
     """Text broken to the sidebar's width; labels do not wrap by themselves."""
-    pixels = context.region.width / context.preferences.system.ui_scale
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, max(int(pixels / 6.3) - 6, 12))):
+    for number, line in enumerate(textwrap.wrap(text, max(int(sidebar_width(context) / 6.3) - 6, 12))):
         column.label(text=line, icon=icon if number == 0 else "NONE")
 
 
@@ -72,6 +71,12 @@ def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
     draw_text(box, f"Splats cannot be drawn here ({problem()}). Another look tries again", context, icon="ERROR")
     if look.style == "SPLATS":
         box.prop_enum(look, "style", "ELLIPSOIDS")
+
+
+def sidebar_width(context: bpy.types.Context) -> float:
+    """Pixels of the region that is drawn, before the interface's scale."""
+    pixels: float = context.region.width / context.preferences.system.ui_scale
+    return pixels
 
 
 def draw_settings(layout: Any, group: Any, names: Iterable[str]) -> None:

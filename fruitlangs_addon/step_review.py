@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..operators.fruit_objects import fruit_collection, metres_per_unit
+from ..operators.fruit_objects import diameter_head, fruit_collection, metres_per_unit
 from ..operators.keep_review import entry_text, review_line
 from ..operators.read_fruits import counted
 from ..operators.review import (
@@ -50,7 +50,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         row.operator(FRUITLANGS_OT_add_fruit.bl_idname, icon="ADD")
         if not usual_diameter(context.scene):
             metric = metres_per_unit(context.scene) is not None
-            layout.prop(review, "diameter_mm" if metric else "diameter", text="Ø mm" if metric else "Ø units")
+            layout.prop(review, "diameter_mm" if metric else "diameter", text=diameter_head(metric))
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_split_fruit.bl_idname, icon="MOD_EXPLODE")
         row.prop(review, "parts", text="")

@@ -121,10 +121,8 @@ def _review(bpy_scene: bpy.types.Scene) -> Check:
 def _export(bpy_scene: bpy.types.Scene) -> Check:
     if not counted(bpy_scene):
         return Check(False, False, "Count first; then the fruit can be exported")
-    written, stands = (
-        bpy_scene.fruitlangs.result.exported,
-        f"Writes the {len(standing(bpy_scene))} fruit that stand now",
-    )
+    written = bpy_scene.fruitlangs.result.exported
+    stands = f"Writes the {len(standing(bpy_scene))} fruit that stand now"
     if written:
         return Check(True, True, f"{stands}; the last file was {PurePath(written).name}")
     return Check(False, True, stands)

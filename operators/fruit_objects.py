@@ -53,8 +53,17 @@ def metres_per_unit(bpy_scene: bpy.types.Scene) -> float | None:
 
 def diameter_text(item: bpy.types.Object, metric: bool) -> str:
     """A fruit's diameter for people: '81.2 mm' where lengths are metres (`metres_per_unit`), else '0.0812'."""
-    size = float(item.get("diameter", 0.0))
-    return f"{three_digits(1000.0 * size)} mm" if metric else three_digits(size)
+    return f"{diameter_number(item, metric)} mm" if metric else diameter_number(item, metric)
+
+
+def diameter_number(item: bpy.types.Object, metric: bool) -> str:
+    """The same without a unit, for a column below `diameter_head`."""
+    return three_digits(float(item.get("diameter", 0.0)) * (1000.0 if metric else 1.0))
+
+
+def diameter_head(metric: bool) -> str:
+    """What stands over, or before, diameters without a unit."""
+    return "Ø mm" if metric else "Ø units"
 
 
 def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:

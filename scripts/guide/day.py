@@ -104,25 +104,25 @@ def ends(hand: Hand) -> list[tuple[float, float]]:
 
 def reconstruct(hand: Hand, day: Day) -> Steps:
     """Train, watching the splats; Esc once, then on from there; a picture on the way."""
-    yield from hand.top()
-    yield from hand.push("fruitlangs.reconstruct")
-    yield from hand.rest()
-    job = running()
-    while job is not None and job.fraction < 0.2 and running() is not None:
-        yield WAIT
+    yield from start_training(hand, until=0.2)
     yield from hand.press("ESC", *hand.aside)
     yield from work_done(hand)
     day.check("Esc ends the job and nothing is shown", not owned("gaussians") and not settings().error)
-    yield from hand.top()
-    yield from hand.push("fruitlangs.reconstruct")
-    yield from hand.rest()
-    job = running()
-    while job is not None and job.fraction < 0.45 and running() is not None:
-        yield WAIT
+    yield from start_training(hand, until=0.45)
     yield from picture(hand, day, "reconstruct")
     yield from work_done(hand)
     day.check("the Gaussians are shown", len(owned("gaussians")) == 1)
     day.check("no error", not settings().error)
+
+
+def start_training(hand: Hand, *, until: float) -> Steps:
+    """Press Reconstruct and wait until this share of the job is done."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.reconstruct")
+    yield from hand.rest()
+    job = running()
+    while job is not None and job.fraction < until and running() is not None:
+        yield WAIT
 
 
 def ask(hand: Hand, day: Day) -> Steps:
