@@ -3,9 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-PACKAGES := engine operators fruitlangs_addon benchmarks
-SCRIPT_PACKAGES := orchard encoder fitting guide
-SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py)))
+PACKAGES := engine operators fruitlangs_addon orchard fitting benchmarks
+SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py)))
 
 .PHONY: demo test lint types pytest baseline guide extension clean
 
@@ -22,7 +21,7 @@ lint: $(READY)
 types: $(READY)
 	mkdir -p .types && ln -sfn "$(CURDIR)" .types/fruitlangs
 	MYPYPATH=.types $(BIN)/mypy $(addprefix -p fruitlangs.,$(PACKAGES))
-	MYPYPATH=.types:scripts $(BIN)/mypy $(addprefix -p ,$(SCRIPT_PACKAGES)) $(addprefix -m ,$(SCRIPTS))
+	MYPYPATH=.types:scripts:scripts/developer $(BIN)/mypy -p guide $(addprefix -m ,$(SCRIPTS))
 
 pytest: $(READY)
 	$(BIN)/python -m pytest
@@ -36,11 +35,11 @@ baseline: $(READY)
 BLENDER ?= blender
 guide:
 	$(BLENDER) --enable-event-simulate --no-window-focus --window-geometry 0 0 1600 900 \
-		-P scripts/picture_guide.py -- --pictures docs/images/guide
+		-P scripts/developer/picture_guide.py -- --pictures docs/images/guide
 
 # With all Python packages inside: make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
 extension: $(READY)
-	$(BIN)/python scripts/build_extension.py $(ZIPS)
+	$(BIN)/python scripts/developer/build_extension.py $(ZIPS)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from ..engine.config import EmbedConfig, SceneConfig
-from ..engine.language.autoencoder import train_autoencoders
-from ..engine.language.cells import cell_weights
-from ..engine.language.embedder import Embedder
-from ..engine.language.encoders import sees_crops, sees_whole
-from ..engine.language.features import Features
-from ..engine.language.lift import encode_photos, lift_features
-from ..engine.language.lift_segments import mix_features
-from ..engine.language.photo_segments import segmented_views
-from ..engine.language.relevancy import relevancy
+from ..engine.language.encoders.encoder import sees_crops, sees_whole
+from ..engine.language.features.autoencoder import train_autoencoders
+from ..engine.language.features.cells import cell_weights
+from ..engine.language.features.embedder import Embedder
+from ..engine.language.features.features import Features
+from ..engine.language.features.lift import encode_photos, lift_features
+from ..engine.language.features.lift_segments import mix_features
+from ..engine.language.masks.photo_segments import segmented_views
+from ..engine.language.prompts.relevancy import relevancy
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.camera import Scene
 from ..engine.scene.read import read_scene

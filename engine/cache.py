@@ -16,7 +16,7 @@ _ENGINE = Path(__file__).resolve().parent
 @cache
 def _code_hash(room: str) -> str:
     """Hash of a room's sources and fitted numbers: what is changed must not answer with what an older one left."""
-    return files_hash(sorted(path for kind in ("*.py", "*.json") for path in (_ENGINE / room).glob(kind)), _ENGINE)
+    return files_hash(sorted(path for kind in ("*.py", "*.json") for path in (_ENGINE / room).rglob(kind)), _ENGINE)
 
 
 def stage_key(rooms: tuple[str, ...], *inputs: Any) -> str:

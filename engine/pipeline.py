@@ -11,21 +11,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from .config import Config
+from .counting.accounts.ids import NOBODY, KnownFruit
 from .counting.count import count_fruit
-from .counting.ids import NOBODY, KnownFruit
-from .counting.template_shape import read_template
+from .counting.published.template_shape import read_template
 from .errors import OutputError, VocabularyError
 from .files import file_hash, require_writable
-from .language.embedder import Embedder
-from .language.relevancy import check_prompts
-from .language.selection import select
+from .language.features.embedder import Embedder
+from .language.prompts.relevancy import check_prompts
+from .language.prompts.selection import select
 from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
 from .reconstruction import Reconstruction, Stages, adopt, check_foreign, reconstruct, reopen
 from .report.results import FRUITS_JSON, known_fruit
 from .scale import scaled
-from .splatting.train import Watch
+from .splatting.training.train import Watch
 
 
 def count_scene(

@@ -15,11 +15,11 @@ from typing import Any
 from torch import Tensor
 
 from .config import Config
+from .counting.accounts.ids import NOBODY, KnownFruit
 from .counting.fruit import FruitCount
-from .counting.ids import NOBODY, KnownFruit
 from .errors import FruitLangsError, OutputError
 from .files import file_hash, write_text
-from .language.features import Features
+from .language.features.features import Features
 from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, Stages
 from .report.audit import audit_text
 from .report.framing import framing
@@ -33,7 +33,7 @@ from .report.still import draw_still, save_still
 from .report.tables import fruits_csv
 from .report.words import headline
 from .scene.camera import Scene
-from .scene.stored import told_anew
+from .scene.formats.cameras_json import told_anew
 from .splatting.gaussians import Gaussians
 
 PICTURES = "pictures"

@@ -17,20 +17,20 @@ from .cache import stage_key
 from .config import Config, EmbedConfig, SceneConfig
 from .errors import ConfigError, FruitLangsError, OutputError
 from .files import require_writable, write_text
-from .language.embedder import Embedder, portable
-from .language.features import Features, load_features, save_features
-from .language.joint import judged
+from .language.features.embedder import Embedder, portable
+from .language.features.features import Features, load_features, save_features
+from .language.features.joint import judged
 from .progress import Progress, part
 from .report.results import FRUITS_JSON, read_results
 from .scene.camera import Scene
-from .scene.photo import FilePhoto
+from .scene.formats.cameras_json import dump_cameras, read_cameras
+from .scene.photos.photo import FilePhoto
 from .scene.scale import scale_by_length
 from .scene.source import Source, photos_alone, pose_photos, posed_before
-from .scene.stored import dump_cameras, read_cameras
-from .splatting.borrowed import PLACED, borrow, drawn_again
 from .splatting.gaussians import Gaussians
+from .splatting.imported.imported_gaussians import PLACED, borrow, drawn_again
 from .splatting.ply import read_ply, write_ply
-from .splatting.train import Watch, train
+from .splatting.training.train import Watch, train
 
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur does; the paper's worst scan has .527."""

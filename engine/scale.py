@@ -6,13 +6,13 @@ import dataclasses
 
 from .config import UnitsConfig
 from .errors import SceneError
-from .language.encoders import Encoder
-from .language.relevancy import relevancy
+from .language.encoders.encoder import Encoder
+from .language.prompts.relevancy import relevancy
 from .reconstruction import Reconstruction, Stages
+from .scene.formats.cameras_json import camera_names
 from .scene.gps import scale_by_gps
 from .scene.scale import Scale, scale_by_length
-from .scene.stored import camera_names
-from .splatting.extent import longest_side
+from .splatting.subject.extent import longest_side
 
 SURE = 0.5
 """Probability from which a Gaussian belongs to the thing that was measured."""

@@ -11,10 +11,10 @@ from typing import Any
 
 import bpy
 
-from ..operators.caches import FRUITLANGS_OT_clear_caches
 from ..operators.package_folder import EXTENSION, installs, packages_folder
-from ..operators.settings import online
-from .missing_packages import draw_missing_packages
+from ..operators.packages.caches import FRUITLANGS_OT_clear_caches
+from ..operators.settings.settings import online
+from .panels.missing_packages import draw_missing_packages
 
 
 class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):

@@ -10,13 +10,13 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..operators.ask import suggestions, threshold_changed, words_changed
-from ..operators.gaussian_nodes import DIMMING
-from ..operators.settings import RELATIVE, apply_preset, config_properties, stage_classes
-from ..operators.splat_drawing import look_edited
-from . import review
-from .photos import FRUITLANGS_PG_photos
-from .review import FRUITLANGS_PG_review
+from ..operators.drawing.splat_drawing import look_edited
+from ..operators.settings.settings import RELATIVE, apply_preset, config_properties, stage_classes
+from ..operators.steps.ask import suggestions, threshold_changed, words_changed
+from ..operators.viewport.gaussian_nodes import DIMMING
+from . import review_properties as review
+from .photo_properties import FRUITLANGS_PG_photos
+from .review_properties import FRUITLANGS_PG_review
 
 
 def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:

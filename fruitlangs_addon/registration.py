@@ -6,35 +6,21 @@ from typing import Any
 
 import bpy
 
-from ..operators import (
-    ask,
-    best_photo,
-    caches,
-    count,
-    dependencies,
-    export,
-    import_scene,
-    jobs,
-    label_drawing,
-    legend,
-    level,
-    look,
-    look_at_cluster,
-    moved_paths,
-    package_folder,
-    photo_backgrounds,
-    reconstruct,
-    region,
-    review,
-    scale,
-    splat_drawing,
-    waiting_tool,
-)
-from . import (
+from ..operators import package_folder
+from ..operators.drawing import label_drawing, legend, splat_drawing
+from ..operators.export import export
+from ..operators.jobs import active_tool, jobs
+from ..operators.packages import caches, dependencies
+from ..operators.photos import best_photo, photo_backgrounds
+from ..operators.review import review, show_cluster
+from ..operators.settings import moved_paths, region
+from ..operators.steps import ask, count, import_scene, reconstruct
+from ..operators.tools import level, scale
+from ..operators.viewport import appearance
+from . import preferences, properties
+from .panels import (
+    appearance_panel,
     fruit_list,
-    look_panel,
-    preferences,
-    properties,
     step_ask,
     step_count,
     step_export,
@@ -56,13 +42,13 @@ CLASSES: tuple[Any, ...] = (
     *ask.CLASSES,
     *count.CLASSES,
     *review.CLASSES,
-    *look_at_cluster.CLASSES,
+    *show_cluster.CLASSES,
     *best_photo.CLASSES,
     *export.CLASSES,
     *step_scene.CLASSES,
     *step_reconstruct.CLASSES,
     *step_ask.CLASSES,
-    *look_panel.CLASSES,
+    *appearance_panel.CLASSES,
     *step_count.CLASSES,
     *fruit_list.CLASSES,
     *step_review.CLASSES,
@@ -88,18 +74,18 @@ def register() -> None:
     photo_backgrounds.register_watch()
     label_drawing.drawing.start()
     legend.drawing.start()
-    look.register_handlers()
+    appearance.register_handlers()
     moved_paths.register_handlers()
     splat_drawing.register_handlers()
 
 
 def unregister() -> None:
     """Take everything away and leave nothing behind; what waits for clicks ends, a running job is asked to stop."""
-    waiting_tool.end_waiting()
+    active_tool.end_waiting()
     jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     moved_paths.unregister_handlers()
-    look.unregister_handlers()
+    appearance.unregister_handlers()
     legend.drawing.stop()
     label_drawing.drawing.stop()
     photo_backgrounds.unregister_watch()

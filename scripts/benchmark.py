@@ -23,12 +23,12 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import run, terminal_progress
-from fruitlangs.benchmarks.ablation import ablate
-from fruitlangs.benchmarks.counting_speed import measure_counting
-from fruitlangs.benchmarks.curve import training_curve
+from fruitlangs.benchmarks.counting.speed import measure_counting
 from fruitlangs.benchmarks.language import measure_language
-from fruitlangs.benchmarks.memory import training_peak
-from fruitlangs.benchmarks.pages import (
+from fruitlangs.benchmarks.training.ablation import ablate
+from fruitlangs.benchmarks.training.curve import training_curve
+from fruitlangs.benchmarks.training.memory import training_peak
+from fruitlangs.benchmarks.training.pages import (
     ablation_table,
     curve_table,
     draw_curves,
@@ -37,8 +37,8 @@ from fruitlangs.benchmarks.pages import (
     stage_table,
     watched_table,
 )
-from fruitlangs.benchmarks.published import beside_published
-from fruitlangs.benchmarks.stages import MOST_THREADS, Setting, measure
+from fruitlangs.benchmarks.training.published_3dgs import beside_published
+from fruitlangs.benchmarks.training.step_times import MOST_THREADS, Setting, measure
 from fruitlangs.engine.config import EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 

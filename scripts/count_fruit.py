@@ -72,8 +72,8 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
     if not wanted:
         return {}
     try:
-        from fruitlangs.operators.write import write_blend
-        from fruitlangs.operators.write_gaussians import asked_words
+        from fruitlangs.operators.data.write import write_blend
+        from fruitlangs.operators.data.write_gaussians import asked_words
     except ImportError as error:
         print(f"scene.blend is left out: bpy cannot be imported ({error}); pip install bpy", file=sys.stderr)
         return {}

@@ -25,11 +25,11 @@ import _checkout  # noqa: F401  puts the checkout on the path
 import numpy as np
 
 from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
-from fruitlangs.benchmarks.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder_pages import rung_rows, write_pages
+from fruitlangs.benchmarks.ladder.ladder import RungRow, climb
+from fruitlangs.benchmarks.ladder.pages import rung_rows, write_pages
+from fruitlangs.benchmarks.ladder.results import publish
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.orchards import measure_each
-from fruitlangs.benchmarks.results import publish
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics

@@ -18,9 +18,9 @@ import numpy as np
 
 from _terminal import arguments_of, run
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.engine.evaluation import fruitnerf, fuji, pfuji
-from fruitlangs.engine.evaluation.cloud import ColoredCloud, write_cloud
-from fruitlangs.engine.evaluation.imported import ImportedTruth, read_similarity, transformed, write_truth
+from fruitlangs.engine.evaluation.datasets import fruitnerf, fuji, pfuji
+from fruitlangs.engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
+from fruitlangs.engine.evaluation.datasets.imported import ImportedTruth, read_similarity, transformed, write_truth
 from fruitlangs.engine.evaluation.trees import tally
 
 LAYOUTS = (fruitnerf.LAYOUT, pfuji.LAYOUT, fuji.LAYOUT)

@@ -49,7 +49,7 @@ def extension_or_checkout() -> ModuleType:
             return module
     import _checkout  # noqa: F401
 
-    from fruitlangs.operators import dependencies
+    from fruitlangs.operators.packages import dependencies
 
     return dependencies
 

@@ -23,11 +23,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import _checkout  # noqa: F401
 
 from _terminal import arguments_of, import_tyro, report, run
-from orchard.check import check
-from orchard.config import FIRST_TRAINING_SEED, OrchardConfig
-from orchard.errors import OrchardError
-from orchard.scene_file import find_scene, presets, read_scene
-from orchard.training import training_config
+from fruitlangs.orchard.check import check
+from fruitlangs.orchard.config import FIRST_TRAINING_SEED, OrchardConfig
+from fruitlangs.orchard.errors import OrchardError
+from fruitlangs.orchard.scene_file import find_scene, presets, read_scene
+from fruitlangs.orchard.training_scenes import training_config
 
 if TYPE_CHECKING:
     import tyro
@@ -102,7 +102,7 @@ def make(command: Command) -> None:
         if importlib.util.find_spec(package) is None:
             install = f'"{sys.executable}" -m pip install {package}'
             raise OrchardError(f"the package {package} is missing in this Python; run: {install}")
-    from orchard.produce import produce, write_scene_list
+    from fruitlangs.orchard.produce import produce, write_scene_list
 
     if not command.scenes:
         produce(

@@ -21,8 +21,8 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, terminal_progress
 from fruitlangs.benchmarks.orchards import measure_each
-from fruitlangs.benchmarks.paper_pages import ablation_table, count_table, reconstruction_table
-from fruitlangs.benchmarks.paper_tables import SceneTables, measure_tables
+from fruitlangs.benchmarks.paper.pages import ablation_table, count_table, reconstruction_table
+from fruitlangs.benchmarks.paper.tables import SceneTables, measure_tables
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.files import write_text

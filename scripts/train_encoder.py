@@ -20,23 +20,23 @@ import _checkout  # noqa: F401
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple a step's cost on a busy machine
 
 import torch
-from encoder.batches import Material
-from encoder.calibration import calibrate
-from encoder.card import write_card
-from encoder.learning import Course, check_course, learn
-from encoder.lifted import FRUIT_SHARE, calibrate_lifted, lifted_measures, lifted_scene, walks
-from encoder.measures import Unseen, halves, measure
-from encoder.pasting import cut_fruit
-from encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
-from encoder.samples import sample
-from encoder.widening import widened
 
 from _terminal import import_tyro, run
 from fruitlangs.engine.errors import ConfigError, EncoderError
-from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
-from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
+from fruitlangs.engine.language.encoders.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
+from fruitlangs.engine.language.encoders.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import CONCEPTS
-from orchard.training import is_held_out
+from fruitlangs.fitting.encoder.batches import Material
+from fruitlangs.fitting.encoder.calibration import calibrate
+from fruitlangs.fitting.encoder.card import write_card
+from fruitlangs.fitting.encoder.learning import Course, check_course, learn
+from fruitlangs.fitting.encoder.lifted import FRUIT_SHARE, calibrate_lifted, lifted_measures, lifted_scene, walks
+from fruitlangs.fitting.encoder.measures import Unseen, halves, measure
+from fruitlangs.fitting.encoder.pasting import cut_fruit
+from fruitlangs.fitting.encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
+from fruitlangs.fitting.encoder.samples import sample
+from fruitlangs.fitting.encoder.widening import widened
+from fruitlangs.orchard.training_scenes import is_held_out
 
 tyro = import_tyro()
 

@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from orchard.viewpoint import look_at
+from fruitlangs.orchard.cameras.viewpoint import look_at
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import bpy
 
 def written(counted, probability=True):
     """The Gaussians of `counted`, as a count writes them."""
-    from fruitlangs.operators.write_gaussians import write_gaussians
-    from fruitlangs.operators.write_root import write_root
+    from fruitlangs.operators.data.write_gaussians import write_gaussians
+    from fruitlangs.operators.data.write_root import write_root
 
     scene, gaussians, values, fruit_count = counted.parts()
     root = write_root(bpy.context.scene, scene)
@@ -22,8 +22,8 @@ def written(counted, probability=True):
 
 def imported(counted):
     """The sparse points of a scene, as an import writes them."""
-    from fruitlangs.operators.write_points import write_points
-    from fruitlangs.operators.write_root import write_root
+    from fruitlangs.operators.data.write_points import write_points
+    from fruitlangs.operators.data.write_root import write_root
 
     scene = counted.parts()[0]
     return write_points(bpy.context.scene, scene, write_root(bpy.context.scene, scene))
@@ -67,7 +67,7 @@ class Layout:
 
 def drawn(panel) -> Any:
     """What a panel draws of the Blender scene at hand, in a wide sidebar."""
-    from fruitlangs.fruitlangs_addon.panel_parts import StepPanel
+    from fruitlangs.fruitlangs_addon.panels.panel_parts import StepPanel
 
     layout = Layout()
     context = SimpleNamespace(

@@ -13,7 +13,8 @@ import trimesh
 from PIL import Image
 
 TESTS = Path(__file__).resolve().parent
-sys.path[:0] = [str(folder) for folder in (TESTS.parent / "scripts", TESTS, TESTS / "engine")]
+SCRIPTS = TESTS.parent / "scripts"
+sys.path[:0] = [str(folder) for folder in (SCRIPTS, SCRIPTS / "developer", TESTS, TESTS / "engine")]
 
 import _checkout  # noqa: F401
 

@@ -17,22 +17,22 @@ from ..errors import CountingError
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import PARAMETERS, Gaussians
-from ..splatting.viewpoints import find_subject
-from .account import account_for
-from .cluster import Clusters, Search, find_fruit, search
-from .describe import describe, place_fruit, point_colors
+from ..splatting.subject.viewpoints import find_subject
+from .accounts.audit import account_for
+from .accounts.describe import describe, place_fruit, point_colors
+from .accounts.ids import NOBODY, KnownFruit, number
+from .accounts.interval import estimate, evidence_of
+from .evidence.cluster import Clusters, Search, find_fruit, search
+from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
+from .evidence.surface_points import LARGEST_SCALE, SKIN, SurfacePoints, sample_enough, sample_skin, sample_volume
+from .evidence.visibility import Picture, Visibility, draw, look_at, see
 from .fruit import NO_TREE, AuditEntry, FruitCount
-from .fruitnerf import cluster_as_fruitnerf
-from .ground import lying_on_ground
-from .ids import NOBODY, KnownFruit, number
-from .interval import estimate, evidence_of
-from .region import REACH, Region, keep_inside, region_of, spaced
-from .row import check_trees, trees_of_row
-from .sample import LARGEST_SCALE, SKIN, SurfacePoints, sample_enough, sample_skin, sample_volume
-from .size import LEAST_EVIDENCE, FruitSize, estimate_diameter
-from .template import split_by_template
-from .template_shape import read_template
-from .visibility import Picture, Visibility, draw, look_at, see
+from .published.fruitnerf import cluster_as_fruitnerf
+from .published.template import split_by_template
+from .published.template_shape import read_template
+from .regions.ground import lying_on_ground
+from .regions.region import REACH, Region, keep_inside, region_of, spaced
+from .regions.row import check_trees, trees_of_row
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from ..counting.matching import Matching, match_centers
+from ..counting.geometry.matching import Matching, match_centers
 from ..errors import CountingError
 from .truth import Truth
 

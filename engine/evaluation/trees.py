@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..counting.fruit import NO_TREE
-from ..counting.row import nearest_along
+from ..counting.regions.row import nearest_along
 from ..errors import FormatError
 from .number_table import read_numbers
 

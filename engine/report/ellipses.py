@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..counting.evidence.visibility import draw, look_at
 from ..counting.fruit import Fruit
-from ..counting.visibility import draw, look_at
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..counting.evidence.visibility import shrunk
 from ..counting.fruit import Fruit
-from ..counting.visibility import shrunk
 from ..scene.camera import Camera, Scene, looking
 from ..splatting.gaussians import Gaussians
-from ..splatting.viewpoints import LEAST_OPACITY, find_subject
+from ..splatting.subject.viewpoints import LEAST_OPACITY, find_subject
 from .ellipses import HIDDEN_BELOW, shown
 
 FloatArray = NDArray[np.float64]

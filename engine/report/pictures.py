@@ -12,10 +12,10 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ..counting.fruit import Fruit, FruitCount
-from ..language.features import Features
+from ..language.features.features import Features
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
-from ..splatting.rasterize import render
+from ..splatting.rendering.rasterize import render
 from .meshes import id_color
 from .words import length_unit, three_digits
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..counting.describe import nearest_sphere
+from ..counting.accounts.describe import nearest_sphere
+from ..counting.accounts.ids import NOBODY, KnownFruit
 from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
-from ..counting.ids import NOBODY, KnownFruit
 from ..errors import FormatError, FruitLangsError, OutputError
 from ..files import file_hash, text_hash
 from .words import file_unit, place

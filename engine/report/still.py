@@ -17,7 +17,7 @@ from ..files import replacing
 from ..progress import Progress, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
-from ..splatting.rasterize import render
+from ..splatting.rendering.rasterize import render
 from .ellipses import Ellipse, ellipses
 from .labels import Label, place_labels, round_length
 from .meshes import id_color

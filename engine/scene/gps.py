@@ -13,7 +13,7 @@ from PIL import ExifTags, Image
 from ..errors import FormatError, SceneError
 from .alignment import OUTLIER, Similarity, align
 from .camera import Camera, FloatArray, Photo
-from .photo import DECODE_ERRORS, FilePhoto, read_exif
+from .photos.photo import DECODE_ERRORS, FilePhoto, read_exif
 from .scale import Scale
 
 LEAST_TAGGED = 4

@@ -12,10 +12,10 @@ from ..errors import SceneError
 from ..files import files_hash, text_hash
 from ..progress import Progress, silent
 from .camera import Scene
-from .colmap import colmap_files, read_colmap
-from .layout import find_model
-from .photos import PHOTO_SUFFIXES, list_photos
-from .transforms import TRANSFORMS, read_transforms, transforms_files
+from .formats.colmap import colmap_files, read_colmap
+from .formats.layout import find_model
+from .formats.transforms import TRANSFORMS, read_transforms, transforms_files
+from .sfm.find_cameras import PHOTO_SUFFIXES, list_photos
 
 _READ_TODAY = (
     "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder; a .ply of"

@@ -15,10 +15,10 @@ from ..errors import OutputError, SceneError
 from ..files import files_hash, require_writable
 from ..progress import Progress, silent
 from .camera import Scene
-from .layout import find_model
-from .photos import LEAST_PHOTOS, find_poses, list_photos
+from .formats.layout import find_model
+from .formats.transforms import TRANSFORMS
 from .read import read_scene, scene_hash
-from .transforms import TRANSFORMS
+from .sfm.find_cameras import LEAST_PHOTOS, find_poses, list_photos
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,10 @@ import pytest
 import torch
 from blender_examples import written
 
-from fruitlangs.engine.language.features import load_features, save_features
-from fruitlangs.operators import ask
+from fruitlangs.engine.language.features.features import load_features, save_features
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects, set_attribute
-from fruitlangs.operators.write_gaussians import ASKED
+from fruitlangs.operators.data.write_gaussians import ASKED
+from fruitlangs.operators.steps import ask
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import bpy
 import pytest
 
 from fruitlangs.engine.errors import Cancelled, SceneError
-from fruitlangs.operators import jobs
 from fruitlangs.operators.blender_data import owned_objects
-from fruitlangs.operators.showing import show_result
+from fruitlangs.operators.jobs import jobs
+from fruitlangs.operators.steps.show_result import show_result
 
 
 @pytest.fixture

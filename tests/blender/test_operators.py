@@ -13,11 +13,11 @@ from blender_examples import drawn
 
 from fruitlangs.engine.config import UnitsConfig
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.fruitlangs_addon.step_scene import FRUITLANGS_PT_scene
-from fruitlangs.operators import import_scene
+from fruitlangs.fruitlangs_addon.panels.step_scene import FRUITLANGS_PT_scene
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.settings import is_of_another
-from fruitlangs.operators.showing import show_reconstruction, show_result
+from fruitlangs.operators.settings.settings import is_of_another
+from fruitlangs.operators.steps import import_scene
+from fruitlangs.operators.steps.show_result import show_reconstruction, show_result
 
 
 @pytest.fixture
@@ -296,7 +296,7 @@ def test_a_count_of_nothing_goes_with_its_gaussians_too(
 
 
 def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, settings, counted_with, result_of):
-    from fruitlangs.operators.showing import count_text, keep_result
+    from fruitlangs.operators.steps.show_result import count_text, keep_result
 
     result = result_of(counted_with(metres_per_unit=0.4), Path("/out"))
     keep_result(settings, result)
@@ -373,7 +373,7 @@ def test_a_folder_that_vanished_is_a_report(engine, settings, tmp_path):
 
 def test_a_scene_deleted_meanwhile_is_named_and_nothing_is_lost(extension, counted):
     from fruitlangs.engine.errors import OutputError
-    from fruitlangs.operators.target import Target
+    from fruitlangs.operators.jobs.target_scene import Target
 
     other = bpy.data.scenes.new("Row 7")
     target = Target(other)
@@ -385,7 +385,7 @@ def test_a_scene_deleted_meanwhile_is_named_and_nothing_is_lost(extension, count
 
 
 def test_missing_packages_are_named_with_a_command_that_keeps_blenders_numpy(extension, monkeypatch):
-    from fruitlangs.operators import dependencies
+    from fruitlangs.operators.packages import dependencies
 
     assert dependencies.missing_packages() == []
     monkeypatch.setitem(dependencies.REQUIRED, "no_such_module", "no-such-package")

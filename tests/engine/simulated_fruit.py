@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fruitlangs.engine.counting.visibility import Visibility, frame_of
+from fruitlangs.engine.counting.evidence.visibility import Visibility, frame_of
 from fruitlangs.engine.evaluation.truth import Truth
 from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.splatting.gaussians import Gaussians

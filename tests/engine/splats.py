@@ -9,7 +9,7 @@ import torch
 
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
-from fruitlangs.engine.splatting.rasterize import render
+from fruitlangs.engine.splatting.rendering.rasterize import render
 
 
 def random_gaussians(n: int, degree: int, seed: int = 0, *, log_scale: float = -2.5) -> Gaussians:

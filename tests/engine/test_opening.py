@@ -12,7 +12,7 @@ import torch
 
 from fruitlangs.engine.config import SceneConfig
 from fruitlangs.engine.errors import EncoderError, FormatError
-from fruitlangs.engine.opening import open_result
+from fruitlangs.engine.open_result import open_result
 from fruitlangs.engine.pipeline import count_scene, reconstruct_scene
 
 
@@ -57,7 +57,7 @@ def without_encoder(monkeypatch):
     def missing(config):
         raise EncoderError("the checkpoint is not there")
 
-    monkeypatch.setattr("fruitlangs.engine.opening.Embedder.open", missing)
+    monkeypatch.setattr("fruitlangs.engine.open_result.Embedder.open", missing)
 
 
 @pytest.fixture

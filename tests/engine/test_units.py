@@ -15,10 +15,10 @@ from fruitlangs.engine.errors import ConfigError, SceneError
 from fruitlangs.engine.files import write_text
 from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
 from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.formats.cameras_json import camera_names, read_cameras, told_anew
 from fruitlangs.engine.scene.scale import scale_by_length
-from fruitlangs.engine.scene.stored import camera_names, read_cameras, told_anew
-from fruitlangs.engine.splatting.extent import longest_side
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
+from fruitlangs.engine.splatting.subject.extent import longest_side
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -173,7 +173,7 @@ def test_a_few_gaussians_are_no_thing() -> None:
 
 def test_a_cameras_file_with_another_scale_and_up_differs_in_nothing_else(tmp_path: Path) -> None:
     from fruitlangs.engine.scene.camera import ArrayPhoto, Scene
-    from fruitlangs.engine.scene.stored import dump_cameras
+    from fruitlangs.engine.scene.formats.cameras_json import dump_cameras
 
     photos = [ArrayPhoto(name, np.zeros((8, 8, 3), np.uint8)) for name in NAMES]
     scene = Scene(cameras(), photos, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), UP)

@@ -13,12 +13,13 @@ import pytest
 import torch
 from checkpoints import write_clip
 
-from fruitlangs.benchmarks import peer_torch
-from fruitlangs.benchmarks.ablation import VARIANTS, ablate
-from fruitlangs.benchmarks.counting_speed import measure_counting, one_crown
-from fruitlangs.benchmarks.curve import training_curve
+from fruitlangs.benchmarks.counting.speed import measure_counting, one_crown
 from fruitlangs.benchmarks.language import measure_language
-from fruitlangs.benchmarks.pages import (
+from fruitlangs.benchmarks.stopwatch import Stopwatch
+from fruitlangs.benchmarks.training import plain_rasterizer
+from fruitlangs.benchmarks.training.ablation import VARIANTS, ablate
+from fruitlangs.benchmarks.training.curve import training_curve
+from fruitlangs.benchmarks.training.pages import (
     ablation_table,
     curve_table,
     draw_curves,
@@ -27,20 +28,27 @@ from fruitlangs.benchmarks.pages import (
     stage_table,
     watched_table,
 )
-from fruitlangs.benchmarks.published import DENSIFY_EVERY, DENSIFY_FROM, beside_published
-from fruitlangs.benchmarks.stages import FORWARD_AND_BACKWARD, STAGES, STEP, Setting, ahead, measure, orchard_like
-from fruitlangs.benchmarks.stopwatch import Stopwatch
+from fruitlangs.benchmarks.training.published_3dgs import DENSIFY_EVERY, DENSIFY_FROM, beside_published
+from fruitlangs.benchmarks.training.step_times import (
+    FORWARD_AND_BACKWARD,
+    STAGES,
+    STEP,
+    Setting,
+    ahead,
+    measure,
+    orchard_like,
+)
 from fruitlangs.engine.config import CountConfig, EmbedConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.counting.count import fruit_size
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS
-from fruitlangs.engine.splatting.initialise import first_gaussians
-from fruitlangs.engine.splatting.losses import PhotometricLoss
-from fruitlangs.engine.splatting.photos import PhotoShelf
 from fruitlangs.engine.splatting.ply import write_ply
-from fruitlangs.engine.splatting.rasterize import render
-from fruitlangs.engine.splatting.workspace import Workspace
+from fruitlangs.engine.splatting.rendering.rasterize import render
+from fruitlangs.engine.splatting.rendering.workspace import Workspace
+from fruitlangs.engine.splatting.training.initialise import first_gaussians
+from fruitlangs.engine.splatting.training.losses import PhotometricLoss
+from fruitlangs.engine.splatting.training.photos import PhotoShelf
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -52,9 +60,9 @@ SHORT = TrainConfig(steps=40, max_gaussians=3000, sh_degree=0, densify_every=10)
 def test_the_peer_draws_the_same_picture_and_pulls_the_same_way() -> None:
     gaussians, camera = orchard_like(400), ahead(80, 60)
     leaves = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
-    view = peer_torch.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
-    splats = peer_torch.project(leaves, view)
-    theirs = peer_torch.blend(splats, *peer_torch.tile_lists(splats, 80, 60), 80, 60)
+    view = plain_rasterizer.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
+    splats = plain_rasterizer.project(leaves, view)
+    theirs = plain_rasterizer.blend(splats, *plain_rasterizer.tile_lists(splats, 80, 60), 80, 60)
     ours_in = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
     ours = render(type(gaussians)(**ours_in), camera).color
     assert float((ours - theirs).detach().abs().mean()) < 0.004  # its boxes end at three standard deviations
@@ -70,7 +78,7 @@ def test_the_peers_loss_is_ours() -> None:
     random = np.random.default_rng(0)
     image, photo = random.random((3, 30, 40)).astype(np.float32), random.integers(0, 256, (30, 40, 3), dtype=np.uint8)
     ours = PhotometricLoss(0.2, Workspace()).pull(image, photo, None, np.empty_like(image))
-    theirs = peer_torch.loss(torch.from_numpy(image).permute(1, 2, 0), torch.from_numpy(photo).float() / 255)
+    theirs = plain_rasterizer.loss(torch.from_numpy(image).permute(1, 2, 0), torch.from_numpy(photo).float() / 255)
     assert ours == pytest.approx(float(theirs), rel=1e-4)
 
 

@@ -13,13 +13,13 @@ import compare_counting
 import numpy as np
 import pytest
 
-from fruitlangs.benchmarks.crowns import scene_crown
-from fruitlangs.benchmarks.rivals import METHODS, NONE, Found, Surface, ours, surface_of
-from fruitlangs.benchmarks.rungs import COUNTING_ONLY, TRUE_MASKS, Rungs
-from fruitlangs.benchmarks.simulated import AXES, SETTINGS, Setting, Simulation, simulate
-from fruitlangs.benchmarks.simulated_page import counting_table, figures_table, visibility_table
-from fruitlangs.benchmarks.touching import Touching, told_apart
-from fruitlangs.benchmarks.trials import Trial, read_trials, trials_csv, tried
+from fruitlangs.benchmarks.counting.baselines import METHODS, NONE, Found, Surface, ours, surface_of
+from fruitlangs.benchmarks.counting.crowns import scene_crown
+from fruitlangs.benchmarks.counting.pages import counting_table, figures_table, visibility_table
+from fruitlangs.benchmarks.counting.simulated import AXES, SETTINGS, Setting, Simulation, simulate
+from fruitlangs.benchmarks.counting.touching import Touching, told_apart
+from fruitlangs.benchmarks.counting.trials import Trial, read_trials, trials_csv, tried
+from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, TRUE_MASKS, Rungs
 from fruitlangs.engine.config import Config, CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.errors import ConfigError, FormatError

@@ -12,12 +12,12 @@ import ball_scene
 import fit_gate
 import numpy as np
 import pytest
-from encoder.pictures import LEAST_WALK
-from fitting.cases import Case, surface_cases, walk_cases
 
-from fruitlangs.benchmarks.simulated import Setting, simulate
-from fruitlangs.engine.counting.gate import WEIGHED
+from fruitlangs.benchmarks.counting.simulated import Setting, simulate
+from fruitlangs.engine.counting.evidence.gate import WEIGHED
 from fruitlangs.engine.errors import FormatError
+from fruitlangs.fitting.counting.cases import Case, surface_cases, walk_cases
+from fruitlangs.fitting.encoder.pictures import LEAST_WALK
 
 ROOT = Path(__file__).resolve().parents[2]
 

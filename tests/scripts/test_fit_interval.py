@@ -9,10 +9,10 @@ from pathlib import Path
 import fit_interval
 import numpy as np
 import pytest
-from fitting.cases import Case
 
-from fruitlangs.benchmarks.simulated import SETTINGS, Setting, any_setting, simulate
-from fruitlangs.engine.counting.interval import TELLING, TRAINED, Evidence
+from fruitlangs.benchmarks.counting.simulated import SETTINGS, Setting, any_setting, simulate
+from fruitlangs.engine.counting.accounts.interval import TELLING, TRAINED, Evidence
+from fruitlangs.fitting.counting.cases import Case
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from fruitlangs.benchmarks.frames import as_seen, by_cameras, by_fruit
+from fruitlangs.benchmarks.ladder.frames import as_seen, by_cameras, by_fruit
 from fruitlangs.engine.evaluation.renders import read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import true_surface
 from fruitlangs.engine.scene.camera import Scene
-from fruitlangs.engine.scene.lens import Lens
-from fruitlangs.engine.scene.photo import FilePhoto
+from fruitlangs.engine.scene.photos.lens import Lens
+from fruitlangs.engine.scene.photos.photo import FilePhoto
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
 

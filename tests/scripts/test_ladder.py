@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fruitlangs.benchmarks.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder_pages import losses, rung_rows
+from fruitlangs.benchmarks.ladder.ladder import RungRow, climb
+from fruitlangs.benchmarks.ladder.pages import losses, rung_rows
+from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, Rungs
 from fruitlangs.benchmarks.markdown import markdown
-from fruitlangs.benchmarks.rungs import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, Rungs
 from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import FormatError, SceneError, VocabularyError
 from fruitlangs.engine.evaluation.metrics import count_metrics

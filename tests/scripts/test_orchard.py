@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from orchard_runs import read_grey
 
-from orchard.body import Body, gap, signed_distance, smooth_profile, surface_points
-from orchard.branch import wood_samples
-from orchard.check import check
-from orchard.config import FIRST_TRAINING_SEED, OrchardConfig
-from orchard.crop import PlacedFruit
-from orchard.errors import OrchardError
-from orchard.fruiting import Fruiting
-from orchard.meshes import Mesh
-from orchard.planting import plant
-from orchard.png import read_grey as png_read_grey
-from orchard.png import write_grey
-from orchard.sparse import sample_cloud
-from orchard.species import SPECIES
-from orchard.training import WALK_VIEWS, training_config
-from orchard.tree import grow
-from orchard.truth import Visibility, fruit_record, silhouette_pixels, visibilities
-from orchard.viewpoint import Viewpoint, look_at
+from fruitlangs.orchard.cameras.viewpoint import Viewpoint, look_at
+from fruitlangs.orchard.check import check
+from fruitlangs.orchard.config import FIRST_TRAINING_SEED, OrchardConfig
+from fruitlangs.orchard.errors import OrchardError
+from fruitlangs.orchard.files.png import read_grey as png_read_grey
+from fruitlangs.orchard.files.png import write_grey
+from fruitlangs.orchard.files.sparse import sample_cloud
+from fruitlangs.orchard.files.truth import Visibility, fruit_record, silhouette_pixels, visibilities
+from fruitlangs.orchard.planting import plant
+from fruitlangs.orchard.plants.crop import PlacedFruit
+from fruitlangs.orchard.plants.fruiting import Fruiting
+from fruitlangs.orchard.plants.tree import grow
+from fruitlangs.orchard.shapes.body import Body, gap, signed_distance, smooth_profile, surface_points
+from fruitlangs.orchard.shapes.branch import wood_samples
+from fruitlangs.orchard.shapes.meshes import Mesh
+from fruitlangs.orchard.species import SPECIES
+from fruitlangs.orchard.training_scenes import WALK_VIEWS, training_config
 
 
 def front_view(width: int = 40, height: int = 30) -> Viewpoint:

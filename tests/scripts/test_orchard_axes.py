@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchard.cameras import Place, walk
-from orchard.check import check
-from orchard.close_ups import close_ups
-from orchard.config import FORMS, OrchardConfig
-from orchard.distractors import hang_tags
-from orchard.errors import OrchardError
-from orchard.foliage import Leaves, turned
-from orchard.ground import lay_ground
-from orchard.planting import plant
-from orchard.poses import disturbed
-from orchard.scene_file import find_scene, presets, read_scene
-from orchard.shake import shaken
-from orchard.species import SPECIES
-from orchard.things import WORDS
-from orchard.tree import grow
-from orchard.viewpoint import Viewpoint, look_at
+from fruitlangs.orchard.cameras.camera_path import Place, walk
+from fruitlangs.orchard.cameras.close_ups import close_ups
+from fruitlangs.orchard.cameras.poses import disturbed
+from fruitlangs.orchard.cameras.shake import shaken
+from fruitlangs.orchard.cameras.viewpoint import Viewpoint, look_at
+from fruitlangs.orchard.check import check
+from fruitlangs.orchard.config import FORMS, OrchardConfig
+from fruitlangs.orchard.errors import OrchardError
+from fruitlangs.orchard.planting import plant
+from fruitlangs.orchard.plants.foliage import Leaves, turned
+from fruitlangs.orchard.plants.tree import grow
+from fruitlangs.orchard.scene_file import find_scene, presets, read_scene
+from fruitlangs.orchard.shapes.ground import lay_ground
+from fruitlangs.orchard.species import SPECIES
+from fruitlangs.orchard.surroundings.distractors import hang_tags
+from fruitlangs.orchard.surroundings.things import WORDS
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "make_orchard.py"
 APPLE = SPECIES["apple"]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from orchard_runs import SCRIPT, TINY, make, needs_bpy, read_grey
 
-from fruitlangs.engine.evaluation.fruitnerf import read_fruit_masks
+from fruitlangs.engine.evaluation.datasets.fruitnerf import read_fruit_masks
 from fruitlangs.engine.evaluation.trees import assign_to_trees, compare, places_of, tally
 from fruitlangs.engine.evaluation.truth import read_truth
 

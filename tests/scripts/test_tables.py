@@ -8,9 +8,9 @@ import ball_scene
 import numpy as np
 import pytest
 
-from fruitlangs.benchmarks.paper_figures import ABLATIONS, COUNTERS, METHODS, PRINTED
-from fruitlangs.benchmarks.paper_pages import ablation_table, count_table, reconstruction_table
-from fruitlangs.benchmarks.paper_tables import (
+from fruitlangs.benchmarks.paper.figures import ABLATIONS, COUNTERS, METHODS, PRINTED
+from fruitlangs.benchmarks.paper.pages import ablation_table, count_table, reconstruction_table
+from fruitlangs.benchmarks.paper.tables import (
     VARIANTS,
     Quality,
     SceneTables,

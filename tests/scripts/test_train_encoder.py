@@ -10,14 +10,28 @@ import numpy as np
 import pytest
 import torch
 import train_encoder
-from encoder.batches import CROP, Material, _crop, make_batch
-from encoder.confusable import colour_distinctions, distinctions
-from encoder.learning import Course, learn
-from encoder.lifted import SHARPEST, LiftedScene, calibrate_lifted, intersection_over_union, lifted_measures, walks
-from encoder.losses import concept_loss, overlap_loss
-from encoder.pasting import cut_fruit, paste
-from encoder.photo_scores import photo_scores
-from encoder.pictures import (
+from PIL import Image
+
+from fruitlangs.engine.errors import ConfigError, EncoderError, FormatError
+from fruitlangs.engine.evaluation.calibration import BINS
+from fruitlangs.engine.language.encoders.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
+from fruitlangs.engine.language.encoders.network import DEPTHS, WIDTHS, Network
+from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
+from fruitlangs.fitting.encoder.batches import CROP, Material, _crop, make_batch
+from fruitlangs.fitting.encoder.confusable import colour_distinctions, distinctions
+from fruitlangs.fitting.encoder.learning import Course, learn
+from fruitlangs.fitting.encoder.lifted import (
+    SHARPEST,
+    LiftedScene,
+    calibrate_lifted,
+    intersection_over_union,
+    lifted_measures,
+    walks,
+)
+from fruitlangs.fitting.encoder.losses import concept_loss, overlap_loss
+from fruitlangs.fitting.encoder.pasting import cut_fruit, paste
+from fruitlangs.fitting.encoder.photo_scores import photo_scores
+from fruitlangs.fitting.encoder.pictures import (
     IGNORED,
     LEAST_WALK,
     NOT_FRUIT,
@@ -28,17 +42,10 @@ from encoder.pictures import (
     read_renders,
     training_seeds,
 )
-from encoder.reliability import judged
-from encoder.samples import Sample
-from PIL import Image
-
-from fruitlangs.engine.errors import ConfigError, EncoderError, FormatError
-from fruitlangs.engine.evaluation.calibration import BINS
-from fruitlangs.engine.language.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
-from fruitlangs.engine.language.network import DEPTHS, WIDTHS, Network
-from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
-from orchard.config import FIRST_TRAINING_SEED
-from orchard.training import is_held_out, training_config
+from fruitlangs.fitting.encoder.reliability import judged
+from fruitlangs.fitting.encoder.samples import Sample
+from fruitlangs.orchard.config import FIRST_TRAINING_SEED
+from fruitlangs.orchard.training_scenes import is_held_out, training_config
 
 APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
 
@@ -393,7 +400,7 @@ def test_a_later_run_keeps_what_the_earlier_one_saw(tmp_path: Path):
 def test_a_new_word_starts_at_random_and_the_known_ones_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "w.safetensors"
     with monkeypatch.context() as earlier:
-        earlier.setattr("fruitlangs.engine.language.embedded.CONCEPTS", ("leaf", "apple", "moss"))
+        earlier.setattr("fruitlangs.engine.language.encoders.embedded.CONCEPTS", ("leaf", "apple", "moss"))
         old = Network(3)
         save_weights(path, old, Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[], runs=[])
     network = Network(len(CONCEPTS))

@@ -1,0 +1,1 @@
+"""Counting alone, on simulated crowns and on scenes."""

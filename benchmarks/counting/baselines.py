@@ -1,0 +1,145 @@
+"""Plain ways to count, for comparison: what fields use, on the same points and the same estimated size as ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from sklearn.cluster import DBSCAN, KMeans
+
+from ...engine.config import CountConfig
+from ...engine.counting.count import count_fruit, fruit_size, select_gaussians
+from ...engine.counting.evidence.candidates import OVERLAP, Skin, vote
+from ...engine.counting.evidence.size import FruitSize
+from ...engine.counting.evidence.surface_points import SurfacePoints, sample_enough
+from ...engine.counting.evidence.visibility import Visibility, see
+from ...engine.counting.geometry.sphere import REACH, fit_spheres
+from ...engine.scene.camera import Camera
+from ...engine.splatting.gaussians import Gaussians
+
+FloatArray = NDArray[np.float64]
+Found = tuple[FloatArray, FloatArray]
+"""Centres (F, 3) and diameters (F,)."""
+NONE: Found = (np.zeros((0, 3)), np.zeros(0))
+
+LINK, LEAST = 0.15, 8
+"""DBSCAN's ε, in diameters, and min_samples."""
+LEAST_MASS = 0.15
+"""A cluster with less than this share of a fruit's points is dropped."""
+VOTE_SHARE = 0.02
+"""A centre in plain voting has this share of the votes of the densest tenth: with the product's it does worse."""
+PRIOR_SD = 0.2
+"""Deviation of log diameter between fruit in plain voting."""
+WEAKEST = 0.15
+"""A sphere with less than this share of the best sphere's points is dropped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What every method starts from: N Gaussians with probability (N,) of being fruit, the cameras and how they see
+    them, and of the skin of all that is taken for fruit points and the size, None where nothing looks round.
+    """
+
+    gaussians: Gaussians
+    probability: torch.Tensor
+    cameras: Sequence[Camera]
+    visibility: Visibility
+    sample: tuple[SurfacePoints, FruitSize] | None
+
+
+def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequence[Camera]) -> Surface:
+    """The points and the size that the product's default starts from, by its own functions; probability: (N,)."""
+    chances, config = probability.double().numpy(), CountConfig()
+    visibility = see(gaussians, cameras)
+    selected = select_gaussians(gaussians, chances, config)
+    seen = selected[visibility.weights[selected] > 0]
+    size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
+    if size is None:
+        return Surface(gaussians, probability, cameras, visibility, None)
+    points = sample_enough(
+        gaussians, chances, visibility, seen, diameter=size.diameter, most=config.sample_budget, seed=config.seed
+    )
+    return Surface(gaussians, probability, cameras, visibility, (points, size))
+
+
+def ours(surface: Surface) -> Found:
+    """Centres (F, 3) and diameters (F,) by the product's default."""
+    counted = count_fruit(
+        surface.gaussians,
+        surface.probability,
+        surface.cameras,
+        CountConfig(),
+        label="fruit",
+        visibility=surface.visibility,
+    )
+    return counted.centers, counted.diameters
+
+
+def by_road(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
+    """A published road of the product's, given the same size; it samples points of its own (the paper's eq. 12)."""
+    if surface.sample is None:
+        return NONE
+    counted = count_fruit(
+        surface.gaussians,
+        surface.probability,
+        surface.cameras,
+        CountConfig(method=method, diameter=surface.sample[1].diameter),
+        label="fruit",
+        visibility=surface.visibility,
+    )
+    return counted.centers, counted.diameters
+
+
+def by_mass(surface: Surface) -> Found:
+    """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
+    if surface.sample is None:
+        return NONE
+    points, diameter = surface.sample[0], surface.sample[1].diameter
+    cluster = DBSCAN(eps=LINK * diameter, min_samples=LEAST).fit_predict(points.positions)
+    sizes = np.bincount(cluster[cluster >= 0])
+    if len(sizes) == 0:
+        return NONE
+    # Half of the points lie in clusters of at least this size: floaters are many clusters of few points.
+    rising = np.sort(sizes)
+    usual = float(rising[np.searchsorted(np.cumsum(rising), 0.5 * rising.sum())])
+    centers = []
+    for number in np.flatnonzero(sizes >= LEAST_MASS * usual):
+        own = points.positions[cluster == number]
+        parts = min(max(1, round(sizes[number] / usual)), len(own))
+        centers.append(KMeans(parts, n_init=1, random_state=0).fit(own).cluster_centers_)
+    found = np.concatenate(centers)
+    return found, np.full(len(found), diameter)
+
+
+def by_votes(surface: Surface) -> Found:
+    """Votes for centres along the normals, sphere fits, non-maximum suppression; nothing is rejected for its form."""
+    if surface.sample is None:
+        return NONE
+    points, size = surface.sample
+    radius, skin = size.diameter / 2.0, Skin.of(points, size.diameter)
+    starts = vote(skin, radius, VOTE_SHARE)
+    reaches, radii = np.full(len(starts), REACH * radius), np.full(len(starts), radius)
+    spheres = fit_spheres(skin.cells, skin.normals, starts, reaches, radii, prior=radius, prior_sd=PRIOR_SD)
+    chosen: list[int] = []
+    for index in np.argsort(-spheres.support, kind="stable"):
+        if spheres.support[index] < WEAKEST * spheres.support.max():
+            break
+        apart = np.linalg.norm(spheres.centers[chosen] - spheres.centers[index], axis=1)
+        if (apart >= OVERLAP * (spheres.radii[chosen] + spheres.radii[index])).all():
+            chosen.append(int(index))
+    return spheres.centers[chosen], 2.0 * spheres.radii[chosen]
+
+
+METHODS: Mapping[str, Callable[[Surface], Found]] = {
+    "DBSCAN + mass ratio": by_mass,
+    "plain centre voting": by_votes,
+    "FruitNeRF's clustering": partial(by_road, "fruitnerf"),
+    "paper's template road": partial(by_road, "template"),
+    "ours": ours,
+}
+"""By name."""

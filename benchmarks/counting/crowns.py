@@ -1,0 +1,80 @@
+"""Crowns to compare methods on: simulated ones, and those of generated scenes, with true masks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ...engine.cache import stage_key
+from ...engine.config import Config
+from ...engine.errors import FormatError
+from ...engine.evaluation.renders import DEPTH, INSTANCES
+from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
+from ...engine.files import file_hash, files_hash
+from ...engine.scene.read import scene_hash
+from ..ladder.stages import Rungs
+from ..orchards import TRUTH, read_origin
+from .baselines import Found, Surface, surface_of
+from .simulated import Setting, simulate
+from .trials import Trial, code_key, tried
+
+Methods = Mapping[str, Callable[[Surface], Found]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crown:
+    """setting: its name, for a scene its species; key: of the code and all that `grown` makes surface and truth of."""
+
+    setting: str
+    seed: int
+    key: str
+    grown: Callable[[], tuple[Surface, Truth]]
+
+    def counted(self, methods: Methods) -> list[Trial]:
+        """The crown, counted by every method."""
+        surface, truth = self.grown()
+        return [
+            tried(self.setting, self.seed, name, self.key, count(surface), truth) for name, count in methods.items()
+        ]
+
+
+def simulated_crowns(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Crown]:
+    """A crown of every setting for each seed."""
+    keys = {name: code_key(setting) for name, setting in settings.items()}
+    for seed in seeds:
+        for name, setting in settings.items():
+            yield Crown(setting=name, seed=seed, key=keys[name], grown=partial(_grown, setting, seed))
+
+
+def scene_crown(folder: Path, out: Path, rung: str, config: Config) -> Crown:
+    """The crown of a generated scene as it is given on one of the rungs with true masks; what is trained for it is kept
+    in `out`, as the ladder's is (see `climb`).
+
+    Raises:
+        FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or does not say what it is.
+    """
+    origin = read_origin(folder)
+    if not origin.species or origin.seed is None:
+        raise FormatError(f"{folder} does not say what grows there; give a scene of make_orchard.py")
+    truth = read_truth(folder / TRUTH, true_labels([origin.species]))
+    masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
+    seen = [scene_hash(folder), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_RUNGS)]
+    rungs = Rungs(folder, out, truth, read_views(folder / TRUTH), [origin.species], config)
+
+    def grown() -> tuple[Surface, Truth]:
+        given = rungs.given(rung)
+        return surface_of(given.gaussians, given.probability, given.cameras), truth
+
+    return Crown(
+        setting=origin.species, seed=origin.seed, key=code_key(stage_key((), config, rung, *seen)), grown=grown
+    )
+
+
+_RUNGS = Path(__file__).resolve().parents[1] / "ladder" / "stages.py"
+
+
+def _grown(setting: Setting, seed: int) -> tuple[Surface, Truth]:
+    simulation = simulate(setting, seed)
+    return surface_of(simulation.gaussians, simulation.probability, simulation.cameras), simulation.truth

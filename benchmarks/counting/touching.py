@@ -1,0 +1,55 @@
+"""Fruit that hang in touching pairs: is each of the two counted once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from ...engine.evaluation.truth import Truth
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+TOUCH = 1.1
+"""Fruit touch whose centres are at most so many times their mean diameter apart."""
+SHOWN = (0.5, 0.7)
+"""Bounds of what the best view shows of either fruit of a pair that is seen at 60 %."""
+INSIDE, BESIDE = 0.5, 1.0
+"""A counted fruit lies on the true one within so many of its diameters, and belongs to it within so many."""
+
+
+@dataclass(frozen=True)
+class Touching:
+    """How many pairs there are, and of how many each fruit has exactly one counted fruit, and that lies on it."""
+
+    pairs: int
+    apart: int
+
+
+def touching_pairs(truth: Truth) -> IntArray:
+    """(K, 2) indices of true fruit that touch and are both seen at 60 %."""
+    tree = KDTree(truth.centers)
+    near = tree.query_pairs(TOUCH * float(truth.diameters.max(initial=0.0)), output_type="ndarray").reshape(-1, 2)
+    one, other = near.T
+    distances = np.linalg.norm(truth.centers[one] - truth.centers[other], axis=1)
+    seen = (truth.visible_fractions >= SHOWN[0]) & (truth.visible_fractions <= SHOWN[1])
+    chosen = (distances <= TOUCH * 0.5 * (truth.diameters[one] + truth.diameters[other])) & seen[one] & seen[other]
+    return near[chosen].astype(np.int64)
+
+
+def told_apart(centers: FloatArray, truth: Truth) -> Touching:
+    """centers: (P, 3) of the counted fruit. Each belongs to the true fruit, seen or not, that is nearest to it in its
+    diameters."""
+    pairs = touching_pairs(truth)
+    if len(pairs) == 0 or len(centers) == 0:
+        return Touching(len(pairs), 0)
+    distances = np.linalg.norm(centers[:, None] - truth.centers, axis=2) / truth.diameters
+    owner = distances.argmin(axis=1)
+    nearest = distances[np.arange(len(centers)), owner]
+    owned = np.bincount(owner[nearest <= BESIDE], minlength=len(truth.centers))
+    on_it = np.bincount(owner[nearest <= INSIDE], minlength=len(truth.centers))
+    once = (owned == 1) & (on_it == 1)
+    return Touching(len(pairs), int(once[pairs].all(axis=1).sum()))

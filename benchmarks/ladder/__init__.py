@@ -1,0 +1,1 @@
+"""The ablation ladder: which stage of the chain loses which fruit."""

@@ -1,0 +1,195 @@
+"""The ladder of a scene: every rung counted and measured against the truth, kept so that a second run goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...engine.cache import stage_key
+from ...engine.config import Config
+from ...engine.errors import FruitLangsError, VocabularyError
+from ...engine.evaluation.calibration import calibration_error
+from ...engine.evaluation.judgement import Judgement, judge
+from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
+from ...engine.evaluation.renders import DEPTH, INSTANCES
+from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
+from ...engine.files import file_hash, files_hash, write_text
+from ...engine.language.encoders.open_encoder import open_encoder
+from ...engine.progress import Progress, part, silent
+from ...engine.scene.read import scene_hash
+from ..orchards import TRUTH, read_origin
+from .mistakes import draw_mistakes
+from .stages import END_TO_END, RUNGS, TRUE_POSES, Counted, Rungs
+
+WITHOUT_MASKS = (TRUE_POSES, END_TO_END)
+"""The rungs that need no picture of what is fruit."""
+_ROOMS = ("scene", "splatting", "language", "counting", "evaluation")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RungRow:
+    """One rung of one scene.
+
+    counted: how many fruit it gave, None where it failed; near, far: measured at half a diameter and at one, None
+    without a truth; classes: errors by visible fraction at half a diameter; ece: calibration error of the fruit's
+    probabilities; interval: of the count, where counting gives one; psnr, ssim: of the photos kept aside, where
+    something was trained; views: how many were used; seconds by stage; failed: why there is no count; mistakes: name of
+    the picture of the worst ones.
+    """
+
+    species: str
+    seed: int | None
+    scene: str
+    rung: str
+    counted: int | None
+    near: CountMetrics | None = None
+    far: CountMetrics | None = None
+    classes: Sequence[VisibilityClass] = ()
+    ece: float = math.nan
+    interval: tuple[float, float] | None = None
+    psnr: float | None = None
+    ssim: float | None = None
+    views: int = 0
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    failed: str = ""
+    mistakes: str = ""
+
+
+def climb(
+    folder: Path,
+    out: Path,
+    *,
+    config: Config,
+    prompts: Sequence[str] = (),
+    rungs: Collection[str] = tuple(RUNGS),
+    report: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
+) -> list[RungRow]:
+    """Count a scene on every one of `rungs` into `out` and measure each against the scene's truth.
+
+    prompts: what to count; the scene's own species when not given. A rung that an earlier run finished with the same
+    inputs, settings and code is taken from `out`. A rung that fails is a row that says why; the others go on. A scene
+    without truth or masks is counted on the rungs that need none, and measured as far as the truth goes.
+
+    Raises:
+        FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or nothing says what to count.
+    """
+    origin = read_origin(folder)
+    if not prompts and not origin.species:
+        raise VocabularyError(f"{folder} does not say what grows there; give --prompt")
+    asked = list(prompts) or [origin.species]
+    truth_file = folder / TRUTH
+    truth = read_truth(truth_file, true_labels(asked)) if truth_file.is_file() else None
+    if truth is None:
+        report(f"{folder.name}: no {TRUTH}; counted and not measured")
+    masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
+    chosen = [name for name in RUNGS if name in rungs and (name in WITHOUT_MASKS or (truth is not None and masks))]
+    dropped = [name for name in rungs if name not in chosen]
+    if dropped:
+        report(f"{folder.name}: no true masks for {', '.join(dropped)}")
+    bench = Rungs(folder, out, truth, read_views(truth_file) if truth else [], asked, config)
+    inputs = [scene_hash(folder), file_hash(truth_file) if truth else "", files_hash(masks, folder)]
+    made_by = _made_by(config)
+    rows = []
+    for number, name in enumerate(chosen):
+        share = part(progress, number / len(chosen), (number + 1) / len(chosen))
+        key = stage_key(_ROOMS, made_by, *inputs, config, name, *asked)
+        row = RungRow(species=origin.species, seed=origin.seed, scene=out.name, rung=name, counted=None)
+        try:
+            counted = _kept(out / f"{name}.json", key)
+            if counted is None:
+                counted = bench.run(name, share)
+                write_text(out / f"{name}.json", _dump(counted, key))
+            found = _counted(row, counted)
+            if truth is not None:
+                instances = bench.instances if masks else ()
+                judgement = judge(counted.centers, counted.diameters, truth)
+                picture = out / f"mistakes_{name}.png"
+                draw_mistakes(picture, bench.scene, truth, counted, judgement, instances)
+                found = _measured(found, counted, truth, judgement, picture.name)
+            row = found
+        except FruitLangsError as error:
+            row = dataclasses.replace(row, failed=" ".join(str(error).split()))
+        report(_line(row))
+        rows.append(row)
+    return rows
+
+
+def _made_by(config: Config) -> str:
+    """What a count depends on beside the rooms' code and the inputs: the chain's own code, weights and pycolmap."""
+    root = Path(__file__).resolve().parents[2]
+    chain = [root / "engine" / name for name in ("pipeline.py", "reconstruction.py")]
+    own = [root / "benchmarks" / "ladder" / name for name in ("stages.py", "frames.py")]
+    code = files_hash([*own, *chain], root)
+    return f"{code} {open_encoder(config.embed).identity} {version('pycolmap')}"
+
+
+def _counted(row: RungRow, counted: Counted) -> RungRow:
+    return dataclasses.replace(
+        row,
+        counted=len(counted.centers),
+        interval=counted.interval,
+        psnr=counted.psnr,
+        ssim=counted.ssim,
+        views=counted.views,
+        seconds=counted.seconds,
+    )
+
+
+def _measured(row: RungRow, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> RungRow:
+    return dataclasses.replace(
+        row,
+        near=measured(judgement, truth),
+        far=measured(judge(counted.centers, counted.diameters, truth, 1.0), truth),
+        classes=by_visibility(judgement, truth),
+        ece=_fruit_calibration(counted, judgement),
+        mistakes=picture,
+    )
+
+
+def _fruit_calibration(counted: Counted, judgement: Judgement) -> float:
+    """Calibration error of the probabilities of all predictions that are not ignored."""
+    judged = np.ones(len(counted.centers), bool)
+    judged[judgement.ignored] = False
+    hits = np.zeros(len(counted.centers), bool)
+    hits[judgement.pairs.predicted] = True
+    return calibration_error(counted.probabilities[judged], hits[judged])
+
+
+def _dump(counted: Counted, key: str) -> str:
+    document = {name: getattr(counted, name) for name in Counted.__dataclass_fields__}
+    for name in ("centers", "diameters", "probabilities"):
+        document[name] = document[name].tolist()
+    return json.dumps({"key": key, **document, "seconds": dict(counted.seconds)}, indent=1) + "\n"
+
+
+def _kept(path: Path, key: str) -> Counted | None:
+    """What an earlier run counted, when it is of this key; a damaged record is made again."""
+    try:
+        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if document.pop("key") != key:
+            return None
+        document["centers"] = np.array(document["centers"], np.float64).reshape(-1, 3)
+        for name in ("diameters", "probabilities"):
+            document[name] = np.array(document[name], np.float64)
+        document["interval"] = None if document["interval"] is None else tuple(document["interval"])
+        return Counted(**document)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _line(row: RungRow) -> str:
+    if row.failed:
+        return f"{row.scene}, {row.rung}: failed: {row.failed}"
+    told = f"{row.scene}, {row.rung}: {row.counted} counted"
+    if row.near is None:
+        return told
+    return f"{told}, {row.near.visible} visible, F1 {row.near.f1:.3f}"

@@ -1,0 +1,162 @@
+"""Pictures of the worst mistakes of a count: where the photos show what was missed, merged, doubled or made up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from ...engine.evaluation.judgement import Judgement
+from ...engine.evaluation.truth import Truth
+from ...engine.files import replacing
+from ...engine.scene.camera import Camera, Scene
+from .stages import Counted
+
+FloatArray = NDArray[np.float64]
+
+EACH = 8
+"""Mistakes of a kind that are shown, the worst first."""
+SIDE, TITLE = 150, 15
+"""Pixels of a crop's side and of the line above it."""
+CROP_DIAMETERS = 4.0
+TRUE, FOUND, SUBJECT = (60, 220, 90), (255, 140, 0), (255, 255, 255)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mistake:
+    """kind: what it is; told: how bad; center (3,), diameter: of the fruit that is shown; id: of a true one, else 0."""
+
+    kind: str
+    told: str
+    center: FloatArray
+    diameter: float
+    id: int = 0
+
+
+@dataclass(frozen=True)
+class _Disc:
+    """The picture of a sphere: its middle and radius in pixels."""
+
+    u: float
+    v: float
+    radius: float
+
+    def inside(self, camera: Camera) -> bool:
+        """Whether all of it is in the camera's frame."""
+        r = self.radius
+        return r <= self.u <= camera.width - r and r <= self.v <= camera.height - r
+
+
+def draw_mistakes(
+    path: Path,
+    scene: Scene,
+    truth: Truth,
+    counted: Counted,
+    judgement: Judgement,
+    instances: Sequence[NDArray[np.uint16]] = (),
+) -> None:
+    """Write crops of the photos in rows: missed, merged, double and false, each where a view shows it best.
+
+    True visible fruit are ringed in green, counted fruit in orange. Nothing but a line where there is no mistake.
+    instances: (H, W) fruit ids of each view, where they are known: they tell which view shows most of a true fruit.
+    """
+    mistakes = list(_worst(truth, counted, judgement))
+    kinds = list(dict.fromkeys(mistake.kind for mistake in mistakes))
+    height = max(1, len(kinds)) * (SIDE + TITLE)
+    sheet = Image.new("RGB", (EACH * (SIDE + 2), height if kinds else TITLE), (20, 20, 20))
+    canvas = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=11)
+    if not mistakes:
+        canvas.text((3, 1), "no mistakes", fill=SUBJECT, font=font)
+    for row, kind in enumerate(kinds):
+        for column, mistake in enumerate(mistake for mistake in mistakes if mistake.kind == kind):
+            left, top = column * (SIDE + 2), row * (SIDE + TITLE)
+            crop = _crop(scene, truth, counted, mistake, instances)
+            title = f"{kind} {mistake.told}"
+            if crop is None:
+                title += ", in no view"
+            else:
+                sheet.paste(crop, (left, top + TITLE))
+            canvas.text((left + 3, top + 1), title, fill=SUBJECT, font=font)
+    with replacing(path) as temporary:
+        sheet.save(temporary)
+
+
+def _worst(truth: Truth, counted: Counted, judgement: Judgement) -> Iterator[_Mistake]:
+    """Missed and merged fruit, the best seen first; doubles and false ones, the surest first."""
+    for kind, fruits in (("missed", judgement.missed), ("merged", judgement.merged)):
+        for fruit in _largest(fruits, truth.visible_fractions):
+            told = f"{truth.visible_fractions[fruit]:.0%} seen"
+            number = 0 if truth.ids is None else int(truth.ids[fruit])
+            yield _Mistake(kind, told, truth.centers[fruit], float(truth.diameters[fruit]), number)
+    for kind, found in (("double", judgement.doubles), ("false", judgement.false)):
+        for index in _largest(found, counted.probabilities):
+            told = f"p {counted.probabilities[index]:.2f}"
+            yield _Mistake(kind, told, counted.centers[index], float(counted.diameters[index]))
+
+
+def _largest(index: NDArray[np.int64], values: FloatArray) -> NDArray[np.int64]:
+    return index[np.argsort(-values[index], kind="stable")][:EACH]
+
+
+def _crop(
+    scene: Scene, truth: Truth, counted: Counted, mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]
+) -> Image.Image | None:
+    """The photo around a fruit in the view that shows it best; None where none does."""
+    best = _best_view(scene.cameras, mistake, instances)
+    if best is None:
+        return None
+    camera = scene.cameras[best]
+    subject = _disc(camera, mistake.center, mistake.diameter)
+    if subject is None:
+        return None
+    half = min(CROP_DIAMETERS * subject.radius, camera.width / 2, camera.height / 2)
+    zoom = SIDE / (2.0 * half)
+    left = float(np.clip(subject.u - half, 0.0, camera.width - 2.0 * half))
+    top = float(np.clip(subject.v - half, 0.0, camera.height - 2.0 * half))
+    box = (left, top, left + 2.0 * half, top + 2.0 * half)
+    photo = Image.fromarray(scene.images[best].pixels())
+    crop = photo.transform((SIDE, SIDE), Image.Transform.EXTENT, box, Image.Resampling.BICUBIC)
+    canvas = ImageDraw.Draw(crop)
+    visible = truth.visible
+    rings = [(center, size, TRUE) for center, size in _near(truth.centers[visible], truth.diameters[visible], mistake)]
+    rings += [(center, size, FOUND) for center, size in _near(counted.centers, counted.diameters, mistake)]
+    for center, size, color in rings:
+        disc = _disc(camera, center, size)
+        if disc is None:
+            continue
+        x, y, r = (disc.u - left) * zoom, (disc.v - top) * zoom, disc.radius * zoom
+        canvas.ellipse([x - r, y - r, x + r, y + r], outline=color, width=2)
+    x, y = (subject.u - left) * zoom, (subject.v - top) * zoom
+    canvas.line([x - 4, y, x + 4, y], fill=SUBJECT)
+    canvas.line([x, y - 4, x, y + 4], fill=SUBJECT)
+    return crop
+
+
+def _near(centers: FloatArray, diameters: FloatArray, mistake: _Mistake) -> list[tuple[FloatArray, float]]:
+    """Fruit that stand within a few diameters of the mistake, so that no ring of the far side is drawn."""
+    close = np.linalg.norm(centers - mistake.center, axis=1) < 3.0 * mistake.diameter
+    return [(center, float(size)) for center, size in zip(centers[close], diameters[close], strict=True)]
+
+
+def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]) -> int | None:
+    """The view with most pixels of a true fruit, else the one where the fruit's disc is largest and all in frame."""
+    if mistake.id and instances:
+        pixels = [int((mask == mistake.id).sum()) for mask in instances]
+        return int(np.argmax(pixels)) if max(pixels) else None
+    best, largest = None, 0.0
+    for view, camera in enumerate(cameras):
+        disc = _disc(camera, mistake.center, mistake.diameter)
+        if disc is not None and disc.inside(camera) and disc.radius > largest:
+            best, largest = view, disc.radius
+    return best
+
+
+def _disc(camera: Camera, center: FloatArray, diameter: float) -> _Disc | None:
+    """A sphere's picture; None where it is not wholly before the camera."""
+    (u, v), z = camera.project(center)
+    return _Disc(float(u), float(v), float(camera.K[0, 0] * 0.5 * diameter / z)) if z > diameter else None

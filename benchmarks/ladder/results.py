@@ -1,0 +1,43 @@
+"""The committed baseline: what the ladder measured, with the date and the commit that it is of."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ...engine.files import write_text
+from .ladder import RungRow
+from .pages import rows_csv, table_parts
+
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def publish(rows: Sequence[RungRow], folder: Path, *, command: str) -> None:
+    """Write results.csv and RESULTS.md into `folder`. command: what measured them, for who wants to repeat it."""
+    commit = _commit()  # before anything is written, which would mark it
+    write_text(folder / "results.csv", rows_csv(rows))
+    day = datetime.now(UTC).date().isoformat()
+    parts = [
+        "# Baseline",
+        f"Measured on {day} at commit {commit} by `{command}`. All columns are in [results.csv](results.csv); what "
+        "the rungs and columns mean is in [docs/benchmark.md](../docs/benchmark.md).",
+        *table_parts(rows),
+    ]
+    write_text(folder / "RESULTS.md", "\n\n".join(parts) + "\n")
+
+
+def _commit() -> str:
+    """The short name of the checkout's commit, marked where files differ from it; `unknown` outside of a repository."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
+            cwd=_ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return described.stdout.strip()

@@ -1,0 +1,219 @@
+"""The paper's three tables on any scenes: reconstruction, counts and the ablation of language."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...engine.config import Config
+from ...engine.counting.count import count_fruit
+from ...engine.errors import FormatError, FruitLangsError
+from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
+from ...engine.evaluation.metrics import count_metrics
+from ...engine.evaluation.renders import read_depths, read_instances
+from ...engine.evaluation.true_surface import true_surface
+from ...engine.evaluation.truth import Truth, read_truth, true_labels
+from ...engine.pipeline import Result, count_scene
+from ...engine.progress import Progress, part, silent
+from ...engine.scene.camera import Scene
+from ...engine.scene.read import read_scene
+from ...engine.splatting.gaussians import Gaussians
+from ...engine.splatting.rendering.rasterize import render
+from ..orchards import TRUTH, read_origin
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """What of the paper a training has; tiles are handed out by load in all of them, which changes no picture."""
+
+    pair_alpha: float = 1.0
+    drop_unneeded: float = 0.0
+    load_weight: float = 0.0
+
+    def of(self, config: Config) -> Config:
+        return replace(config, train=replace(config.train, **asdict(self)))
+
+
+_TAU, _DROPPED, _LOAD = 4.0, 1.0, 0.02
+VARIANTS: Mapping[str, Variant] = {
+    "3DGS": Variant(),
+    "eq. 3": Variant(pair_alpha=_TAU, drop_unneeded=_DROPPED),
+    "eq. 4": Variant(load_weight=_LOAD),
+    "eq. 3 + 4": Variant(pair_alpha=_TAU, drop_unneeded=_DROPPED, load_weight=_LOAD),
+}
+"""Trainings by name: as in 3DGS, with the paper's pruning of pairs and Gaussians, with its load term, with both."""
+OURS = "eq. 3 + 4"
+CLOUD, FOREIGN = "nerf.ply", "3dgs.ply"
+"""Reconstructions of other programs that a scene's folder may hold, in the frame of its cameras."""
+LEAST_OPACITY, LARGEST, LEAST_HEIGHT = 0.1, 0.02, 0.03
+"""Without language a Gaussian passes from this opacity on, up to this size and from this height above the ground, the
+last two as shares of the extent."""
+SPEED_VIEWS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """A reconstruction: SSIM and PSNR (dB) of the photos kept aside, frames a second on this machine's processor."""
+
+    ssim: float | None
+    psnr: float | None
+    fps: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tally:
+    """A count beside the true one. f1: at half a diameter, where there is a truth; note: why there is no count, or what
+    it was made from."""
+
+    counted: int | None = None
+    true: int | None = None
+    f1: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneTables:
+    """One scene's rows of the three tables, by the names of their columns."""
+
+    name: str
+    reconstruction: Mapping[str, Quality] = field(default_factory=dict)
+    counts: Mapping[str, Tally] = field(default_factory=dict)
+    ablation: Mapping[str, Tally] = field(default_factory=dict)
+
+
+NOT_YET = Tally(note="not yet")
+
+
+def measure_tables(
+    folder: Path,
+    out: Path,
+    *,
+    config: Config,
+    prompts: Sequence[str] = (),
+    report: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
+) -> SceneTables:
+    """Run every row of the tables on one scene; trainings and counts are kept in `out` and reused.
+
+    prompts: what to count; the scene's own species when not given.
+
+    Raises:
+        FruitLangsError: the scene cannot be read or counted, or nothing says what to count.
+    """
+    asked = list(prompts) or [read_origin(folder).species]
+    if not asked[0]:
+        raise FormatError(f"{folder} does not say what grows there; give --prompt")
+    truth = read_truth(folder / TRUTH, true_labels(asked)) if (folder / TRUTH).is_file() else None
+    results = {}
+    for number, (name, variant) in enumerate(VARIANTS.items()):
+        report(f"{folder.name}: training with {name}")
+        share = part(progress, 0.15 * number, 0.15 * (number + 1))
+        results[name] = count_scene(
+            folder, asked, out / name.replace(" ", ""), config=variant.of(config), progress=share
+        )
+    scene, ours = read_scene(folder, config.scene), results[OURS]
+    report(f"{folder.name}: counting in other reconstructions")
+    foreign = folder / FOREIGN if (folder / FOREIGN).is_file() else results["3DGS"].out / "gaussians.ply"
+    note = "" if foreign.name == FOREIGN else "our training without eq. 3 and 4"
+    from_foreign = _in_other(folder, foreign, asked, out / "foreign", config, truth, note)
+    return SceneTables(
+        name=folder.name,
+        reconstruction={name: _quality(result) for name, result in results.items()},
+        counts={
+            "NeRF+Ours": _from_cloud(folder, scene, asked, out, config, truth),
+            "3DGS+Ours": from_foreign,
+            "FruitNeRF": NOT_YET,
+            "Ours": _tally(ours, truth),
+        },
+        ablation={
+            "with language": _tally(ours, truth),
+            "without language": _without_language(ours, scene, config, truth, part(progress, 0.9, 1.0)),
+            "Fruit Field": NOT_YET,
+        },
+    )
+
+
+def _quality(result: Result) -> Quality:
+    training = result.origin["training"]
+    return Quality(ssim=training["ssim"], psnr=training["psnr"], fps=frames_per_second(result))
+
+
+def frames_per_second(result: Result) -> float:
+    """How fast the photos' views are drawn here: the median over views, after one that warms up."""
+    seconds = []
+    for camera in [result.scene.cameras[0], *result.scene.cameras[:SPEED_VIEWS]]:
+        start = time.perf_counter()
+        with torch.no_grad():
+            render(result.gaussians, camera)
+        seconds.append(time.perf_counter() - start)
+    return 1.0 / float(np.median(seconds[1:]))
+
+
+def _in_other(
+    folder: Path, file: Path, prompts: Sequence[str], out: Path, config: Config, truth: Truth | None, note: str
+) -> Tally:
+    """A count in another program's reconstruction, or why there is none."""
+    try:
+        return replace(_tally(count_scene(folder, prompts, out, config=config, foreign=file), truth), note=note)
+    except FruitLangsError as error:
+        return _not_measured(error)
+
+
+def _not_measured(error: FruitLangsError) -> Tally:
+    return Tally(note=f"not measured: {' '.join(str(error).split())}")
+
+
+def _from_cloud(
+    folder: Path, scene: Scene, prompts: Sequence[str], out: Path, config: Config, truth: Truth | None
+) -> Tally:
+    """A count in a coloured point cloud: NeRF's where the folder holds one, else one of true depths where these are."""
+    cloud, note = folder / CLOUD, ""
+    if not cloud.is_file():
+        cloud, note = out / "true_depths.ply", "points of true depths in NeRF's place"
+        try:
+            surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene)).gaussians
+        except FruitLangsError as error:
+            return _not_measured(error)
+        colors = (255 * surface.base_colors).round().byte().numpy()
+        write_cloud(cloud, ColoredCloud(surface.means.double().numpy(), colors))
+    return _in_other(folder, cloud, prompts, out / "cloud", config, truth, note)
+
+
+def passes_without_language(gaussians: Gaussians, scene: Scene) -> torch.Tensor:
+    """(N,) 1 for every Gaussian that survives cuts of opacity, size, ground and surroundings, else 0.
+
+    Ground is what lies below LEAST_HEIGHT of the extent above the lowest twentieth of what the cameras stand around;
+    surroundings and sky are what lies farther from the cameras' middle than the cameras.
+    """
+    means = gaussians.means.double().numpy()
+    heights, away = means @ scene.up, np.linalg.norm(means - scene.middle, axis=1)
+    opaque = gaussians.opacities.numpy() >= LEAST_OPACITY
+    inside = away < scene.spread
+    floor = float(np.percentile(heights[inside & opaque], 5)) if (inside & opaque).any() else -np.inf
+    small = gaussians.scales.numpy().max(axis=1) <= LARGEST * scene.extent
+    kept = opaque & small & inside & (heights > floor + LEAST_HEIGHT * scene.extent)
+    return torch.from_numpy(kept.astype(np.float64))
+
+
+def _without_language(ours: Result, scene: Scene, config: Config, truth: Truth | None, progress: Progress) -> Tally:
+    probability = passes_without_language(ours.gaussians, scene)
+    try:
+        found = count_fruit(
+            ours.gaussians, probability, ours.scene.cameras, config.count, label="fruit", progress=progress
+        )
+    except FruitLangsError as error:
+        return _not_measured(error)
+    return _tally(replace(ours, fruit_count=found), truth)
+
+
+def _tally(result: Result, truth: Truth | None) -> Tally:
+    found = result.fruit_count
+    if truth is None:
+        return Tally(counted=found.count)
+    metrics = count_metrics(found.centers, found.diameters, truth)
+    return Tally(counted=found.count, true=metrics.visible, f1=metrics.f1)

@@ -1,0 +1,1 @@
+"""Numba's set-up, and the vector type and thread blocks that every kernel shares."""

@@ -1,0 +1,140 @@
+"""The one place that sets up Numba: where machine code is cached, which threads run it, how it is compiled.
+
+Kernel files write `from ...compiled.jit import kernel, njit, prange`; nothing else imports numba's decorators.
+
+- Machine code is cached in the user's cache folder, under a name that holds a hash of every source file that compiles
+  kernels: Numba itself does not notice when a function that a cached one calls has changed. Where that folder cannot be
+  written, kernels are compiled anew in each process.
+- Numba's `workqueue` threads abort the process when two Python threads run kernels at once. `omp` or `tbb` are asked
+  for, and while neither is known to be in charge, `kernel` lets one parallel kernel run at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import prange
+
+from ..user_folders import KERNELS, kernels_folder
+
+__all__ = ["CACHE_FOLDER", "compiled_before", "kernel", "njit", "prange", "threads"]
+
+_ENGINE = Path(__file__).resolve().parents[1]
+_config: Any = numba.config  # its attributes appear at run time
+
+
+def _sources_hash() -> str:
+    """Hash of Numba's version and of every engine file that compiles kernels."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(_ENGINE.rglob("*.py")):
+        source = path.read_bytes()
+        if b"compiled" in source or b"numba" in source:
+            digest.update(path.relative_to(_ENGINE).as_posix().encode() + b"\0" + source)
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path | None:
+    """A folder that exists and can be written, or None."""
+    try:
+        folder = kernels_folder() / f"{KERNELS}{_sources_hash()}"
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".writable-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except (OSError, RuntimeError):  # RuntimeError: no home folder is known
+        return None
+    return folder
+
+
+CACHE_FOLDER: Path | None = _cache_folder()
+"""Where machine code is kept between runs; None when no place for it can be written."""
+
+
+def compiled_before() -> bool:
+    """Whether an earlier run left its machine code, so that this one need not compile for half a minute."""
+    return CACHE_FOLDER is not None and any(CACHE_FOLDER.rglob("*.nbi"))
+
+
+@contextmanager
+def _cached_in_our_folder() -> Iterator[None]:
+    """Point Numba at our folder while a function is declared; other users of Numba in the process keep theirs."""
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(CACHE_FOLDER) if CACHE_FOLDER is not None else before
+    try:
+        yield
+    finally:
+        _config.CACHE_DIR = before
+
+
+def _prefer_safe_threads() -> None:
+    """Ask for OpenMP or TBB unless the user asked for a layer or one runs already."""
+    if _config.THREADING_LAYER != "default":
+        return
+    for layer, module in (("omp", "omppool"), ("tbb", "tbbpool")):
+        try:
+            __import__(f"numba.np.ufunc.{module}")
+        except ImportError:
+            continue
+        _config.THREADING_LAYER = layer
+        return
+
+
+_prefer_safe_threads()
+
+
+def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """`numba.njit` with this project's options: fast float32 arithmetic, no GIL, cached machine code."""
+    if function is None:
+        return lambda wrapped: njit(wrapped, **options)
+    defaults: dict[str, Any] = {
+        "fastmath": True,
+        "error_model": "numpy",
+        "nogil": True,
+        "cache": CACHE_FOLDER is not None,
+        # Whether LLVM inlines a callee must not depend on whether it comes from the cache: sums would round otherwise.
+        "forceinline": not options.get("parallel", False),
+    }
+    with _cached_in_our_folder():
+        try:
+            return numba.njit(**(defaults | options))(function)
+        except RuntimeError:  # Numba finds no file behind the function: it came from a zip or a console
+            return numba.njit(**(defaults | options | {"cache": False}))(function)
+
+
+_one_at_a_time = threading.RLock()
+
+
+def _threads_are_safe() -> bool:
+    try:
+        return numba.threading_layer() in ("omp", "tbb")
+    except ValueError:  # no parallel kernel has run yet
+        return False
+
+
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """A parallel kernel called from Python; loops over `prange` run on Numba's threads. options: those of `njit`."""
+    if function is None:
+        return lambda wrapped: kernel(wrapped, **options)
+    compiled = njit(function, parallel=True, **options)
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if _threads_are_safe():
+            return compiled(*arguments)
+        with _one_at_a_time:
+            return compiled(*arguments)
+
+    return call
+
+
+def threads() -> int:
+    """How many threads parallel kernels use."""
+    return int(numba.get_num_threads())

@@ -1,0 +1,1 @@
+"""What is reported of a count: audit, description, ids, intervals and the review."""

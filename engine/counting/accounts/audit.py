@@ -1,0 +1,87 @@
+"""The audit: for every cluster of surface points, what became of it and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..evidence.claims import commonest, members
+from ..evidence.cluster import Clusters
+from ..fruit import AuditEntry, Verdict
+
+IntArray = NDArray[np.int64]
+
+DUST = 20
+"""Clusters of fewer points than this are accounted for together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Account:
+    """entries: one a cluster; compound: (F,) whether a sphere shares its cluster with another."""
+
+    entries: list[AuditEntry]
+    compound: NDArray[np.bool_]
+
+
+def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Account:
+    """Say of every cluster why it was kept, split, merged or dropped.
+
+    numbers: (F,) the fruit id of each sphere; beyond: fruit that were left out because their centres lie outside the
+    region.
+    """
+    own = members(clusters.owners, len(numbers))
+    homes = np.array([commonest(clusters.components[each]) for each in own], np.int64)
+    sizes = np.bincount(clusters.components)
+    points, spheres = members(clusters.components, len(sizes)), members(homes, len(sizes))
+    told = (sizes >= DUST) | (np.bincount(homes, minlength=len(sizes)) > 0)
+    entries = [
+        _entry(clusters, component, points[component], spheres[component], numbers)
+        for component in np.argsort(-sizes, kind="stable").tolist()
+        if told[component]
+    ]
+    dust = sizes[~told]
+    if len(dust):
+        reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
+        entries.append(_of_many(len(sizes), reason, int(dust.sum())))
+    if beyond:
+        reason = f"{beyond} fruit near the region's border have their centres outside and are not counted"
+        entries.append(_of_many(len(sizes) + 1, reason, 0))
+    return Account(entries, np.array([len(spheres[home]) > 1 for home in homes], bool))
+
+
+def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
+    """What was dropped without a cluster of its own."""
+    return AuditEntry(cluster=cluster, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
+
+
+def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArray, numbers: IntArray) -> AuditEntry:
+    """What became of one cluster; inside: its points; spheres: those that have most of their points in it."""
+    x, y, z = clusters.points.positions[inside].mean(axis=0).tolist()
+    center, size = (x, y, z), len(inside)
+    ids = tuple(sorted(int(number) for number in numbers[spheres]))
+    owners = clusters.owners[inside]
+    explained = float((owners >= 0).mean())
+    if len(spheres) == 0 and explained > 0.5:
+        others = tuple(sorted({int(numbers[owner]) for owner in owners if owner >= 0}))
+        reason = f"{explained:.0%} of its points belong to fruit {_listed(others)} of a cluster beside it"
+        return AuditEntry(component, "merged", reason, center, size, others)
+    if len(spheres) == 0:
+        return AuditEntry(component, "dropped", clusters.refusal(component), center, size)
+    verdict: Verdict = "split" if len(spheres) > 1 else "kept"
+    diameter = float(2.0 * clusters.spheres.radii[spheres].mean())
+    if component in clusters.findings:
+        return AuditEntry(component, verdict, clusters.findings[component], center, size, ids, diameter)
+    fits = clusters.spheres.select(spheres)
+    told = (
+        f"covered from {fits.coverage.mean():.0%} of directions, {fits.shell.mean():.0%} of points on the surface, "
+        f"{explained:.0%} of the cluster's points explained"
+    )
+    if len(spheres) == 1:
+        return AuditEntry(component, verdict, f"one sphere, {told}", center, size, ids, diameter)
+    return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {told}", center, size, ids, diameter)
+
+
+def _listed(numbers: tuple[int, ...]) -> str:
+    return ", ".join(str(number) for number in numbers)

@@ -1,0 +1,99 @@
+"""What is told of each fruit: its size, how it was seen, its colour and its Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...splatting.gaussians import Gaussians
+from ..evidence.claims import members
+from ..evidence.cluster import Clusters
+from ..evidence.visibility import Looks
+from ..fruit import NO_TREE, Fruit, FruitCount, FruitKind, Tree
+from ..regions.row import Row
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SMALL = 0.6
+"""A fruit below this many mean diameters is of kind "small"."""
+MEMBER_REACH = 1.3
+"""Radii from a fruit's centre within which Gaussians are its own."""
+ASKED = 1.001 * MEMBER_REACH
+"""Radii in which Gaussians are looked up: no rounding may leave one out."""
+
+
+def describe(
+    gaussians: Gaussians,
+    seen: IntArray,
+    clusters: Clusters,
+    numbers: IntArray,
+    compound: NDArray[np.bool_],
+    looks: Looks,
+    label: str,
+) -> list[Fruit]:
+    """The F fruit, by rising id.
+
+    seen: Gaussians that may be fruit; numbers, compound: (F,) id of each of the clusters' spheres and whether it shares
+    its cluster with another; looks: of the F spheres.
+    """
+    spheres, colors = clusters.spheres, point_colors(gaussians, clusters)
+    mean = float(2.0 * spheres.radii.mean()) if len(spheres) else 0.0
+    means = gaussians.means.detach().double().cpu().numpy()[seen]
+    near = members(nearest_sphere(means, spheres.centers, spheres.radii), len(spheres))
+    own = members(clusters.owners, len(spheres))
+    fruits = []
+    for index in np.argsort(numbers):
+        diameter, shown = float(2.0 * spheres.radii[index]), float(looks.visible_fractions[index])
+        kind: FruitKind = "compound-part" if compound[index] else "single"
+        fruits.append(
+            Fruit(
+                id=int(numbers[index]),
+                label=label,
+                center=spheres.centers[index],
+                diameter=diameter,
+                diameter_sd=float(2.0 * spheres.radius_sds[index]),
+                volume=float(np.pi / 6.0 * diameter**3),
+                axes=0.5 * diameter * (np.eye(3) if clusters.axes is None else clusters.axes[index]),
+                probability=float(clusters.probabilities[index]),
+                visible_fraction=None if np.isnan(shown) else shown,
+                views=int(looks.views[index]),
+                color=colors[own[index]].mean(axis=0).round().astype(np.uint8),
+                kind="small" if index in clusters.small or diameter < SMALL * mean else kind,
+                members=seen[near[index]],
+            )
+        )
+    return fruits
+
+
+def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | None) -> FruitCount:
+    """The fruit with what is known of where they are: on the ground or not, and on which tree."""
+    numbers = [NO_TREE] * counted.count if row is None else row.numbers.tolist()
+    fruits = [
+        replace(fruit, fallen=fallen, tree=None if number == NO_TREE else number)
+        for fruit, fallen, number in zip(counted.fruits, lying, numbers, strict=True)
+    ]
+    places = () if row is None else row.places
+    trees = [Tree(number, place, numbers.count(number)) for number, place in enumerate(places, start=1)]
+    return replace(counted, fruits=fruits, trees=trees)
+
+
+def point_colors(gaussians: Gaussians, clusters: Clusters) -> FloatArray:
+    """(P, 3) sRGB in 0…255 of the clusters' points: the base colours of their Gaussians."""
+    return 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
+
+
+def nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
+    """(N,) index of the sphere each mean (N, 3) lies in or near (MEMBER_REACH), the relatively nearest; -1 none."""
+    owners, best = np.full(len(means), -1, np.int64), np.full(len(means), MEMBER_REACH)
+    tree = cKDTree(means)
+    for index, (center, radius) in enumerate(zip(centers, radii, strict=True)):
+        near = np.array(tree.query_ball_point(center, ASKED * radius), np.int64)
+        relative = np.linalg.norm(means[near] - center, axis=1) / radius
+        closer = relative < best[near]
+        owners[near[closer]], best[near[closer]] = index, relative[closer]
+    return owners

@@ -1,0 +1,161 @@
+"""How sure a count is: 90 % intervals of the visible fruit and of all, those that nobody saw included.
+
+Log ratios of true fruit to the sum of the candidates' probabilities are predicted from what the scene shows, with a
+normal error of its own size; fitted by `scripts/developer/fit_interval.py`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, QhullError
+
+from ..evidence.cluster import LIKELY, Search
+from ..evidence.visibility import Picture, open_views
+
+FloatArray = NDArray[np.float64]
+
+STORED = Path(__file__).with_name("interval.json")
+TELLING = ("doubt", "faint", "hidden")
+"""What predicts a ratio and how far it errs; all 0 where every fruit is sure, of the prompt and well seen."""
+PLACES = 2000
+"""Places inside the hull of the fruit that are asked."""
+OUTSIDE, FALLING = 2.2, 0.39
+"""Of a ball in which n fruit hang evenly, their hull leaves about OUTSIDE / n^FALLING out (drawn at random: .86 for 10
+fruit, .52 for 50, .19 for 500). There they are seen."""
+TRAINED = 0.1
+"""What is told of the faintness of trained scenes; that of true surfaces is 0."""
+QUANTILE = 1.645
+"""Standard deviations of a normal on either side of 90 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a scene shows of its count. expected, variance: sum and variance of the number of fruit by the candidates'
+    probabilities; telling: (3,) numbers in the order of TELLING."""
+
+    expected: float
+    variance: float
+    telling: FloatArray
+
+    @property
+    def faint(self) -> float:
+        """How far the fruit's points are from sure of the prompt, 0…1."""
+        return float(self.telling[TELLING.index("faint")])
+
+
+@dataclass(frozen=True, eq=False)
+class Ratio:
+    """log (fruit / expected) = bias + weights · telling, give or take a stretch times the square root of
+    floor² + variance / expected² + Σ (slopes · telling)²; weights, slopes: (3,) in the order of TELLING; stretches:
+    (2,) of scenes that are not faint and of trained ones, in proportion between them."""
+
+    bias: float
+    weights: FloatArray
+    floor: float
+    slopes: FloatArray
+    stretches: FloatArray
+
+    @classmethod
+    def read(cls, document: dict[str, Any]) -> Ratio:
+        """What `document` made into JSON."""
+        arrays = {name: np.array(document[name], np.float64) for name in ("weights", "slopes", "stretches")}
+        return cls(**{**document, **arrays})
+
+    def document(self) -> dict[str, Any]:
+        """The ratio as JSON has it."""
+        names = ("bias", "weights", "floor", "slopes", "stretches")
+        return {name: np.round(getattr(self, name), 5).tolist() for name in names}
+
+    def mean(self, evidence: Evidence) -> float:
+        """The predicted log ratio."""
+        return self.bias + float(self.weights @ evidence.telling)
+
+    def deviation(self, evidence: Evidence) -> float:
+        """Standard deviation of the log ratio."""
+        chance = evidence.variance / max(evidence.expected, 1.0) ** 2
+        spread = ((self.slopes * evidence.telling) ** 2).sum()
+        stretch = float(np.interp(evidence.faint, [0.0, TRAINED], self.stretches))
+        return stretch * float(np.sqrt(self.floor**2 + chance + spread))
+
+    def likeliest(self, evidence: Evidence) -> float:
+        """The predicted number of fruit."""
+        return evidence.expected * float(np.exp(self.mean(evidence)))
+
+    def interval(self, evidence: Evidence, least_deviation: float = 0.0) -> tuple[int, int]:
+        """Low and high number of fruit; least_deviation: of the log ratio, where something else is known of it."""
+        deviation = max(self.deviation(evidence), least_deviation)
+        number, factor = self.likeliest(evidence), float(np.exp(QUANTILE * deviation))
+        # Half a fruit either way: of a few fruit nothing is surer than that.
+        return max(int(np.ceil(number / factor - 0.5)), 0), int(np.floor(number * factor + 0.5))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """visible: 90 % interval of the fruit that views show; total, total_interval: of all, with those nobody saw."""
+
+    visible: tuple[int, int]
+    total: float
+    total_interval: tuple[int, int]
+
+
+def estimate(evidence: Evidence, count: int) -> Estimate:
+    """How many fruit there are where `count` were counted, which lie within both intervals' ends or below; `total` lies
+    within its own."""
+    of_visible, of_all = stored_ratios()
+    low, high = of_visible.interval(evidence)
+    # The visible fruit are among all: nobody is surer of these than of those.
+    least, most = of_all.interval(evidence, of_visible.deviation(evidence))
+    low, high = min(low, count), max(high, count)
+    total = max(of_all.likeliest(evidence), float(count))
+    bounds = min(max(least, low), int(total)), max(most, high, int(np.ceil(total)))
+    return Estimate((low, high), round(total, 1), bounds)
+
+
+def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
+    """What the weighed candidates that lie `inside` (C,) the region, and the views, tell of a count."""
+    chances = np.where(inside, found.chances, 0.0)
+    expected = float(chances.sum())
+    if expected <= 0.0:
+        return Evidence(0.0, 0.0, np.zeros(len(TELLING)))
+    variance = float((chances * (1.0 - chances)).sum())
+    faint = 1.0 - float(chances @ found.features["mean"]) / expected
+    kept = chances > LIKELY
+    amid = _within(found.found.spheres.centers[kept], np.random.default_rng(seed))
+    unseen = hull_share(int(kept.sum())) * (1.0 - _shown(pictures, amid, found.size.diameter / 2.0))
+    return Evidence(expected, variance, np.array([variance / expected, faint, -np.log(1.0 - unseen)]))
+
+
+def hull_share(count: int) -> float:
+    """Share of the room in which so many fruit hang that their hull holds."""
+    return float(max(1.0 - OUTSIDE / max(count, 1) ** FALLING, 0.0))
+
+
+def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Places spread evenly over the hull of centers (F, 3); none where they have no hull."""
+    try:
+        hull = Delaunay(centers)
+    except (QhullError, ValueError):
+        return np.zeros((0, 3))
+    places = rng.uniform(centers.min(axis=0), centers.max(axis=0), (4 * PLACES, 3))
+    return places[hull.find_simplex(places) >= 0][:PLACES]
+
+
+def _shown(pictures: Sequence[Picture], places: FloatArray, radius: float) -> float:
+    """Share of places (K, 3) at which any view would show a fruit; 1 of none."""
+    views = open_views(pictures, places, np.full(len(places), radius))
+    return float((views > 0).mean()) if len(places) else 1.0
+
+
+@cache
+def stored_ratios() -> tuple[Ratio, Ratio]:
+    """Of visible fruit, and of all fruit, as the package has them."""
+    document = json.loads(STORED.read_text(encoding="utf-8"))
+    return Ratio.read(document["visible"]), Ratio.read(document["total"])

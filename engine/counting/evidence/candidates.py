@@ -1,0 +1,166 @@
+"""Spheres that may be fruit: votes for centres, robust fits, and a greedy choice of those that explain the points."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.cells import Cells, apart
+from ..geometry.sphere import REACH, Spheres, fit_spheres
+from .claims import claim
+from .size import FruitSize
+from .surface_points import SurfacePoints
+from .visibility import Looks, Picture, look_at
+from .vote_kernels import middles, turn_normals
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CELL = 0.6
+"""Side of the cells of points, in mean radii."""
+NORMAL_REACH, NORMAL_NEIGHBORS = 0.4, 32
+"""Points within so many mean radii, and at most so many of them, tell a point's normal."""
+VOTE_STEP = 0.3
+"""Logarithm of the ratio between the radii at which points vote."""
+VOTED = 2.2
+"""Radii vote within this many deviations of log radius about the mean one."""
+LEAST_VOTES, LEAST_VOTE_SHARE = 2.0, 0.01
+"""A centre has at least so many votes, and this share of those of the densest tenth."""
+LEAST_THINNESS, LEAST_COVERAGE, LEAST_SHELL, LEAST_SUPPORT = 0.03, 0.05, 0.4, 0.015
+LEAST_AGREEMENT, LEAST_SOLIDITY, LEAST_PROBABILITY = 0.2, 0.08, 0.03
+MOST_OFF = 3.5
+"""What no fruit goes below, or beyond (deviations of log diameter): spheres that fail are not even weighed."""
+RESIDUAL = 0.05
+"""Radii off the surface at which a sphere's merit falls."""
+SAME = 0.08
+"""Spheres whose centres and radii differ by fewer radii are one."""
+ROUND = 0.3
+"""Spheres covered on more than this share tell how many points a whole fruit has."""
+OVERLAP = 0.8
+"""Two fruit's centres are at least this many sums of their radii apart."""
+LEAST_FREE = 0.5
+"""A sphere keeps at least this share of its points once better ones have taken theirs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """P surface points in the order of their cells, with normals (P, 3) that their neighbours had a say in."""
+
+    points: SurfacePoints
+    cells: Cells
+    normals: FloatArray
+
+    @classmethod
+    def of(cls, points: SurfacePoints, diameter: float) -> Skin:
+        """Sort the points into cells and mend their normals; diameter: of a fruit, scene units."""
+        cells = Cells.of(points.positions, CELL * diameter / 2.0, points.turns)
+        ordered, normals = points.select(cells.index), np.empty_like(points.normals)
+        reach = NORMAL_REACH * diameter / 2.0
+        turn_normals(cells.table, ordered.normals, ordered.directions, reach, NORMAL_NEIGHBORS, normals)
+        return cls(ordered, cells, normals)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """C spheres that may be fruit, of which no two share much.
+
+    shares: (C,) points on each for its surface, in those of a typical whole fruit; free: (C,) share of its points that
+    no better sphere took; owners: (P,) sphere of each point, -1 none.
+    """
+
+    spheres: Spheres
+    looks: Looks
+    shares: FloatArray
+    free: FloatArray
+    owners: IntArray
+
+    def __len__(self) -> int:
+        return len(self.spheres)
+
+
+def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Candidates:
+    """Spheres that explain the points, whether they look like fruit or not."""
+    radius = size.diameter / 2.0
+    steps = int(VOTED * size.spread / VOTE_STEP)
+    radii = radius * np.exp(VOTE_STEP * np.arange(-steps, steps + 1))
+    voted = [vote(skin, each) for each in radii]
+    starts, start_radii = np.concatenate(voted), np.repeat(radii, [len(each) for each in voted])
+    spheres = fit_spheres(
+        skin.cells, skin.normals, starts, REACH * start_radii, start_radii,
+        prior=radius, prior_sd=size.spread, same=SAME,
+    )  # fmt: skip
+    looks = look_at(pictures, spheres.centers, spheres.radii, threshold)
+    off = np.log(2.0 * np.maximum(spheres.radii, 1e-12) / size.diameter) / size.spread
+    shares = support_shares(spheres)
+    possible = (
+        (spheres.thinness > LEAST_THINNESS)
+        & (spheres.coverage > LEAST_COVERAGE)
+        & (spheres.shell > LEAST_SHELL)
+        & (spheres.agreement > LEAST_AGREEMENT)
+        & (shares > LEAST_SUPPORT)
+        & (looks.solidity > LEAST_SOLIDITY)
+        & (looks.probabilities > LEAST_PROBABILITY)
+        & (np.abs(off) < MOST_OFF)
+    )
+    # A sphere over two fruit explains more points than one of them, but is of an unlikely size and off the surface, and
+    # its points face elsewhere; one in the gap between fruit is seen through.
+    fitting = np.maximum(spheres.agreement, 0.0) ** 2 * np.exp(-0.5 * (spheres.residual / RESIDUAL) ** 2)
+    merit = np.exp(-0.5 * off**2) * fitting * looks.solidity * looks.probabilities
+    chosen, owners, free = cover(skin, spheres.select(possible), merit[possible])
+    index = np.flatnonzero(possible)[chosen]
+    return Candidates(spheres.select(index), looks.select(index), shares[index], free, owners)
+
+
+def vote(skin: Skin, radius: float, least_share: float = LEAST_VOTE_SHARE) -> FloatArray:
+    """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart; least_share:
+    of the votes of the densest tenth."""
+    cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius, skin.points.turns)
+    density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
+    least = max(LEAST_VOTES, least_share * float(np.quantile(density, 0.9)))
+    order = np.lexsort((cells.turns, -density))
+    peaks = apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
+    centers = np.empty((len(peaks), 3))
+    middles(cells.table, cells.positions[peaks], 0.3 * radius, centers)
+    return centers
+
+
+def support_shares(spheres: Spheres) -> FloatArray:
+    """(C,) points on each sphere for its surface, in those of a typical whole fruit (upper quartile of round fits)."""
+    density = spheres.support / np.maximum(spheres.radii, 1e-12) ** 2
+    round_fits = density[(spheres.shell > 0.5) & (spheres.coverage > ROUND)]
+    whole = np.quantile(round_fits, 0.75) if len(round_fits) else density.max(initial=1.0)
+    return density / max(float(whole), 1e-12)
+
+
+def cover(skin: Skin, spheres: Spheres, merit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Choose spheres greedily by merit (C,) times the points that no better sphere has.
+
+    Returns which are chosen (F,), the one that owns each point (P,), and the share of its points that each kept (F,).
+    """
+    claims = claim(skin.cells, skin.normals, spheres.centers, spheres.radii)
+    owners = np.full(len(skin.points), -1, np.int64)
+    own = [claims.value(index, owners)[0] for index in range(len(spheres))]
+    heap = [(-own[index] * spheres.shell[index] * merit[index], index) for index in range(len(spheres))]
+    heapq.heapify(heap)
+    chosen, free = list[int](), list[float]()
+    while heap:
+        score, index = heapq.heappop(heap)
+        left, inside = claims.value(index, owners)
+        if left <= 0.0 or left < LEAST_FREE * own[index]:
+            continue
+        now = -(left * left / max(left + inside, 1e-9)) * merit[index]
+        if now > 0.98 * score and heap and now > heap[0][0]:
+            heapq.heappush(heap, (now, index))
+            continue
+        if chosen:
+            between = np.linalg.norm(spheres.centers[chosen] - spheres.centers[index], axis=1)
+            if (between < OVERLAP * (spheres.radii[chosen] + spheres.radii[index])).any():
+                continue
+        claims.take(index, len(chosen), owners)
+        chosen.append(index)
+        free.append(left / own[index])
+    return np.array(chosen, np.int64), owners, np.array(free)

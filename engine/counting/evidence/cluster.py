@@ -1,0 +1,217 @@
+"""Fruit among surface points: candidates, weighed; what became of every cluster of points."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...progress import Progress, silent
+from ..geometry.cells import Cells, linked
+from ..geometry.ellipsoid import fit_ellipsoids
+from ..geometry.sphere import REACH, Spheres, fit_spheres
+from .candidates import Candidates, Skin, find_candidates
+from .claims import commonest, members
+from .gate import Features, features_of, stored_gate
+from .size import FruitSize
+from .surface_points import SurfacePoints
+from .visibility import Picture, distance_of
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LINK = 0.15
+"""Points nearer to each other than this, in mean diameters, belong to one cluster."""
+LINKS = 5.0
+"""Points nearer than this part of a link ask for their neighbours but once."""
+LIKELY = 0.5
+"""Least probability of a fruit that is counted."""
+SPREADS = (0.08, 0.5)
+"""Least and largest deviation of log diameter that is believed."""
+SETTLED = 0.03
+"""A size that changes the logarithms of diameter and spread by less needs no further round."""
+DIAMETER_STEP, SPREAD_STEP = 0.02, 0.02
+"""To which estimates of log diameter and of its deviation are rounded."""
+FEWEST = 3
+"""Fruit from which a size can be told."""
+USUAL, USUALLY = 0.15, 5.0
+"""Deviation of log diameter before a fruit is found, and as many fruit as that counts for: a few tell no spread."""
+ROUNDS, COARSE = 3, 3
+"""Of looking for fruit of the size that the round before found, and of how many points one tells the size."""
+LOOSE, FAR = 0.6, 0.5
+"""Deviation of log radius to which loose fits are held, and radii that they may move: fruit that are held to the mean
+are as alike as they are held to be."""
+COVERED, ENOUGH = 0.3, 10
+"""Coverage of a loose fit that tells its size, and how many of them tell a spread."""
+NOISE, CUT = 0.07, 0.88
+"""Deviation of their log radii that noise alone makes, and that of a normal distribution cut at two deviations."""
+UNTOLD = 0.4
+"""Of the spread of sizes, what a fit's own deviation does not tell of its error: what is not round, and what hides."""
+STEADY = 0.25
+"""Radii by which a fruit may move when it is fitted from its own place, so that it does not tell from which start it
+came."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters:
+    """What became of the surface points.
+
+    points: the P surface points, in an order of their own; spheres: the F accepted fruit; owners: (P,) index of the
+    sphere each point belongs to, -1 none; components: (P,) index of the connected cluster a point is in; probabilities:
+    (F,) that a sphere is a fruit of the prompt; refusals: why the likeliest candidate of a cluster without fruit was
+    refused, by cluster; findings: why a cluster with fruit was kept, by cluster, where not by its spheres; small:
+    spheres of kind small, whatever their size; axes: (F, 3, 3), rows are half axes in radii as `ellipsoid.Ellipsoids`
+    has them, None where fruit are spheres.
+    """
+
+    points: SurfacePoints
+    spheres: Spheres
+    owners: IntArray
+    components: IntArray
+    probabilities: FloatArray
+    refusals: Mapping[int, str]
+    findings: Mapping[int, str] = field(default_factory=dict)
+    small: Collection[int] = ()
+    axes: FloatArray | None = None
+
+    def refusal(self, component: int) -> str:
+        """Why a cluster holds no fruit."""
+        return self.refusals.get(component, "its points face no common centre")
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit."""
+
+    skin: Skin
+    size: FruitSize
+    found: Candidates
+    features: Features
+    chances: FloatArray
+
+
+def search(
+    points: SurfacePoints,
+    size: FruitSize,
+    pictures: Sequence[Picture],
+    threshold: float,
+    *,
+    given: bool = False,
+    progress: Progress = silent,
+) -> Search:
+    """Look for spheres that explain the points, and weigh them.
+
+    size: as estimated, or `given` by the user: an estimate is refined by the fruit that are found with it; threshold:
+    of the Gaussians' probability.
+    """
+    progress(0.0, "finding normals")
+    if not given:
+        unit = distance_of([picture.camera for picture in pictures])
+        size = rounded(size, unit)
+        skin = Skin.of(points.thinned(1.0 / COARSE), size.diameter)
+        for step in range(ROUNDS):
+            progress(0.1 + 0.1 * step, f"looking for fruit of diameter {size.diameter:.3g}")
+            coarse = _searched(skin, size, pictures, threshold)
+            loose = _refitted(coarse, coarse.found.spheres, LOOSE, FAR)
+            before, size = size, rounded(refine(size, coarse.found.spheres, coarse.chances, loose), unit)
+            change = np.log([size.diameter / before.diameter, size.spread / before.spread])
+            if (np.abs(change) < SETTLED).all():
+                break
+    progress(0.5, f"looking for all fruit of diameter {size.diameter:.3g}")
+    return _searched(Skin.of(points, size.diameter), size, pictures, threshold)
+
+
+def _searched(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
+    found = find_candidates(skin, size, pictures, threshold)
+    features = features_of(found, skin, size, threshold)
+    return Search(skin, size, found, features, stored_gate().chances(features))
+
+
+def find_fruit(result: Search) -> Clusters:
+    """The likely fruit among the candidates, and what became of every cluster of points."""
+    found, chances = result.found, result.chances
+    components = connected(result.skin.points, LINK * result.size.diameter)
+    kept = chances > LIKELY
+    owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
+    settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
+    fitted = fit_ellipsoids(result.skin.cells, result.skin.normals, owners, settled)
+    untold = UNTOLD * result.size.spread * fitted.spheres.radii
+    return Clusters(
+        result.skin.points,
+        replace(fitted.spheres, radius_sds=np.hypot(fitted.spheres.radius_sds, untold)),
+        owners,
+        components,
+        chances[kept],
+        _refusals(result, kept, components),
+        axes=fitted.axes,
+    )
+
+
+def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
+    """The spheres, each fitted from its own place, held to the size by a deviation `spread` of log radius; one that
+    moves by `farthest` of its radius or more stays as it was."""
+    fitted = fit_spheres(
+        result.skin.cells, result.skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
+        prior=result.size.diameter / 2.0, prior_sd=spread,
+    )  # fmt: skip
+    moved = np.linalg.norm(fitted.centers - spheres.centers, axis=1) + np.abs(fitted.radii - spheres.radii)
+    return fitted.where(moved < farthest * spheres.radii, spheres)
+
+
+def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Spheres) -> FruitSize:
+    """The mean and spread of log diameter of the likely fruit (C,), a step of expectation maximisation.
+
+    A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Where the
+    well covered ones among the `loose` fits differ by more than noise makes them, that is the spread, of which the
+    choice of likely fruit has cut the ends off. Of a few fruit that are alike by chance, another one would be refused
+    for its size: the spread is held near the usual one.
+    """
+    weights = np.where(chances > LIKELY, chances, 0.0)
+    if np.count_nonzero(weights) < FEWEST:
+        return size
+    mean, variance = _moments(spheres, weights)
+    variance += float((weights * (spheres.radius_sds / spheres.radii) ** 2).sum() / weights.sum())
+    covered = np.where(loose.coverage > COVERED, weights, 0.0)
+    if np.count_nonzero(covered) >= ENOUGH:
+        variance = max(variance, (_moments(loose, covered)[1] - NOISE**2) / CUT**2)
+    known = float(weights.sum())
+    variance = (known * variance + USUALLY * USUAL**2) / (known + USUALLY)
+    return FruitSize(float(np.exp(mean)), float(np.clip(np.sqrt(variance), *SPREADS)))
+
+
+def rounded(size: FruitSize, unit: float) -> FruitSize:
+    """The size to steps of log diameter and spread: sizes that differ by less than an estimate can tell find the same
+    fruit. unit: a length that is scaled with the scene."""
+    diameter = unit * np.exp(DIAMETER_STEP * np.round(np.log(size.diameter / unit) / DIAMETER_STEP))
+    return FruitSize(float(diameter), float(SPREAD_STEP * np.round(size.spread / SPREAD_STEP)))
+
+
+def _moments(spheres: Spheres, weights: FloatArray) -> tuple[float, float]:
+    """Weighted mean and variance of log diameter."""
+    logs = np.log(2.0 * spheres.radii)
+    mean = float((weights * logs).sum() / weights.sum())
+    return mean, float((weights * (logs - mean) ** 2).sum() / weights.sum())
+
+
+def connected(points: SurfacePoints, link: float) -> IntArray:
+    """(P,) index of the connected cluster of each point; points nearer than `link` are linked.
+
+    Of a dense surface, points LINKS times as close do for one another.
+    """
+    cells = Cells.of(points.positions, link)
+    numbers = np.empty(len(points), np.int64)
+    numbers[cells.index] = np.unique(linked(cells.table, link, link / LINKS), return_inverse=True)[1]
+    return numbers
+
+
+def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> dict[int, str]:
+    """By cluster, why the likeliest of its candidates that are not kept was refused."""
+    gate, told, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
+    for index in np.argsort(-result.chances, kind="stable"):
+        if not kept[index]:
+            home = commonest(components[own[index]])
+            reason = gate.reason(result.features, int(index))
+            told.setdefault(home, f"the best sphere is {result.chances[index]:.0%} likely a fruit: {reason}")
+    return told

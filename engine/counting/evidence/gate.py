@@ -1,0 +1,182 @@
+"""How likely a sphere is a fruit: a logistic regression on what speaks for it and on the products of these, fitted by
+`scripts/developer/fit_gate.py`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .candidates import Candidates, Skin
+from .claims import members
+from .size import FruitSize
+
+FloatArray = NDArray[np.float64]
+Features = Mapping[str, FloatArray]
+"""(C,) numbers by name, one a candidate."""
+
+STORED = Path(__file__).with_name("gate.json")
+WEIGHED = (
+    "coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown",
+    "looked", "shell", "spread", "curvature",
+)  # fmt: skip
+"""Features that the regression weighs. `looked` tells how much solidity is worth, `spread` how much size is."""
+HALF = 0.5
+"""Probabilities are weighed as if this were the threshold that the user set."""
+SUREST = 0.25
+"""What the surest tenth of a fruit's points exceed, as weighed; its other points may be fainter."""
+LOOKS = 120.0
+"""Free looks that a candidate is taken to have where no view has any: neither few nor many."""
+WELL = 0.5
+"""Spheres covered on more than this share tell how solid a fruit looks in a scene, and how curved."""
+SPOT = 0.03
+"""Radii: points that lie closer together than this tell no curvature."""
+LEAST_USUAL = 0.1
+"""What the usual solidity and curvature of a scene are at least taken for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """score = bias + Σ linear_i x_i + Σ quadratic_ij x_i x_j of n features x, cut at `low` and `high`, less `center`
+    and by `scale`.
+
+    low, high, center, scale, linear: (n,) in the order of WEIGHED; quadratic: (n, n), 0 below the diagonal. What lies
+    beyond all that the gate was fitted to weighs as the last that it was: a product knows nothing of what goes on.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    center: FloatArray
+    scale: FloatArray
+    linear: FloatArray
+    quadratic: FloatArray
+    bias: float
+
+    @classmethod
+    def read(cls, path: Path) -> Gate:
+        """The gate that `document` made into JSON."""
+        document = json.loads(path.read_text(encoding="utf-8"))
+        names = ("low", "high", "center", "scale", "linear", "quadratic")
+        return cls(**{name: np.array(document[name], np.float64) for name in names}, bias=float(document["bias"]))
+
+    def document(self) -> dict[str, Any]:
+        """The gate as JSON has it."""
+        names = ("low", "high", "center", "scale", "linear", "quadratic")
+        parts = {name: getattr(self, name).round(5).tolist() for name in names}
+        return {"features": list(WEIGHED), **parts, "bias": round(self.bias, 5)}
+
+    def score(self, values: FloatArray) -> FloatArray:
+        """(C,) logarithm of the odds of a fruit, from features (C, n) in the order of WEIGHED."""
+        x = (np.clip(values, self.low, self.high) - self.center) / self.scale
+        scores: FloatArray = self.bias + x @ self.linear + ((x @ self.quadratic) * x).sum(axis=1)
+        return scores
+
+    def chances(self, features: Features) -> FloatArray:
+        """(C,) probability of a fruit; 0 where not even the surest tenth of the points come near the threshold."""
+        return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-self.score(weighed(features)))), 0.0)
+
+    def reason(self, features: Features, index: int) -> str:
+        """What speaks most against a candidate, beside a fruit that is well seen, in words."""
+        if features["surest"][index] <= SUREST:
+            return f"its surest points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
+        own = weighed(features)[index]
+        instead = np.repeat(own[None], len(_TOLD), axis=0)
+        for row, (name, (usual, _)) in enumerate(_TOLD.items()):
+            instead[row, WEIGHED.index(name)] = usual
+        lost = self.score(instead) - self.score(own[None])
+        worst = [
+            name for name, loss in sorted(zip(_TOLD, lost, strict=True), key=lambda pair: -pair[1])[:2] if loss > 0
+        ]
+        values = {name: float(own[WEIGHED.index(name)]) for name in worst}
+        told = [_TOLD[name][1].format(np.exp(values[name]) if name in _LOGS else values[name]) for name in worst]
+        return ", ".join(told) or "of an unlikely form"
+
+
+def weighed(features: Features) -> FloatArray:
+    """(C, n) features in the order of WEIGHED."""
+    return np.stack([features[name] for name in WEIGHED], axis=1)
+
+
+_LOGS = frozenset({"coverage", "thinness", "share"})
+"""Features that are logarithms."""
+_TOLD = {
+    "coverage": (np.log(0.6), "covered on {:.0%} of its surface only"),
+    "solidity": (1.0, "seen through ({:.0%} as opaque as other fruit)"),
+    "thinness": (np.log(0.3), "flat ({:.2f} radii thick)"),
+    "residual": (0.06, "uneven ({:.2f} radii off a sphere)"),
+    "agreement": (0.7, "not round (its points face outwards by {:.2f} of 1)"),
+    "curvature": (1.0, "hardly curved (its points' normals turn {:.0%} as fast as on other fruit)"),
+    "free": (1.0, "on points of better fruit ({:.0%} are its own)"),
+    "mean": (0.9, "hardly of the prompt (its points are {:.2f} probable)"),
+}
+"""Each feature of a fruit that is well seen, and what is said of a candidate that lacks it."""
+
+
+def features_of(found: Candidates, skin: Skin, size: FruitSize, threshold: float) -> Features:
+    """What speaks for and against the candidates.
+
+    Solidity and curvature are relative to those of the scene's well covered spheres, because they depend on how opaque
+    and how even training made the Gaussians. skin: of the points that `found.owners` tells of; threshold: of the
+    Gaussians' probability.
+    """
+    spheres, looks = found.spheres, found.looks
+    well = spheres.coverage > WELL
+    scaled = np.minimum(skin.points.probabilities * (HALF / threshold), 1.0)
+    owned = [scaled[own] for own in members(found.owners, len(found))]
+    return {
+        "coverage": np.log(np.maximum(spheres.coverage, 0.01)),
+        "solidity": np.minimum(_beside(looks.solidity, well), 1.2),
+        "thinness": np.log(np.maximum(spheres.thinness, 0.02)),
+        "residual": spheres.residual,
+        "agreement": spheres.agreement,
+        "share": np.log(np.maximum(found.shares, 0.01)),
+        "free": found.free,
+        "off": (np.log(2.0 * spheres.radii / size.diameter) / size.spread) ** 2,
+        "shown": np.log(np.maximum(np.nan_to_num(looks.visible_fractions, nan=1.0), 0.02)),
+        "looked": np.log1p(np.where(looks.free > 0, looks.free, LOOKS)),
+        "shell": spheres.shell,
+        "spread": np.full(len(found), size.spread),
+        "curvature": _beside(curvatures(found, skin), well),
+        "mean": np.array([each.mean() for each in owned]),
+        "surest": np.array([np.quantile(each, 0.9) for each in owned]),
+    }
+
+
+def curvatures(found: Candidates, skin: Skin) -> FloatArray:
+    """(C,) how fast the normals n turn along each candidate's own points x, in radii of it: 1 on a sphere, 0 on a leaf.
+
+    The slope Σ (x - x̄)·(n - n̄) / Σ |x - x̄|² tells a piece of a sphere from a flat one however small it is.
+    """
+    owned = found.owners >= 0
+    owner, count = found.owners[owned], len(found)
+    number = np.bincount(owner, minlength=count)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(owner, weights=column, minlength=count) for column in values.T]
+        means: FloatArray = np.stack(sums, axis=1) / np.maximum(number, 1)[:, None]
+        return means
+
+    x = (skin.points.positions[owned] - found.spheres.centers[owner]) / found.spheres.radii[owner, None]
+    n = skin.normals[owned]
+    turned = mean(x * n).sum(axis=1) - (mean(x) * mean(n)).sum(axis=1)
+    spread = mean(x**2).sum(axis=1) - (mean(x) ** 2).sum(axis=1)
+    slopes: FloatArray = np.where(spread > SPOT**2, turned / np.maximum(spread, SPOT**2), 1.0)
+    return slopes
+
+
+def _beside(values: FloatArray, well: NDArray[np.bool_]) -> FloatArray:
+    """(C,) values in those that are usual of the `well` covered spheres (C,); as they are where there are none."""
+    usual = float(np.median(values[well])) if well.any() else 1.0
+    return values / max(usual, LEAST_USUAL)
+
+
+@cache
+def stored_gate() -> Gate:
+    """The gate of the package."""
+    return Gate.read(STORED)

@@ -1,0 +1,273 @@
+"""Surface points of the selected Gaussians (paper eq. 12), each with its normal and where it was seen from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ...splatting.gaussians import Gaussians
+from ..geometry.cells import Cells
+from ..geometry.random_streams import Lots, even_turns
+from .surface_point_kernels import cover
+from .visibility import Visibility
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SKIN = 2.0
+"""Standard deviations from its mean at which an opaque Gaussian is seen to end."""
+FACING = 0.1
+"""Least cosine between a skin point's normal and the mean direction to the cameras that saw its Gaussian."""
+LEAST_OPACITY = 0.2
+SPARE = 3
+"""Skin points tried for each that is wanted: about a third are faced and not covered."""
+LARGEST_SCALE = 0.5
+"""Largest standard deviation, in mean fruit diameters, of a Gaussian that gives points."""
+ENOUGH = 50.0
+"""Points within a quarter of a diameter of one that tell a fruit well."""
+BLOCK = 2_000_000
+"""Points that are tried at once: so much memory, whatever their number."""
+SURVEY, SURVEYED = 60_000, 5_000
+"""Points of a first sample, and how many of them are asked how dense they lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """P points sampled from selected Gaussians.
+
+    positions: (P, 3) scene units; normals: (P, 3) unit, out of the surface towards the cameras that saw it;
+    gaussians: (P,) index of the Gaussian each came from; probabilities: (P,); directions: (P, 3) mean direction towards
+    the seeing cameras; turns: (P,) of [0, 1), those below a share are an even part of the points.
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    gaussians: IntArray
+    probabilities: FloatArray
+    directions: FloatArray
+    turns: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def thinned(self, share: float) -> SurfacePoints:
+        """An even part of the points, which is the same one however they were moved."""
+        part = self.select(self.turns < share)
+        return replace(part, turns=part.turns / share)
+
+    @staticmethod
+    def join(parts: Sequence[SurfacePoints]) -> SurfacePoints:
+        """The points of all parts, one after the other."""
+        names = [each.name for each in fields(SurfacePoints)]
+        return SurfacePoints(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+    def select(self, index: NDArray) -> SurfacePoints:
+        """The points at `index` (bool mask (P,) or integer indices)."""
+        return SurfacePoints(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
+
+
+def sample_volume(
+    gaussians: Gaussians,
+    probability: FloatArray,
+    visibility: Visibility,
+    selected: IntArray,
+    *,
+    budget: int,
+    seed: int,
+    largest: float = np.inf,
+) -> SurfacePoints:
+    """Sample `budget` points inside the selected Gaussians, N_i ∝ det(Σ_i)^½ · α_i (paper eq. 12).
+
+    Only Gaussians whose largest standard deviation is at most `largest` scene units give points: else a few big blurry
+    ones would take the whole budget. A point's normal is its Gaussian's flat axis, turned to the cameras that saw it.
+    """
+    chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
+    logs = np.log(chosen.scales).sum(axis=1)
+    owner = np.repeat(
+        np.arange(len(chosen)), spread_out(np.exp(logs - logs.max(initial=0.0)) * chosen.opacities, budget)
+    )
+    own = np.random.default_rng(seed).standard_normal((len(owner), 3)).clip(-2.0, 2.0)
+    positions = chosen.means[owner] + np.einsum("pij,pj->pi", chosen.axes[owner], own * chosen.scales[owner])
+    flat = np.take_along_axis(chosen.axes, chosen.scales.argmin(axis=1)[:, None, None], axis=2)[:, :, 0]
+    normals = turn_towards(flat, chosen.directions)[owner]
+    return chosen.points(positions, normals, owner, even_turns(len(owner)))
+
+
+def sample_skin(
+    gaussians: Gaussians,
+    probability: FloatArray,
+    visibility: Visibility,
+    selected: IntArray,
+    *,
+    budget: int,
+    seed: int,
+    largest: float = np.inf,
+) -> SurfacePoints:
+    """Sample about `budget` points of the skin that the selected Gaussians draw together.
+
+    Trained Gaussians lie below the surface they draw and the big ones fill it, so points spread through their volume
+    make fruit look a fifth too small. These points lie on the ellipsoids of SKIN standard deviations, on the side that
+    the seeing cameras face and outside the other Gaussians; the normal is the ellipsoid's. N_i ∝ the pixels that
+    Gaussian i draws in a view that sees it: fruit that few views see have as many points as the others. Gaussians wider
+    than `largest` give none. Where a Gaussian's points lie depends on its place in the cameras' frame alone (`lots`).
+    """
+    chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
+    return _skin(chosen, chosen.lots(visibility.frame, seed), budget)
+
+
+def _skin(chosen: _Chosen, lots: Lots, budget: int) -> SurfacePoints:
+    pixels = chosen.weights / np.maximum(chosen.views, 1) * (chosen.opacities >= LEAST_OPACITY)
+    owner = np.repeat(np.arange(len(chosen)), share_out(pixels, SPARE * budget))
+    numbers = lots.number(owner)
+    blocks = [slice(start, start + BLOCK) for start in range(0, max(len(owner), 1), BLOCK)]
+    return SurfacePoints.join([_skin_of(chosen, lots, owner[block], numbers[block]) for block in blocks])
+
+
+def _skin_of(chosen: _Chosen, lots: Lots, owner: IntArray, numbers: IntArray) -> SurfacePoints:
+    """Of a point for each entry of `owner`, with its number in that Gaussian's place, those that are seen."""
+    own, turns = lots.directions(owner, numbers), lots.turns(owner, numbers)
+    axes, scales = chosen.axes[owner], chosen.scales[owner]
+    normals = np.einsum("pij,pj->pi", axes, own / scales)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    faced = np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING
+    owner, normals, turns = owner[faced], normals[faced], turns[faced]
+    positions = chosen.means[owner] + SKIN * np.einsum("pij,pj->pi", axes[faced], (own * scales)[faced])
+    free = ~covered(positions, chosen)
+    return chosen.points(positions[free], normals[free], owner[free], turns[free])
+
+
+def sample_enough(
+    gaussians: Gaussians,
+    probability: FloatArray,
+    visibility: Visibility,
+    selected: IntArray,
+    *,
+    diameter: float,
+    most: int,
+    seed: int,
+) -> SurfacePoints:
+    """Points of the skin, as many as fruit of `diameter` scene units need to be told apart, and at most about `most`.
+
+    A first sample tells how dense its points lie on the fruit; density grows with the budget.
+    """
+    chosen = _Chosen.of(gaussians, probability, visibility, selected, LARGEST_SCALE * diameter)
+    lots, budget = chosen.lots(visibility.frame, seed), min(SURVEY, most)
+    points = _skin(chosen, lots, budget)
+    if len(points) == 0:
+        return points
+    return _skin(chosen, lots, min(most, int(budget * ENOUGH / max(density(points, diameter), 1.0))))
+
+
+def density(points: SurfacePoints, diameter: float) -> float:
+    """Median over the points of how many lie within a quarter of a diameter, itself among them."""
+    cells = Cells.of(points.positions, 0.3 * diameter)
+    asked = points.thinned(min(1.0, SURVEYED / len(points))).positions
+    return float(np.median(cells.numbers(asked, np.full(len(asked), 0.25 * diameter))))
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """The G Gaussians that give points, in an order that neither shuffling nor a rigid motion changes."""
+
+    index: IntArray
+    means: FloatArray
+    scales: FloatArray
+    axes: FloatArray
+    opacities: FloatArray
+    probabilities: FloatArray
+    weights: FloatArray
+    views: IntArray
+    directions: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @staticmethod
+    def of(
+        gaussians: Gaussians, probability: FloatArray, visibility: Visibility, selected: IntArray, largest: float
+    ) -> _Chosen:
+        scales = _array(gaussians.scales)
+        index = selected[scales[selected].max(axis=1, initial=0.0) <= largest]
+        index = index[canonical_order(gaussians, probability, index)]
+        part = gaussians.select(torch.from_numpy(index))
+        return _Chosen(
+            index=index,
+            means=_array(part.means),
+            scales=np.maximum(scales[index], 1e-12),
+            axes=_array(part.rotations),
+            opacities=_array(part.opacities),
+            probabilities=probability[index],
+            weights=visibility.weights[index],
+            views=visibility.views[index],
+            directions=visibility.directions[index],
+        )
+
+    def lots(self, frame: FloatArray, seed: int) -> Lots:
+        """What is drawn for each in the cameras' frame (3, 4)."""
+        return Lots.draw(self.means @ frame[:, :3].T + frame[:, 3], seed)
+
+    def points(self, positions: FloatArray, normals: FloatArray, owner: IntArray, turns: FloatArray) -> SurfacePoints:
+        """Points whose Gaussians are `owner` (P,), counted in this order."""
+        chances, directions = self.probabilities[owner], self.directions[owner]
+        return SurfacePoints(positions, normals, self.index[owner], chances, directions, turns)
+
+
+def covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:
+    """(P,) whether one of the Gaussians alone is more than half opaque at each position."""
+    inside = np.zeros(len(positions), bool)
+    if len(positions) == 0:
+        return inside
+    squares = 2.0 * np.log(np.maximum(chosen.opacities / 0.5, 1.0))
+    reaches = np.sqrt(squares) * chosen.scales.max(axis=1)
+    cells = Cells.of(positions, max(float(reaches.mean()), 1e-12))
+    cover(cells.table, chosen.means, chosen.axes, chosen.scales, squares, inside)
+    inside[cells.index] = inside.copy()
+    return inside
+
+
+def share_out(shares: FloatArray, budget: int) -> IntArray:
+    """Whole numbers (N,) that sum to `budget`, proportional to non-negative `shares` (N,), by largest remainder."""
+    if len(shares) == 0:
+        return np.zeros(0, np.int64)
+    total = shares.sum()
+    exact = shares * (budget / total) if total > 0 else np.full(len(shares), budget / len(shares))
+    counts = np.floor(exact).astype(np.int64)
+    rest = budget - int(counts.sum())
+    counts[np.argsort(counts - exact, kind="stable")[:rest]] += 1
+    return counts
+
+
+def spread_out(shares: FloatArray, budget: int) -> IntArray:
+    """Whole numbers (N,) that sum to `budget`; over any run of them within 1 of the non-negative `shares` (N,).
+
+    Where N is above the budget, largest remainders would give the largest shares one each and all others none: fruit of
+    small Gaussians would vanish.
+    """
+    total = np.cumsum(shares)
+    if len(shares) == 0 or total[-1] <= 0.0:
+        return share_out(shares, budget)
+    ends = np.floor(total * (budget / total[-1]) + 0.5).astype(np.int64)
+    ends[-1] = budget
+    return np.diff(ends, prepend=0)
+
+
+def canonical_order(gaussians: Gaussians, probability: FloatArray, selected: IntArray) -> IntArray:
+    """Order of the selected Gaussians by opacity, colour, probability and, only among equals, position."""
+    part = gaussians.select(torch.from_numpy(selected))
+    return np.lexsort(
+        (*_array(part.means).T, probability[selected], *_array(part.sh[:, 0]).T, _array(part.opacity_logits))
+    )
+
+
+def _array(tensor: torch.Tensor) -> FloatArray:
+    return tensor.detach().double().cpu().numpy()
+
+
+def turn_towards(normals: FloatArray, directions: FloatArray) -> FloatArray:
+    """The normals (N, 3), each flipped where it points away from its direction (N, 3)."""
+    away = np.einsum("ij,ij->i", normals, directions) < 0.0
+    return np.where(away[:, None], -normals, normals)

@@ -1,0 +1,192 @@
+"""What the cameras see: of each Gaussian by its blending weights, of each fruit by the depths of rendered views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ...progress import Progress, silent
+from ...scene.camera import Camera
+from ...splatting.gaussians import Gaussians
+from ...splatting.kernels.surface import NOTHING
+from ...splatting.rendering.rasterize import accumulate, draw_surface
+from .visibility_kernels import look
+
+FloatArray = NDArray[np.float64]
+
+SEEN_WEIGHT = 0.3
+"""Summed blending weight in pixels from which a view counts as seeing a Gaussian."""
+MOST_PIXELS = 40_000_000
+"""Pixels of all pictures together; larger views are drawn smaller."""
+SPOTS = 48
+"""Pixels looked up on each sphere's disc in each view."""
+RIM = 0.8
+"""Only the disc within this many radii tells what lies behind a sphere: a fit is a little off at its rim."""
+TOLERANCE = 0.5
+"""Radii in front of a sphere's surface from which something is an occluder."""
+LEAST_SHARE = 0.1
+"""Share of a disc with nothing in front from which a view sees a fruit."""
+STOP = 0.3
+"""A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
+SHOWN = 0.25
+"""Blended probability, in thresholds, of a spot that shows a fruit; below it something lies on the fruit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A view drawn from the Gaussians. depth: (H, W) of the surface, as in `SurfaceView`; fruit: (H, W) blended
+    probability Σ α T p."""
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    fruit: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Visibility:
+    """How the views see N Gaussians.
+
+    weights: (N,) pixels drawn by each Gaussian, summed over views; views: (N,) views that see it;
+    directions: (N, 3) weighted mean of the unit directions towards the seeing cameras, zero where none sees it. Its
+    length tells how alike these directions are. frame: (3, 4) of the cameras, see `frame_of`.
+    """
+
+    weights: FloatArray
+    views: NDArray[np.int64]
+    directions: FloatArray
+    frame: FloatArray = field(default_factory=lambda: np.eye(3, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """How C spheres look in the views.
+
+    visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
+    of it; free: the disc's spots with nothing in front, over all views; solidity: the share of these that does not show
+    what is behind the sphere; probabilities: mean blended probability on those that show the sphere, both 1 where no
+    view has a free look; views: how many show at least LEAST_SHARE of the disc.
+    """
+
+    visible_fractions: FloatArray
+    free: FloatArray
+    solidity: FloatArray
+    probabilities: FloatArray
+    views: NDArray[np.int64]
+
+    def select(self, index: NDArray) -> Looks:
+        """The looks at the spheres at `index`."""
+        return Looks(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
+
+
+def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
+    """Sum every view's blending weights α·T into the Gaussians that drew its pixels."""
+    means = gaussians.means.detach().double().cpu().numpy()
+    weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
+    directions = np.zeros((len(means), 3))
+    for index, camera in enumerate(_at_drawing_size(cameras)):
+        progress(index / len(cameras), f"seeing from view {index + 1} of {len(cameras)}")
+        nothing = torch.zeros(camera.height, camera.width, 0)
+        drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
+        towards = camera.center - means
+        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+        weights += drawn
+        views += drawn > SEEN_WEIGHT
+        directions += drawn[:, None] * towards
+    return Visibility(weights, views, directions / np.maximum(weights, 1e-12)[:, None], frame_of(cameras))
+
+
+def frame_of(cameras: Sequence[Camera]) -> FloatArray:
+    """(3, 4) from the world to the frame of the first camera, in units of `distance_of` them: a place keeps its
+    coordinates when scene and cameras are moved alike."""
+    frame: FloatArray = cameras[0].world_to_camera[:3] / distance_of(cameras)
+    return frame
+
+
+def distance_of(cameras: Sequence[Camera]) -> float:
+    """Root mean square distance of the cameras from their middle, scene units; 1 where they stand in one place."""
+    centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
+    if len(centers) < 2:
+        return 1.0
+    return float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean())) or 1.0
+
+
+def draw(
+    gaussians: Gaussians, probability: FloatArray, cameras: Sequence[Camera], *, progress: Progress = silent
+) -> list[Picture]:
+    """Depth and blended probability (N,) in every view."""
+    chances = torch.from_numpy(probability).float()[:, None]
+    pictures = []
+    for index, camera in enumerate(_at_drawing_size(cameras)):
+        progress(index / len(cameras), f"drawing view {index + 1} of {len(cameras)}")
+        drawn = draw_surface(gaussians, camera, chances)
+        pictures.append(Picture(camera, drawn.depth, np.ascontiguousarray(drawn.features[:, :, 0])))
+    return pictures
+
+
+def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray, threshold: float) -> Looks:
+    """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
+    best, sums = _looked(pictures, centers, radii, tolerance=TOLERANCE, stop=STOP, shown=SHOWN * threshold)
+    stopped, free, chance, views = sums.T
+    unknown = free == 0
+    return Looks(
+        visible_fractions=np.where(best < 0.0, np.nan, best),
+        free=free,
+        solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
+        probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
+        views=views.astype(np.int64),
+    )
+
+
+def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
+    """(C,) views that have nothing in front of at least LEAST_SHARE of the disc of each of C spheres, which need not be
+    there: how many would show a fruit in that place."""
+    _, sums = _looked(pictures, centers, radii, tolerance=0.0, stop=float(NOTHING), shown=-1.0)
+    return sums[:, 3].astype(np.int64)
+
+
+def _looked(
+    pictures: Sequence[Picture],
+    centers: FloatArray,
+    radii: FloatArray,
+    *,
+    tolerance: float,
+    stop: float,
+    shown: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see `look_kernels.look`."""
+    disc = np.stack(_disc(SPOTS), axis=1)
+    centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
+    best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
+    for picture in pictures:
+        camera = picture.camera
+        look(
+            picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
+            RIM, tolerance, stop, shown, LEAST_SHARE, best, sums,
+        )  # fmt: skip
+    return best, sums
+
+
+def _disc(count: int) -> tuple[FloatArray, FloatArray]:
+    """(count,) and (count,) coordinates of spots spread evenly over the unit disc (Vogel's spiral)."""
+    index = np.arange(count) + 0.5
+    radius, turn = np.sqrt(index / count), np.pi * (3.0 - 5.0**0.5) * index
+    return radius * np.cos(turn), radius * np.sin(turn)
+
+
+def _at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras, all shrunk by one factor where their pixels together are too many to keep."""
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return [shrunk(camera, min(1.0, (MOST_PIXELS / pixels) ** 0.5)) for camera in cameras]
+
+
+def shrunk(camera: Camera, factor: float) -> Camera:
+    """The same camera with its picture `factor` times as wide and high, in whole pixels."""
+    if factor == 1.0:
+        return camera
+    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
+    return replace(camera, K=K, width=width, height=height)

@@ -1,0 +1,1 @@
+"""Shapes and points: spheres, ellipsoids, neighbour search, matching, random streams."""

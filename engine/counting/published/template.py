@@ -1,0 +1,123 @@
+"""The paper's clustering (section 3.3): DBSCAN, density pruning, and splitting by a template of a fruit.
+
+A cluster is compared with the template by the volume of its alpha shape and, once the template is laid onto it, by
+Hausdorff distance. Where either says that they differ, the cluster is split into the parts that fit best, and those of
+them that still differ again, until no split fits better. γ of a cluster is the number of templates laid onto it; a
+cluster is a single fruit, a small one, or a compound. Every length is in fruit diameters, which the scene gives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...progress import Progress, silent
+from ..evidence.candidates import Skin
+from ..evidence.cluster import Clusters
+from ..evidence.surface_points import SurfacePoints
+from .density import Density, dense_clusters
+from .findings import Finding, clusters_of
+from .parts import Cloud, Part, best_split
+from .registration import register
+from .template_shape import Template, ball, cut_out
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LINK = 0.22
+"""DBSCAN's ε in diameters."""
+CORE_SHARE = 0.25
+"""DBSCAN's min_samples, as a share of the usual number of neighbours within ε."""
+THIN = 0.3
+"""A cluster is pruned when half of its points have less than this share of the usual number of neighbours."""
+SMALLEST_VOLUME, LEAST_VOLUME, SPLIT_VOLUME = 0.1, 0.3, 0.9
+"""In template volumes: the least of a small fruit, the least of a single one, and the most of it (the last two are
+FruitNeRF's, Meyer et al. 2024, and so is the first, for its second real tree)."""
+MOST_PARTS = 60
+"""Into which a cluster is split at once, or into as many as 0.3 template volumes each allow."""
+MISMATCH = 0.2
+"""A cluster whose points lie farther than this from the template is split, whatever its volume."""
+SMALL_OFF = 0.12
+"""Points of a small fruit lie on the template up to this; those of leaves and twigs do not."""
+TYPICAL = (0.7, 1.2)
+"""In volumes of a ball, what a fruit that shows from most sides has."""
+BARE = 0.25
+"""How far the ball's points may lie from those of a fruit that shows from most sides."""
+TRIED = 8
+"""Single fruit of which the most typical becomes the template."""
+FEWEST = 3
+"""Single fruit without which the template is a ball."""
+
+
+def split_by_template(
+    points: SurfacePoints, diameter: float, template: Template | None = None, *, progress: Progress = silent
+) -> Clusters:
+    """Cluster the points and lay templates of `diameter` scene units onto each cluster.
+
+    template: the fruit's shape; without one, the scene's most typical single fruit.
+    """
+    skin = Skin.of(points, diameter)
+    positions = skin.points.positions / diameter
+    density = Density.of(positions, LINK)
+    clusters = dense_clusters(positions, LINK, density, CORE_SHARE)
+    cloud = Cloud(positions, positions - 0.5 * skin.normals, ball())
+    cloud = replace(cloud, template=template or typical_fruit(cloud, clusters))
+    findings = []
+    for number, index in enumerate(clusters):
+        progress(number / len(clusters), f"laying the template onto cluster {number + 1} of {len(clusters)}")
+        findings.append(judged(cloud, index, float(np.median(density.numbers[index])) / density.usual))
+    return clusters_of(skin, diameter, findings)
+
+
+def judged(cloud: Cloud, index: IntArray, dense: float) -> Finding:
+    """What the points at `index` are; dense: the usual number of their neighbours, as a share of the scene's."""
+    if dense < THIN:
+        return Finding.dropped(
+            index, f"its points lie thinner than fruit: {dense:.2f} of the usual density ({THIN} is asked)"
+        )
+    volume = cloud.volume(index)
+    if volume < SMALLEST_VOLUME:
+        return Finding.dropped(index, f"its alpha shape has {volume:.2f} template volumes ({SMALLEST_VOLUME} is asked)")
+    if volume >= LEAST_VOLUME:
+        return Finding.kept(index, volume, fitted(cloud, index))
+    small = cloud.part(index, small=True)
+    if small.fit.off > SMALL_OFF:
+        return Finding.dropped(
+            index,
+            f"its alpha shape has {volume:.2f} template volumes and its points are {small.fit.off:.2f} diameters off "
+            f"the aligned template (a small fruit's at most {SMALL_OFF})",
+        )
+    return Finding.kept(index, volume, [small])
+
+
+def fitted(cloud: Cloud, index: IntArray) -> list[Part]:
+    """The fruit that the points at `index` are made of."""
+    whole, volume = cloud.part(index), cloud.volume(index)
+    if volume <= SPLIT_VOLUME and whole.fit.off <= MISMATCH:
+        return [whole]
+    parts = best_split(cloud, index, min(MOST_PARTS, math.ceil(volume / LEAST_VOLUME)))
+    if len(parts) == 1:
+        return parts
+    return [each for part in parts for each in (fitted(cloud, part.index) if part.fit.off > MISMATCH else [part])]
+
+
+def typical_fruit(cloud: Cloud, clusters: Sequence[IntArray]) -> Template:
+    """The single fruit whose shape is nearest to the others', of those that show most; a ball where there are none.
+
+    cloud: with a ball as its template, which tells what is a single fruit.
+    """
+    sized = [index for index in clusters if TYPICAL[0] < cloud.volume(index) < TYPICAL[1]]
+    single = [part for part in map(cloud.part, sized) if part.fit.off < MISMATCH and part.fit.bare < BARE]
+    whole = sorted(single, key=lambda part: part.fit.bare)[:TRIED]
+    if len(whole) < FEWEST:
+        return cloud.template
+    shapes = [cut_out(cloud.positions[part.index]) for part in whole]
+    apart = [
+        sum(register(other.points, shape, np.zeros(3)).hausdorff for other in shapes if other is not shape)
+        for shape in shapes
+    ]
+    return shapes[int(np.argmin(apart))]

@@ -1,0 +1,1 @@
+"""Where fruit are counted: region of interest, trees of a row, ground."""

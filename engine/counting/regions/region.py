@@ -1,0 +1,168 @@
+"""The part of a scene that is counted in: everything, a box, or an outline seen from above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config import CountConfig
+from ...errors import ConfigError
+from ..evidence.cluster import Clusters
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+REACH = 2.0
+"""Mean diameters around a region from which points are taken, so that no fruit at its border is cut."""
+LEAST_AREA = 1e-9
+"""Of the square around an outline; what has less is a line."""
+
+
+class Region(Protocol):
+    """Which points of the scene's frame are counted."""
+
+    def contains(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
+        """(N,) whether each of the points (N, 3) lies inside or no farther outside than `margin`, scene units."""
+        ...
+
+
+@dataclass(frozen=True)
+class Everywhere:
+    """All of space."""
+
+    def contains(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
+        return np.ones(len(points), bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """low, high: (3,) opposite corners, along the axes of the scene's frame; its border belongs to it."""
+
+    low: FloatArray
+    high: FloatArray
+
+    def contains(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
+        return ((points >= self.low - margin) & (points <= self.high + margin)).all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Prism:
+    """What lies over and under an outline, between two heights. axes: (2, 3) unit vectors of the level; corners: (C, 2)
+    the outline along them, in order; up: (3,) unit; heights: lowest and highest p · up, without end where not given."""
+
+    axes: FloatArray
+    corners: FloatArray
+    up: FloatArray
+    heights: tuple[float, float] = (-np.inf, np.inf)
+
+    @staticmethod
+    def over(corners: FloatArray, up: FloatArray, heights: tuple[float, float] | None = None) -> Prism:
+        """The prism along unit `up` (3,) over the outline `corners` (C, 3), which may end where it began.
+
+        Raises:
+            ConfigError: the outline has no area or crosses itself.
+        """
+        axes = np.linalg.svd(up[None])[2][1:]
+        level = corners @ axes.T
+        level = level[(level != np.roll(level, 1, axis=0)).any(axis=1)]
+        prism = Prism(axes, level, up, heights or (-np.inf, np.inf))
+        size = np.ptp(corners, axis=0).max()
+        if len(level) < 3 or abs(prism.area) <= LEAST_AREA * size**2:
+            raise ConfigError("--count.polygon has no area seen from above; give three or more corners not in line")
+        if prism.crosses_itself():
+            raise ConfigError("--count.polygon crosses itself; give its corners in order around the outline")
+        return prism
+
+    @property
+    def area(self) -> float:
+        """Signed, by the direction in which the corners go around."""
+        x, y = (self.corners - self.corners[0]).T
+        return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+
+    def crosses_itself(self) -> bool:
+        """Whether two sides that are not neighbours meet."""
+        starts, ends = self.corners, np.roll(self.corners, -1, axis=0)
+        sides = len(starts)
+        return any(
+            _meet(starts[i], ends[i], starts[j], ends[j])
+            for i in range(sides)
+            for j in range(i + 2, sides)
+            if (i, j) != (0, sides - 1)
+        )
+
+    def contains(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
+        x, y = (points @ self.axes.T).T
+        inside, near = np.zeros(len(points), bool), np.full(len(points), np.inf)
+        for (ax, ay), (bx, by) in zip(self.corners, np.roll(self.corners, -1, axis=0), strict=True):
+            if ay != by:
+                inside ^= ((ay > y) != (by > y)) & (x < ax + (bx - ax) * (y - ay) / (by - ay))
+            if margin > 0.0:
+                side = np.array([bx - ax, by - ay])
+                along = np.clip(((x - ax) * side[0] + (y - ay) * side[1]) / (side @ side), 0.0, 1.0)
+                near = np.minimum(near, np.hypot(x - ax - along * side[0], y - ay - along * side[1]))
+        height, (low, high) = points @ self.up, self.heights
+        return (inside | (near <= margin)) & (height >= low - margin) & (height <= high + margin)
+
+
+def region_of(config: CountConfig, up: FloatArray) -> Region:
+    """Where the settings say to count; up: (3,) away from the ground, in the scene's frame.
+
+    Raises:
+        ConfigError: the outline has no area or crosses itself.
+    """
+    if config.box is not None:
+        corners = np.array(config.box).reshape(2, 3)
+        return Box(corners.min(axis=0), corners.max(axis=0))
+    if config.polygon is not None:
+        return Prism.over(np.array(config.polygon).reshape(-1, 3), up, config.heights)
+    return Everywhere()
+
+
+def keep_inside(clusters: Clusters, region: Region) -> Clusters:
+    """The clusters without the fruit whose centres lie outside, and without points that are no kept fruit's and lie
+    outside."""
+    kept = region.contains(clusters.spheres.centers)
+    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+    shown = np.where(clusters.owners < 0, region.contains(clusters.points.positions), numbers[clusters.owners] >= 0)
+    lost = np.unique(clusters.components[(clusters.owners >= 0) & ~shown]).tolist()
+    told = {component: "its fruit lie outside the region" for component in lost} | dict(clusters.refusals)
+    names, components = np.unique(clusters.components[shown], return_inverse=True)
+    return replace(
+        clusters,
+        points=clusters.points.select(shown),
+        spheres=clusters.spheres.select(kept),
+        owners=numbers[clusters.owners[shown]],
+        components=components.astype(np.int64),
+        probabilities=clusters.probabilities[kept],
+        refusals={new: told[old] for new, old in enumerate(names.tolist()) if old in told},
+        findings={new: clusters.findings[old] for new, old in enumerate(names.tolist()) if old in clusters.findings},
+        small=frozenset(int(numbers[index]) for index in clusters.small if kept[index]),
+        axes=None if clusters.axes is None else clusters.axes[kept],
+    )
+
+
+def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+    """Whether the sides a-b and c-d, (2,) each, have a point in common."""
+    turns = [_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b)]
+    if turns[0] * turns[1] < 0.0 and turns[2] * turns[3] < 0.0:
+        return True
+    touching = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(turn == 0.0 and _between(*corners) for turn, corners in zip(turns, touching, strict=True))
+
+
+def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """Positive where a, b, c turn left, 0 where they lie in a line."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _between(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
+    """Whether c, on the line through a and b, lies between them."""
+    return bool((c >= np.minimum(a, b)).all() and (c <= np.maximum(a, b)).all())
+
+
+def spaced(place: FloatArray) -> str:
+    """A place (3,) as flags take it."""
+    return " ".join(f"{value:.3g}" for value in place)

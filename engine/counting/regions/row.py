@@ -1,0 +1,119 @@
+"""Trees of a row: where each stands, and which fruit are its own."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.mixture import GaussianMixture
+
+from ...config import CountConfig
+from ...errors import ConfigError, CountingError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+STEEPEST = 0.995
+"""Of the distance between two trees that lies along up: on no slope do trees stand so much above one another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """T trees in the order of their numbers, from 1. places: (T, 3) in the scene's frame; numbers: (F,) the tree of
+    each fruit, or NO_TREE."""
+
+    places: FloatArray
+    numbers: IntArray
+
+
+def check_trees(config: CountConfig, up: FloatArray) -> None:
+    """Refuse trees that stand above one another along up (3,): fruit belong to trees by where they are seen from above.
+
+    Raises:
+        ConfigError: two of `config.tree_places` do.
+    """
+    places = np.array(config.tree_places or ()).reshape(-1, 3)
+    for number in range(1, len(places)):
+        between = places[:number] - places[number]
+        above = np.abs(between @ up) >= STEEPEST * np.linalg.norm(up) * np.linalg.norm(between, axis=1)
+        if above.any():
+            raise ConfigError(
+                f"--count.tree-places: trees {int(above.argmax()) + 1} and {number + 1} stand above one another, in "
+                "one place as seen from above; give the place of every tree's own foot"
+            )
+
+
+def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right: FloatArray) -> Row | None:
+    """Which tree of the row each of F fruit belongs to; None where no trees were asked for, or where they are to be
+    found and there is no fruit to find them by.
+
+    Trees that are given keep their order. Others are sought along the direction in which the fruit spread most: a
+    mixture of normal distributions of one width, started from k-means; they stand amid their fruit.
+
+    Args:
+        centers: (F, 3) of the fruit, scene units.
+        up: (3,) unit, away from the ground; right: (3,) where the row goes on, as the first camera sees it.
+
+    Raises:
+        CountingError: there are fewer fruit than trees to be found, or they hang in fewer places along the row.
+    """
+    level = centers - np.outer(centers @ up, up)
+    if config.tree_places is not None:
+        places = np.array(config.tree_places).reshape(-1, 3)
+        return Row(places, nearest_along(level, places - np.outer(places @ up, up)) + 1)
+    if config.trees == 0 or len(centers) == 0:
+        return None
+    if len(centers) < config.trees:
+        raise CountingError(
+            f"--count.trees asks for {config.trees} trees and only {len(centers)} fruit were counted, too few to find "
+            "them by; say where the trees stand with --count.tree-places"
+        )
+    axis = _main_axis(level)
+    along = level @ (axis if axis @ right >= 0.0 else -axis)
+    stations = _stations(along, config.trees, config.seed)
+    nearest = np.abs(along[:, None] - stations).argmin(axis=1)
+    found = len(np.unique(nearest))
+    if found < config.trees:
+        raise CountingError(
+            f"--count.trees asks for {config.trees} trees and the fruit hang about {found} places along the row only; "
+            "ask for fewer, or say where the trees stand with --count.tree-places"
+        )
+    places = np.array([centers[nearest == tree].mean(axis=0) for tree in range(config.trees)])
+    return Row(places, nearest.astype(np.int64) + 1)
+
+
+def nearest_along(centers: FloatArray, places: FloatArray) -> IntArray:
+    """(F,) index of the place (T, 3) that each centre (F, 3) is nearest to along the row, -1 none.
+
+    The row's direction is the places' own; what lies more than half a spacing beyond the last place belongs to none. A
+    lone place takes everything.
+    """
+    if len(places) == 0:
+        return np.full(len(centers), -1, np.int64)
+    if len(places) == 1:
+        return np.zeros(len(centers), np.int64)
+    axis = _main_axis(places)
+    along, stations = centers @ axis, places @ axis
+    beyond = 0.5 * float(np.median(np.diff(np.sort(stations))))
+    reachable = (along >= stations.min() - beyond) & (along <= stations.max() + beyond)
+    return np.where(reachable, np.abs(along[:, None] - stations).argmin(axis=1), -1)
+
+
+def _main_axis(places: FloatArray) -> FloatArray:
+    """(3,) unit vector along which the places (N, 3) spread most."""
+    return np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2][0]
+
+
+def _stations(along: FloatArray, trees: int, seed: int) -> FloatArray:
+    """(T,) where the trees stand along the row, ascending, from where their fruit hang (F,)."""
+    unit = float(np.ptp(along)) or 1.0
+    places = (np.sort(along)[:, None] - along.min()) / unit  # in order, so that shuffling changes nothing
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # of fruit that hang in fewer places than there are trees
+        start = KMeans(trees, n_init=10, random_state=seed).fit(places).cluster_centers_
+        mixture = GaussianMixture(trees, covariance_type="tied", means_init=start, random_state=seed).fit(places)
+    return np.sort(mixture.means_[:, 0]) * unit + along.min()

@@ -1,0 +1,1 @@
+"""Encoders of photos and words: the embedded network, CLIP and SigLIP."""

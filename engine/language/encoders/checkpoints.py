@@ -1,0 +1,261 @@
+"""Pretrained models of `transformers`, opened from a folder or, with consent, from the Hugging Face hub.
+
+Only safetensors are read: a pickle runs whatever its author wrote into it. Without consent nothing asks the network.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...errors import EncoderError
+from ...files import files_hash
+from ...user_folders import checkpoints_folder
+
+_INSTALL = "python -m pip install 'transformers>=5'"
+_WEIGHTS = ("model.safetensors", "model.safetensors.index.json")
+_PICKLES = (".bin", ".pt", ".pth", ".ckpt", ".pkl")
+_PICTURES = ("preprocessor_config.json", "processor_config.json")
+_WORDS = ("tokenizer.json", "vocab.json", "spiece.model")
+_HUB_FILES = ("*.json", "merges.txt", "spiece.model", "model.safetensors", "model-*-of-*.safetensors")
+_CONVERTED = "Adding `safetensors` variant of this model"
+"""Title of the change that Hugging Face's own converter proposes to a repository that holds only a pickle."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a checkpoint must be.
+
+    name: for messages; flag: the setting that names it; types: `model_type` of its config.json; speaks: whether it
+    takes words, so that it needs a tokenizer.
+    """
+
+    name: str
+    flag: str
+    types: tuple[str, ...]
+    speaks: bool
+
+    @property
+    def files(self) -> str:
+        """What has to be in its folder, as told to a person."""
+        words = ", tokenizer_config.json and tokenizer.json (or vocab.json with merges.txt)"
+        pictures = "config.json, model.safetensors and preprocessor_config.json"
+        return pictures.replace(" and ", ", ") + words if self.speaks else pictures
+
+
+CLIP = Kind("CLIP or SigLIP", "--embed.clip", ("clip", "siglip"), speaks=True)
+SAM = Kind("SAM", "--embed.sam", ("sam",), speaks=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """An opened model, on the GPU in half precision where there is one.
+
+    model: the transformers model, in evaluation mode; pictures: its image processor; words: its tokenizer, None where
+    it takes none; identity: name and a hash of the contents of its files.
+    """
+
+    model: Any
+    pictures: Any
+    words: Any
+    identity: str
+
+
+def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoint:
+    """Open the checkpoint that a local folder or a name on the hub stands for.
+
+    Raises:
+        EncoderError: it is not on this computer and may not be downloaded, is of another kind, holds a pickle, lacks
+            files or is damaged; or transformers is not installed.
+    """
+    try:
+        import transformers
+    except ImportError as error:
+        raise EncoderError(f"{kind.name} needs the package transformers ({error}); run: {_INSTALL}") from error
+    folder = _folder(kind, name, allow_download)
+    used = _checked_files(kind, folder)
+    with _quiet(transformers), _told(kind, folder):
+        model, report = transformers.AutoModel.from_pretrained(
+            folder,
+            local_files_only=True,
+            trust_remote_code=False,
+            use_safetensors=True,
+            output_loading_info=True,
+            ignore_mismatched_sizes=True,  # they are in the report, which is looked at below
+            dtype="float32",
+        )
+        pictures = transformers.AutoImageProcessor.from_pretrained(folder, local_files_only=True, backend="pil")
+        words = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True) if kind.speaks else None
+    absent = sorted(map(str, [*report["missing_keys"], *report["mismatched_keys"]]))
+    if absent:
+        raise EncoderError(
+            f"the weights in {folder} do not fit its config.json ({len(absent)} tensors are missing or of another size,"
+            f" first {absent[0]}); get both from the same place"
+        )
+    identity = f"{Path(name).name}-{files_hash(used, folder)[:16]}"
+    return Checkpoint(_placed(model.eval()), pictures, words, identity)
+
+
+def _folder(kind: Kind, name: str, allow_download: bool) -> Path:
+    """The folder of a checkpoint: as given, where it was put or downloaded to, or in the hub's own cache."""
+    given = Path(name).expanduser()
+    if name.strip() and given.is_dir():
+        return given
+    if not re.fullmatch(r"[\w-][\w.-]*(/[\w-][\w.-]*)?", name):
+        raise EncoderError(
+            f"{kind.flag} is '{name}', which is no folder; give a folder that holds {kind.files}, or a name on the "
+            "Hugging Face hub"
+        )
+    own = checkpoints_folder() / name
+    if own.is_dir():
+        return own
+    cached = _in_hub_cache(name)
+    if cached is not None:
+        return cached
+    if not allow_download:
+        raise EncoderError(
+            f"the {kind.name} checkpoint '{name}' is not on this computer; allow its download with --allow-download "
+            f"(in Blender with Allow Download and online access), or put {kind.files} from "
+            f"https://huggingface.co/{name} into {own}, or name another folder with {kind.flag}"
+        )
+    _download(kind, name, own)
+    return own
+
+
+def _in_hub_cache(name: str) -> Path | None:
+    """Where huggingface_hub keeps a checkpoint that another program downloaded; None where it has none to use."""
+    import huggingface_hub
+    from huggingface_hub.errors import HfHubHTTPError, LocalEntryNotFoundError
+
+    try:
+        folder = Path(huggingface_hub.snapshot_download(name, local_files_only=True))
+    except (OSError, ValueError, HfHubHTTPError, LocalEntryNotFoundError):
+        return None
+    return folder if any((folder / weights).is_file() for weights in _WEIGHTS) else None
+
+
+def _download(kind: Kind, name: str, own: Path) -> None:
+    """Bring a checkpoint from the hub into `own`; what a killed download left beside it is gone on with."""
+    import huggingface_hub
+
+    arriving = own.with_name(f"{own.name}.part")
+    try:
+        huggingface_hub.snapshot_download(
+            name, revision=_safe_revision(name), local_dir=arriving, allow_patterns=list(_HUB_FILES)
+        )
+        os.replace(arriving, own)
+    except Exception as error:  # of the hub, of its network library, or of the disk
+        raise EncoderError(
+            f"the {kind.name} checkpoint '{name}' cannot be downloaded ({_first_line(error)}); or put {kind.files} "
+            f"from https://huggingface.co/{name} into {own}"
+        ) from error
+
+
+def _safe_revision(name: str) -> str:
+    """The revision of a repository that has safetensors: the main one, or the converter's proposal."""
+    import huggingface_hub
+
+    hub = huggingface_hub.HfApi()
+    if set(_WEIGHTS) & set(hub.list_repo_files(name)):
+        return "main"
+    for proposal in hub.get_repo_discussions(name, author="SFconvertbot", discussion_type="pull_request"):
+        if proposal.title == _CONVERTED:
+            return f"refs/pr/{proposal.num}"
+    raise ValueError("it holds no safetensors, only a pickle, which is not opened")
+
+
+def _checked_files(kind: Kind, folder: Path) -> list[Path]:
+    """The files that make up a checkpoint, sorted, once its kind and its files are what they must be."""
+    try:
+        model_type = json.loads((folder / "config.json").read_text(encoding="utf-8"))["model_type"]
+    except FileNotFoundError as error:
+        raise EncoderError(f"{folder} holds no config.json; put {kind.files} there") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise EncoderError(f"{folder / 'config.json'} cannot be read ({_first_line(error)}); get it again") from error
+    if model_type not in kind.types:
+        raise EncoderError(
+            f"the checkpoint in {folder} is of the type '{model_type}', not {' or '.join(kind.types)}; give a "
+            f"{kind.name} checkpoint with {kind.flag}"
+        )
+    present = {path.name for path in folder.iterdir() if path.is_file()}
+    if not present & set(_WEIGHTS):
+        pickles = sorted(name for name in present if name.endswith(_PICKLES))
+        if pickles:
+            raise EncoderError(
+                f"the weights {folder / pickles[0]} are a pickle, which can run any program when opened; if you trust "
+                f"it, convert it once: {_conversion(folder)}"
+            )
+        raise EncoderError(f"{folder} holds no model.safetensors; put {kind.files} there")
+    if not present & set(_PICTURES):
+        raise EncoderError(f"{folder} holds no preprocessor_config.json; put {kind.files} there")
+    if kind.speaks and not present & set(_WORDS):
+        raise EncoderError(f"{folder} holds no tokenizer (tokenizer.json); put {kind.files} there")
+    kinds = (".json", ".txt", ".model", ".safetensors")
+    return sorted(folder / name for name in present if name.endswith(kinds))
+
+
+def _conversion(folder: Path) -> str:
+    """A line for a terminal that writes a pickle's tensors as safetensors beside it."""
+    code = f"from transformers import AutoModel as M; M.from_pretrained(r'{folder}').save_pretrained(r'{folder}')"
+    return f'python -c "{code}"'
+
+
+def _placed(model: Any) -> Any:
+    import torch
+
+    return model.half().cuda() if torch.cuda.is_available() else model
+
+
+@contextmanager
+def fitting(kind: Kind, name: str) -> Iterator[None]:
+    """Turn what goes wrong when a model is first used into an error: its files are of different models."""
+    try:
+        yield
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise EncoderError(
+            f"the files of the {kind.name} checkpoint {name} do not fit each other ({_first_line(error)}); get all of "
+            "them from one place"
+        ) from error
+
+
+@contextmanager
+def _told(kind: Kind, folder: Path) -> Iterator[None]:
+    """Turn whatever transformers raises about a damaged checkpoint into one line that says what to do."""
+    try:
+        yield
+    except ImportError as error:
+        raise EncoderError(
+            f"the checkpoint in {folder} needs a package that is missing ({_first_line(error)}); run: python -m pip "
+            "install sentencepiece protobuf"
+        ) from error
+    except Exception as error:  # safetensors, tokenizers, hub and torch each have their own, with no common base
+        raise EncoderError(
+            f"the {kind.name} checkpoint in {folder} cannot be opened ({_first_line(error)}); get its files again: "
+            f"{kind.files}"
+        ) from error
+
+
+@contextmanager
+def _quiet(transformers: Any) -> Iterator[None]:
+    """Keep transformers' bars and warnings off the terminal: what matters becomes an error of ours."""
+    log = transformers.utils.logging
+    verbosity, bars = log.get_verbosity(), log.is_progress_bar_enabled()
+    log.set_verbosity(log.CRITICAL)
+    log.disable_progress_bar()
+    try:
+        yield
+    finally:
+        log.set_verbosity(verbosity)
+        if bars:
+            log.enable_progress_bar()
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__

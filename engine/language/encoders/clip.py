@@ -1,0 +1,141 @@
+"""CLIP and SigLIP: any word, for a photo's things one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from ...errors import EncoderError, VocabularyError
+from .checkpoints import CLIP, Checkpoint, fitting, open_checkpoint
+from .encoder import Question
+
+TEMPLATE = "a photo of {article} {words}"
+"""What a prompt is put into: these models learnt from captions."""
+NEGATIVES = {
+    "object": "objects",
+    "thing": "things",
+    "leaf": "leaves",
+    "branch": "branches",
+    "trunk": "trunks",
+    "soil": "soils",
+    "grass": "grasses",
+    "sky": "skies",
+    "post": "posts",
+    "background": "backgrounds",
+}
+"""What every prompt is put against, with the plural: a negative that is the prompt itself is left out."""
+TEMPERATURE = 0.1
+"""Of the margin between cosines; LangSplat's 1/T is 10 (Qin et al. 2024, eq. 8)."""
+BATCH = 32
+"""Crops that the model sees at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClipEncoder:
+    """A crop encoder (see `CropEncoder`) on a checkpoint that `open` looked at."""
+
+    checkpoint: Checkpoint
+    dimension: int
+    _read: dict[str, Tensor] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def open(cls, name: str, *, allow_download: bool = False) -> ClipEncoder:
+        """Open a ViT CLIP or SigLIP checkpoint by local folder or hub name.
+
+        Raises:
+            EncoderError: it is missing, unsafe, damaged, or does not do what a checkpoint of its kind must.
+        """
+        checkpoint = open_checkpoint(CLIP, name, allow_download=allow_download)
+        with fitting(CLIP, name):
+            words = cls(checkpoint, 0).encode_text(["object"]).shape[-1]
+            pictures = cls(checkpoint, 0).encode_crops([np.zeros((8, 8, 3), np.uint8)]).shape[-1]
+        if words != pictures:
+            raise EncoderError(
+                f"the checkpoint {name} gives words {words} numbers and pictures {pictures}; a {CLIP.name} checkpoint "
+                "puts both into one space: give another one with --embed.clip"
+            )
+        return cls(checkpoint, words)
+
+    @property
+    def identity(self) -> str:
+        return self.checkpoint.identity
+
+    @torch.inference_mode()
+    def encode_text(self, prompts: Sequence[str]) -> Tensor:
+        """(P, D) unit float32.
+
+        Raises:
+            VocabularyError: a prompt is empty, or longer than the model can take.
+        """
+        model, words = self.checkpoint.model, self.checkpoint.words
+        limit = model.config.text_config.max_position_embeddings
+        vectors = [torch.zeros(0, self.dimension)]
+        for prompt in prompts:
+            sentence = _sentence(prompt)
+            if sentence not in self._read:  # alone, so that a word's bits do not hang on those asked beside it
+                length = len(words(sentence)["input_ids"])
+                if length > limit:
+                    raise VocabularyError(
+                        f"the prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}; "
+                        "say it shorter"
+                    )
+                # SigLIP learnt from texts of full length; to CLIP what follows a text's end makes no difference.
+                tokens = words([sentence], padding="max_length", max_length=limit, return_tensors="pt")
+                self._read[sentence] = _unit(model.get_text_features(tokens["input_ids"].to(model.device)))
+            vectors.append(self._read[sentence])
+        return torch.cat(vectors[1:] if len(prompts) else vectors)
+
+    @torch.inference_mode()
+    def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:
+        """Pictures (h, w, 3) sRGB, square so that nothing is cut off → (M, D) unit float32."""
+        model = self.checkpoint.model
+        vectors = [torch.zeros(0, self.dimension)]
+        for start in range(0, len(crops), BATCH):
+            shown = self.checkpoint.pictures(images=list(crops[start : start + BATCH]), return_tensors="pt")
+            vectors.append(_unit(model.get_image_features(shown["pixel_values"].to(model.device, model.dtype))))
+        return torch.cat(vectors[1:] if len(crops) else vectors)
+
+    def questions(self, prompt: str) -> Sequence[Question]:
+        """One: is it this rather than any of the negatives."""
+        text = _normalised(prompt)
+        against = [word for word, plural in NEGATIVES.items() if text not in (word, plural)]
+        positive, negatives = self.encode_text([prompt]), self.encode_text(against)
+        return [Question(positive, negatives, "cosine", TEMPERATURE, 0.0)]
+
+    def kinds(self) -> Tensor:
+        """None: the cosines of these models are no probabilities."""
+        return torch.zeros(0, self.dimension)
+
+    def excludes(self, prompt: str, negative: str) -> bool:
+        return _normalised(prompt) == _normalised(negative)
+
+
+def _normalised(prompt: str) -> str:
+    """Small letters, single blanks, no article.
+
+    Raises:
+        VocabularyError: nothing is left.
+    """
+    words = prompt.casefold().split()
+    while words and words[0] in ("a", "an", "the"):
+        words = words[1:]
+    if not words:
+        raise VocabularyError(f"the prompt '{prompt}' holds no word; say what to count, for example apple")
+    return " ".join(words)
+
+
+def _sentence(prompt: str) -> str:
+    words = _normalised(prompt)
+    return TEMPLATE.format(article="an" if words[0] in "aeiou" else "a", words=words)
+
+
+def _unit(output: Any) -> Tensor:
+    """(M, D) unit float32 on the CPU of what the model gives."""
+    return functional.normalize(output.pooler_output.float(), dim=-1).cpu()

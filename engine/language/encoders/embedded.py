@@ -1,0 +1,255 @@
+"""The encoder that ships with the package: a small dense network and a fixed vocabulary.
+
+A feature has two blocks of unit length, joined with weights √½: the square roots of the concepts' probabilities, and
+the square roots of the colour words' shares. A text vector is a basis vector of its block, so the squared cosine of a
+pixel with "apple", over the sum of squares in the block, is the network's probability of apple. Square roots keep this
+useful after averaging over views: the mean of unit vectors still points to what most views agreed on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from torch import Tensor
+from torch.nn import functional
+
+from ...errors import EncoderError
+from ...files import write_tensors
+from ..colours import colour_words
+from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
+from .encoder import Question
+from .network import Network, logits_at
+
+WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
+FORMAT = "fruitlangs-embedded-2"
+SEEN_SIDE = 960
+"""Longest side of a photo as the network sees it, pixels; small photos are enlarged, at most twice."""
+MAX_SIDE = 1600
+"""Longest side of the features; larger photos are shrunk first."""
+COLOUR_BLUR = 2
+"""Colours are averaged over (2·this + 1)² pixels before they are named."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Fitted on held-out renders and photos: temperature and bias of "is it fruit", temperature of "which kind"."""
+
+    temperature: float = 1.0
+    bias: float = 0.0
+    kind_temperature: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class EmbeddedEncoder:
+    """See the module's text. `network` is fused and in evaluation mode."""
+
+    network: Network
+    calibration: Calibration
+    identity: str
+
+    @classmethod
+    def open(cls, path: Path = WEIGHTS) -> EmbeddedEncoder:
+        """Read weights written by `save_weights`.
+
+        Raises:
+            EncoderError: they are missing, damaged, or made for other words.
+        """
+        stored = read_weights(path)
+        if stored.concepts != CONCEPTS:
+            raise EncoderError(
+                f"the encoder's weights {path} were made for another vocabulary; train them again with "
+                "scripts/train_encoder.py"
+            )
+        network = stored.network()
+        calibration = stored.calibration
+        fingerprint = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        return cls(network.fuse(), calibration, f"embedded-{fingerprint}")
+
+    @property
+    def dimension(self) -> int:
+        return len(CONCEPTS) + len(COLOURS)
+
+    def encode_text(self, prompts: Sequence[str]) -> Tensor:
+        """(P, D) unit vectors: the sum of the words' vectors, normalised."""
+        vectors = torch.zeros(len(prompts), self.dimension)
+        for row, phrase in enumerate(map(parse, prompts)):
+            vectors[row] = sum(
+                (functional.normalize(_basis(words, block).sum(0), dim=0) for words, block in _parts(phrase)),
+                start=torch.zeros(self.dimension),
+            )
+        return functional.normalize(vectors, dim=-1)
+
+    @torch.inference_mode()
+    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
+        """(H, W, 3) sRGB → (H', W', D), of the photo's size unless its longer side is above MAX_SIDE."""
+        pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255.0
+        shrink = min(1.0, MAX_SIDE / max(pixels.shape[-2:]))
+        if shrink < 1.0:
+            pixels = _resized(pixels, shrink)
+        concepts = self.concept_logits(pixels).softmax(0)
+        colours = colour_words(_blurred(pixels).permute(1, 2, 0))
+        return torch.cat([concepts.permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
+
+    @torch.inference_mode()
+    def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
+        """(3, H, W) in [0, 1] → (K, H, W): the network's logits, averaged over the scales it is shown."""
+        _, height, width = pixels.shape
+        total = torch.zeros(len(CONCEPTS), height, width)
+        used = scales or seen_scales(height, width)
+        for scale in used:
+            logits = logits_at(self.network, pixels, max(1, round(height * scale)), max(1, round(width * scale)))
+            if logits.shape[-2:] != (height, width):
+                logits = functional.interpolate(logits[None], (height, width), mode="bilinear", antialias=True)[0]
+            total += logits / len(used)
+        return total
+
+    def questions(self, prompt: str) -> Sequence[Question]:
+        """For a fruit: is it fruit rather than surroundings, and is it this kind rather than another.
+
+        For another thing: is it this rather than anything else. For a colour: is it this rather than another; of fruit,
+        rather than another that fruit have.
+        """
+        phrase, fit = parse(prompt), self.calibration
+        asked = []
+        of_fruit = bool(phrase.concepts) and set(phrase.concepts) <= set(FRUITS)
+        if of_fruit:
+            asked.append(_question(FRUITS, SURROUNDINGS, CONCEPTS, fit.temperature, fit.bias))
+            if phrase.concepts != FRUITS:
+                asked.append(_question(phrase.concepts, FRUITS, CONCEPTS, fit.kind_temperature))
+        elif phrase.concepts:
+            asked.append(_question(phrase.concepts, CONCEPTS, CONCEPTS))
+        if phrase.colours:
+            against = FRUIT_COLOURS if of_fruit and set(phrase.colours) <= set(FRUIT_COLOURS) else COLOURS
+            asked.append(_question(phrase.colours, against, COLOURS))
+        return asked
+
+    def kinds(self) -> Tensor:
+        return _basis(FRUITS, CONCEPTS)
+
+    def excludes(self, prompt: str, negative: str) -> bool:
+        return parse(prompt).within(parse(negative))
+
+
+@dataclass(frozen=True, eq=False)
+class StoredWeights:
+    """What `save_weights` wrote. notes: whatever else stands in the header."""
+
+    concepts: tuple[str, ...]
+    widths: tuple[int, ...]
+    depths: tuple[int, ...]
+    calibration: Calibration
+    tensors: Mapping[str, Tensor]
+    notes: Mapping[str, Any]
+
+    def network(self) -> Network:
+        """The network with these weights, not fused."""
+        network = Network(len(self.concepts), widths=self.widths, depths=self.depths)
+        network.load_state_dict(dict(self.tensors))
+        return network
+
+
+def read_weights(path: Path) -> StoredWeights:
+    """Read what `save_weights` wrote, for whatever words.
+
+    Raises:
+        EncoderError: it is missing or damaged.
+    """
+    if not path.is_file():
+        raise EncoderError(f"the encoder's weights {path} are missing; install the package again")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})["fruitlangs"])
+        if header["format"] != FORMAT:
+            raise ValueError(f"format {header['format']}")
+        stored = StoredWeights(
+            tuple(header["concepts"]),
+            tuple(header["widths"]),
+            tuple(header["depths"]),
+            Calibration(**header["calibration"]),
+            {name: tensor.float() for name, tensor in load_file(path).items()},
+            header,
+        )
+        stored.network()
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise EncoderError(
+            f"the encoder's weights {path} cannot be read ({str(error).splitlines()[0]}); install the package again"
+        ) from error
+    return stored
+
+
+def seen_scales(height: int, width: int) -> tuple[float, ...]:
+    """At which sizes, relative to the photo, the network sees it.
+
+    A photo so small that it is enlarged twice is seen once: its fruit is small. Larger ones are also seen at half size,
+    where fruit that fills much of the photo is still taken in at a glance.
+    """
+    fine = SEEN_SIDE / max(height, width)
+    return (2.0,) if fine >= 2.0 else (fine, fine / 2.0)
+
+
+def save_weights(
+    path: Path,
+    network: Network,
+    calibration: Calibration,
+    *,
+    widths: Sequence[int],
+    depths: Sequence[int],
+    **notes: object,
+) -> None:
+    """Write an unfused network in half precision, with what is needed to open it and `notes` in the header."""
+    header = {
+        "format": FORMAT,
+        "concepts": list(CONCEPTS),
+        "widths": list(widths),
+        "depths": list(depths),
+        "calibration": asdict(calibration),
+        **notes,
+    }
+    tensors = {
+        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
+        for name, tensor in network.state_dict().items()
+    }
+    write_tensors(path, tensors, header)
+
+
+def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """The words of a phrase with the block each kind lives in."""
+    pairs = [(phrase.concepts, CONCEPTS), (phrase.colours, COLOURS)]
+    return [(words, block) for words, block in pairs if words]
+
+
+def _question(
+    words: Sequence[str], against: Sequence[str], block: tuple[str, ...], temperature: float = 1.0, bias: float = 0.0
+) -> Question:
+    others = [word for word in against if word not in words]
+    return Question(_basis(words, block), _basis(others, block), "posterior", temperature, bias)
+
+
+def _basis(words: Sequence[str], block: tuple[str, ...]) -> Tensor:
+    """(len(words), D) one basis vector a word."""
+    offset = 0 if block is CONCEPTS else len(CONCEPTS)
+    vectors = torch.zeros(len(words), len(CONCEPTS) + len(COLOURS))
+    for row, word in enumerate(words):
+        vectors[row, offset + block.index(word)] = 1.0
+    return vectors
+
+
+def _resized(pixels: Tensor, factor: float) -> Tensor:
+    size = [max(1, round(side * factor)) for side in pixels.shape[-2:]]
+    return functional.interpolate(pixels[None], size, mode="bilinear", antialias=True, align_corners=False)[0]
+
+
+def _blurred(pixels: Tensor) -> Tensor:
+    kernel = 2 * COLOUR_BLUR + 1
+    padded = functional.pad(pixels[None], [COLOUR_BLUR] * 4, mode="replicate")
+    return functional.avg_pool2d(padded, kernel, stride=1)[0]

@@ -1,0 +1,83 @@
+"""The interface of an encoder of words and photos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """One thing to ask of a feature: is it any of `positives` rather than any of `negatives`?
+
+    positives: (P, D), negatives: (M, D) unit text vectors. `score` says what a cosine c means to this encoder: itself,
+    or ("posterior") the square root of a probability, so that its score is log c². Answer, with s the scores:
+    σ((logsumexp s⁺ − logsumexp s⁻) / temperature − bias), the calibrated margin.
+    """
+
+    positives: Tensor
+    negatives: Tensor
+    score: Literal["cosine", "posterior"]
+    temperature: float
+    bias: float
+
+
+class Encoder(Protocol):
+    """Words in the space of unit vectors that photos are put into, by a `DenseEncoder` or a `CropEncoder`."""
+
+    @property
+    def identity(self) -> str:
+        """Name and fingerprint of the weights; features of another identity cannot be queried with this encoder."""
+        ...
+
+    @property
+    def dimension(self) -> int:
+        """D, the length of a feature."""
+        ...
+
+    def encode_text(self, prompts: Sequence[str]) -> Tensor:
+        """(P, D) unit float32. Raises VocabularyError for a word it does not know."""
+        ...
+
+    def questions(self, prompt: str) -> Sequence[Question]:
+        """What to ask so that the product of the answers is the probability of `prompt`."""
+        ...
+
+    def kinds(self) -> Tensor:
+        """(K, D) orthonormal text vectors of kinds of fruit, of which a scene tends to hold one; K may be 0."""
+        ...
+
+    def excludes(self, prompt: str, negative: str) -> bool:
+        """Whether nothing could satisfy `prompt` without satisfying `negative`."""
+        ...
+
+
+class DenseEncoder(Encoder, Protocol):
+    """An encoder that sees a photo whole and needs no masks."""
+
+    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
+        """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row."""
+        ...
+
+
+class CropEncoder(Encoder, Protocol):
+    """An encoder that sees one masked thing at a time."""
+
+    def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:
+        """Pictures (h, w, 3) sRGB of any size, black outside their mask → (M, D) unit float32."""
+        ...
+
+
+def sees_whole(encoder: Encoder) -> TypeGuard[DenseEncoder]:
+    """Whether an encoder sees a photo whole, rather than one masked thing at a time."""
+    return hasattr(encoder, "encode_dense")
+
+
+def sees_crops(encoder: Encoder) -> TypeGuard[CropEncoder]:
+    """Whether an encoder sees one masked thing at a time."""
+    return hasattr(encoder, "encode_crops")

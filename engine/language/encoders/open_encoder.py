@@ -1,0 +1,24 @@
+"""The encoder that the settings name, opened."""
+
+from __future__ import annotations
+
+from ...config import EmbedConfig
+from ...errors import EncoderError
+from .encoder import CropEncoder, DenseEncoder
+
+
+def open_encoder(config: EmbedConfig) -> DenseEncoder | CropEncoder:
+    """The encoder that the settings name; one with `encode_crops` wants masks (see `masks.segmenter.open_segmenter`).
+
+    Raises:
+        EncoderError: its weights are missing, unsafe or unreadable.
+    """
+    if config.encoder == "embedded":
+        from .embedded import EmbeddedEncoder
+
+        return EmbeddedEncoder.open()
+    if config.encoder == "clip":
+        from .clip import ClipEncoder
+
+        return ClipEncoder.open(config.clip, allow_download=config.allow_download)
+    raise EncoderError(f"there is no encoder '{config.encoder}'; use 'embedded' or 'clip'")

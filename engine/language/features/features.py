@@ -1,0 +1,153 @@
+"""What every Gaussian looks like to an encoder, and the file that keeps it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from torch import Tensor
+from torch.nn import functional
+
+from ...errors import FormatError
+from ...files import write_tensors
+
+FORMAT = "fruitlangs-features-2"
+
+
+@dataclass(frozen=True, eq=False)
+class Perceptron:
+    """Linear layers with ReLU in between, from unit vectors to unit vectors: one half of an autoencoder.
+
+    weights: (out, in) and biases: (out,) of each layer, float32.
+    """
+
+    weights: tuple[Tensor, ...]
+    biases: tuple[Tensor, ...]
+
+    def __call__(self, vectors: Tensor) -> Tensor:
+        """(…, in) → (…, out) unit. Vectors are made unit first; one of length 0 gives a zero vector."""
+        values = functional.normalize(vectors.float(), dim=-1)
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            values = functional.linear(values.relu() if layer else values, weight, bias)
+        return functional.normalize(values, dim=-1) * (vectors.abs().amax(-1, keepdim=True) > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """What N Gaussians look like to an encoder, at L levels of masks; any prompt can be asked of it, at any later time.
+
+    vectors: (N, L, D) unit, float32 or float16, zero where weight is 0; where there are decoders, codes (N, L, d) of
+    such vectors; weights: (N, L) float32, pixels drawn by the Gaussian (Σ α·T) for which there was a feature, summed
+    over views; agreement: (N, L) float32, how far the views say the same: the mean cosine of what each view says to
+    what is kept, weighted by how much it says, 0 where weight is 0; encoder_id: the identity of the encoder that made
+    them; decoders: none, one for all levels or one a level; gaussians: the `gaussians_id` of those they are of, empty
+    where an older file does not say it.
+
+    An encoder that sees photos whole has one level. 100,000 Gaussians with 3 levels of 512 take 293 MB in half
+    precision, in memory as on disk, twice that in single; cosines change by less than 1e-3.
+    """
+
+    vectors: Tensor
+    weights: Tensor
+    agreement: Tensor
+    encoder_id: str
+    decoders: tuple[Perceptron, ...] = ()
+    gaussians: str = ""
+
+    def __len__(self) -> int:
+        return self.vectors.shape[0]
+
+    @property
+    def levels(self) -> int:
+        return self.vectors.shape[1]
+
+    def unit(self, level: int, rows: slice = slice(None)) -> Tensor:
+        """(n, D) float32 features of one level as an encoder's words know them: decoded where they are codes, unit."""
+        vectors = self.vectors[rows, level].float()
+        if self.decoders:
+            return self.decoders[level if len(self.decoders) > 1 else 0](vectors)
+        return vectors
+
+    def of(self, means: Tensor) -> Features:
+        """The same, which say that they are of the Gaussians at means (N, 3)."""
+        return replace(self, gaussians=gaussians_id(means))
+
+    def are_of(self, means: Tensor) -> bool:
+        """Whether they are features of the Gaussians at means (N, 3), as far as they say."""
+        return len(self) == len(means) and self.gaussians in ("", gaussians_id(means))
+
+
+def gaussians_id(means: Tensor) -> str:
+    """What tells Gaussians at means (N, 3) from others, also from as many of another training: a hash of them."""
+    return hashlib.sha256(means.detach().cpu().float().contiguous().numpy().tobytes()).hexdigest()
+
+
+def blocks(n: int, size: int) -> list[slice]:
+    """Ranges of at most `size` rows."""
+    return [slice(begin, min(begin + size, n)) for begin in range(0, n, max(size, 1))]
+
+
+def save_features(path: Path, features: Features) -> None:
+    """Write `features.safetensors` atomically; whose features they are and by which encoder is in its header.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    header = {
+        "format": FORMAT,
+        "encoder_id": features.encoder_id,
+        "decoders": len(features.decoders),
+        "gaussians": features.gaussians,
+    }
+    tensors = {name: getattr(features, name).contiguous() for name in ("vectors", "weights", "agreement")}
+    for number, decoder in enumerate(features.decoders):
+        for part in ("weights", "biases"):
+            for layer, tensor in enumerate(getattr(decoder, part)):
+                tensors[f"decoder.{number}.{part}.{layer}"] = tensor.contiguous()
+    write_tensors(path, tensors, header)
+
+
+def load_features(path: Path) -> Features:
+    """Read what `save_features` wrote.
+
+    Raises:
+        FormatError: the file is missing, damaged, of an earlier version or something else.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})["fruitlangs"])
+        if header["format"] != FORMAT:
+            raise FormatError(f"{path} holds {header['format']}, not {FORMAT}; count again from the photos")
+        tensors = load_file(path)
+        decoders = tuple(_read_decoder(tensors, number) for number in range(int(header["decoders"])))
+        features = Features(
+            tensors["vectors"],
+            tensors["weights"],
+            tensors["agreement"],
+            str(header["encoder_id"]),
+            decoders,
+            str(header.get("gaussians", "")),
+        )
+        shape = features.vectors.shape
+        if len(shape) != 3 or not shape[:2] == features.weights.shape == features.agreement.shape:
+            raise ValueError(f"its tensors do not fit: {tuple(shape)} and {tuple(features.weights.shape)}")
+        if len(decoders) not in (0, 1, features.levels):
+            raise ValueError(f"{len(decoders)} decoders for {features.levels} levels")
+        return features
+    except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
+        raise FormatError(f"{path} holds no features ({str(error).splitlines()[0]}); lift them again") from error
+
+
+def _read_decoder(tensors: dict[str, Tensor], number: int) -> Perceptron:
+    layers = sum(name.startswith(f"decoder.{number}.weights.") for name in tensors)
+    weights, biases = (
+        tuple(tensors[f"decoder.{number}.{part}.{layer}"] for layer in range(layers)) for part in ("weights", "biases")
+    )
+    if not layers or not all(torch.isfinite(tensor).all() for tensor in (*weights, *biases)):
+        raise ValueError(f"decoder {number} is missing or broken")
+    return Perceptron(weights, biases)

@@ -1,0 +1,162 @@
+"""Semantic codes trained into the Gaussians along with colour (paper eq. 7 to 9)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...config import EmbedConfig
+from ...errors import SceneError
+from ...progress import Progress, part, silent
+from ...scene.camera import Camera
+from ...splatting.gaussians import Gaussians
+from ...splatting.training.extra_channels import ExtraChannels
+from ..masks.segments import SegmentedView
+from .autoencoder import CODE, Autoencoder, train_autoencoders
+from .cells import cell_weights, cells_of, with_masks
+from .features import Features
+from .lift_segments import judge_features
+from .semantic_kernels import semantic_loss
+
+
+@dataclass(frozen=True, eq=False)
+class CodedView:
+    """The codes that one photo's pixels should show.
+
+    cells: (H, W) the row of each pixel, as small integers; codes: (C + 1, L · 3) float32, unit for each level, 0 where
+    a level has no mask; the last row is for pixels outside all masks.
+    """
+
+    cells: NDArray[Any]
+    codes: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Semantics:
+    """What joint training needs of the masks, and what turns its codes back into features.
+
+    views: one a camera, in its order; levels: L; autoencoders: one for all levels or one a level; encoder_id: of the
+    encoder behind the masks' features; key: a hash of all that and of the settings.
+    """
+
+    views: Sequence[CodedView]
+    levels: int
+    autoencoders: tuple[Autoencoder, ...]
+    encoder_id: str
+    key: str
+
+    def loss(self, weight: float, view: int, drawn: NDArray[np.float32], gradient: NDArray[np.float32]) -> float:
+        """weight · L_sem of a drawn view (L · 3, H, W), eq. 8: the sum over levels of the mean over the pixels with a
+        mask; its gradient is written. A view drawn smaller is compared with every so many-th pixel."""
+        coded = self.views[view]
+        cells = sampled(coded.cells, drawn.shape[1], drawn.shape[2])
+        pixels = max(int((cells < len(coded.codes) - 1).sum()), 1)
+        l1_sums, cosine_sums = np.empty(len(cells)), np.empty(len(cells))
+        semantic_loss(
+            drawn, cells.astype(np.int32), coded.codes, self.levels, weight / pixels, gradient, l1_sums, cosine_sums
+        )
+        return weight * float(l1_sums.sum() + cosine_sums.sum()) / pixels
+
+    def channels(self, config: EmbedConfig) -> ExtraChannels:
+        """What `train` takes to train the codes along."""
+        weight = config.semantic_weight
+        return ExtraChannels(
+            count=CODE * self.levels,
+            loss=lambda view, drawn, gradient: self.loss(weight, view, drawn, gradient),
+            rate=config.semantic_rate,
+            after=config.semantic_after,
+            moves_gaussians=config.semantic_moves,
+            key=self.key,
+        )
+
+    def features(self, channels: Tensor) -> Features:
+        """Trained channels (N, L · 3) as features; weights and agreement are not measured yet and 0 (`judged`)."""
+        codes = channels.reshape(len(channels), self.levels, CODE)
+        none = torch.zeros(len(channels), self.levels)
+        decoders = tuple(each.decode for each in self.autoencoders)
+        return Features(torch.nn.functional.normalize(codes, dim=-1), none, none, self.encoder_id, decoders)
+
+
+def prepare_joint(
+    cameras: Sequence[Camera],
+    views: Sequence[SegmentedView],
+    config: EmbedConfig,
+    *,
+    encoder_id: str,
+    progress: Progress = silent,
+) -> Semantics:
+    """Learn the masks' codes and lay them out for training; hand `.channels(config)` to `train` as `extra`.
+
+    views: one a camera of the scene, held-out ones too (they are never trained on).
+
+    Raises:
+        SceneError: views and cameras do not fit, or no photo has a mask.
+        EncoderError: a mask's vector is not finite.
+    """
+    known = [view for _, view in with_masks(cameras, views)]
+    shapes = {(len(view.labels), view.vectors.shape[1]) for view in known}
+    if len(shapes) > 1:
+        raise SceneError(f"the photos' masks differ in levels or features ({shapes}); segment all the same way")
+    levels = len(known[0].labels)
+    of_level = [torch.cat([view.vectors[_used(view.labels[level])] for view in known]) for level in range(levels)]
+    if not sum(map(len, of_level)):
+        raise SceneError("no photo has a mask with a feature; use other masks, or the embedded encoder")
+    autoencoders = train_autoencoders(of_level, config, progress=progress)
+    coded = [_coded(view, autoencoders) for view in known]
+    digest = hashlib.sha256(json.dumps([asdict(config), encoder_id], sort_keys=True).encode())
+    for view in coded:
+        digest.update(np.ascontiguousarray(view.cells).tobytes())
+        digest.update(view.codes.tobytes())
+    return Semantics(coded, levels, autoencoders, encoder_id, digest.hexdigest())
+
+
+def judged(
+    semantics: Semantics,
+    channels: Tensor,
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    views: Sequence[SegmentedView],
+    *,
+    progress: Progress = silent,
+) -> Features:
+    """Trained channels (N, L · 3) as features, with the pixels that each drew and how far the photos agree with it.
+
+    Raises:
+        SceneError: views and cameras do not fit.
+    """
+    table = cell_weights(gaussians, cameras, views, progress=part(progress, 0.0, 0.7))
+    features = judge_features(table, semantics.features(channels), progress=part(progress, 0.7, 1.0))
+    seen = (features.weights > 0)[..., None]
+    return replace(features, vectors=features.vectors * seen)
+
+
+def sampled(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
+    """(H, W) → (height, width) by the pixel under each middle."""
+    rows = ((np.arange(height) + 0.5) * cells.shape[0] / height).astype(np.int64)
+    columns = ((np.arange(width) + 0.5) * cells.shape[1] / width).astype(np.int64)
+    return cells[rows[:, None], columns]
+
+
+def _used(labels: NDArray[np.int32]) -> Tensor:
+    found = np.unique(labels)
+    return torch.from_numpy(found[found >= 0].astype(np.int64))
+
+
+def _coded(view: SegmentedView, autoencoders: tuple[Autoencoder, ...]) -> CodedView:
+    cells, table = cells_of(view.labels)
+    codes = torch.zeros(table.shape[1] + 1, len(view.labels), CODE)
+    for level, rows in enumerate(torch.from_numpy(table.astype(np.int64))):
+        autoencoder = autoencoders[level if len(autoencoders) > 1 else 0]
+        has = rows >= 0
+        codes[:-1, level][has] = autoencoder.encode(view.vectors[rows[has]])
+    numbered = np.where(cells < 0, table.shape[1], cells)
+    small = numbered.astype(np.uint16 if table.shape[1] < 2**16 else np.int32)
+    return CodedView(small, codes.reshape(len(codes), -1).numpy())

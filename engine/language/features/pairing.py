@@ -1,0 +1,37 @@
+"""Cameras with what was made of their photos, one view at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
+
+from ...errors import SceneError
+from ...scene.camera import Camera
+
+Given = TypeVar("Given")
+
+
+def paired(
+    cameras: Sequence[Camera], views: Iterable[Given], size_of: Callable[[Given], Sequence[int]], what: str
+) -> Iterator[tuple[Camera, Given]]:
+    """Each camera with its view's `what`, for example "masks"; size_of: its height and width in pixels.
+
+    Raises:
+        SceneError: there are not as many as cameras, one has not its camera's size, or there is no camera.
+    """
+    given = iter(views)
+    for index, camera in enumerate(cameras):
+        view = next(given, None)
+        if view is None:
+            raise SceneError(f"{what} for {index} of {len(cameras)} views were given; give them for each camera")
+        size = tuple(size_of(view))
+        if size != (camera.height, camera.width):
+            raise SceneError(
+                f"the {what} of view {index} are {'×'.join(map(str, reversed(size)))} pixels, its camera has "
+                f"{camera.width}×{camera.height}; make them at its size"
+            )
+        yield camera, view
+    if not len(cameras):
+        raise SceneError("there is no camera to lift features from; the scene needs at least one photo")
+    if next(given, None) is not None:
+        raise SceneError(f"{what} for more views than the {len(cameras)} cameras were given; give them for each camera")

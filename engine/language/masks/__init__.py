@@ -1,0 +1,1 @@
+"""Masks of photos for crop encoders: classical superpixels or SAM."""

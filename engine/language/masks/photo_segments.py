@@ -1,0 +1,127 @@
+"""Every photo's masks with a feature each: what is kept of them on disk, and how they are made."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+from torch.nn import functional
+
+from ...cache import stage_key
+from ...errors import SceneError
+from ...files import write_tensors
+from ...progress import Progress, part, silent
+from ...scene.camera import Scene
+from ..encoders.encoder import CropEncoder
+from .crops import masked_crops
+from .segmenter import Segmenter
+from .segments import SegmentedView, numbered
+
+FORMAT = "fruitlangs-segments-1"
+FINDING = 0.5
+"""Share of a view's progress that is told while its masks are found; the rest while they are looked at."""
+BATCH = 32
+"""Crops in memory at once; progress is told, and a wish to stop heard, between two batches."""
+
+
+def segmented_views(
+    scene: Scene, segmenter: Segmenter, encoder: CropEncoder, cache: Path, progress: Progress = silent
+) -> Iterator[SegmentedView]:
+    """Each view's masks with their features, one view at a time, in the scene's order.
+
+    Pixels that a photo's mask excludes are -1. A view without masks is all -1 with vectors (0, D). Views are kept
+    below `cache` under the content of their photo and the identities of segmenter and encoder, in half precision,
+    each as soon as it is made: what a stopped run has made is not made again, and a view is the same bits when it is
+    first made as when it is read.
+
+    Raises:
+        SceneError: a photo cannot be read, or is not of its camera's size.
+        OutputError: `cache` cannot be written.
+        Cancelled: `progress` asked for it.
+    """
+    folder = cache / f"segments-{stage_key(('language',), segmenter.identity, encoder.identity)}"
+    for index, (camera, photo) in enumerate(zip(scene.cameras, scene.images, strict=True)):
+        mine = part(progress, index / len(scene.cameras), (index + 1) / len(scene.cameras))
+        place = f"view {index + 1} of {len(scene.cameras)}"
+        mine(0.0, f"masks of {place}")
+        image, usable = photo.pixels(), photo.mask()
+        if image.shape[:2] != (camera.height, camera.width):
+            raise SceneError(
+                f"the photo {photo.name} has {image.shape[1]}×{image.shape[0]} pixels, its camera "
+                f"{camera.width}×{camera.height}; resize it"
+            )
+        path = folder / f"{_content(image, usable)}.safetensors"
+        view = _read(path, encoder.dimension)
+        if view is None:
+
+            def told(share: float, doing: str, mine: Progress = mine, place: str = place) -> None:
+                mine(share, f"{place}: {doing}")
+
+            view = _segmented(image, usable, segmenter, encoder, told)
+            _write(path, view)
+        yield view
+    progress(1.0, "masks of all views are there")
+
+
+def _segmented(
+    image: NDArray[np.uint8],
+    usable: NDArray[np.bool_] | None,
+    segmenter: Segmenter,
+    encoder: CropEncoder,
+    progress: Progress,
+) -> SegmentedView:
+    """What `_read` would give after `_write`: the vectors have been through half precision."""
+    segments = segmenter.segment(image, progress=part(progress, 0.0, FINDING))
+    if usable is not None:
+        segments = numbered(np.where(usable, segments.labels, np.int32(-1)))
+    crops, vectors = masked_crops(image, segments), [torch.zeros(0, encoder.dimension)]
+    while batch := list(islice(crops, BATCH)):
+        seen = sum(map(len, vectors))
+        progress(FINDING + (1.0 - FINDING) * seen / segments.count, f"looking at mask {seen + 1} of {segments.count}")
+        vectors.append(encoder.encode_crops(batch))
+    return SegmentedView(segments.labels, _unit(torch.cat(vectors).half()))
+
+
+def _content(image: NDArray[np.uint8], usable: NDArray[np.bool_] | None) -> str:
+    """A name for what a photo shows and what of it may be used."""
+    digest = hashlib.sha256(f"{image.shape}{usable is None}".encode())
+    digest.update(np.ascontiguousarray(image).data)
+    if usable is not None:
+        digest.update(np.packbits(usable).data)
+    return digest.hexdigest()[:32]
+
+
+def _write(path: Path, view: SegmentedView) -> None:
+    """Labels are deflated: they are long runs of few numbers, and 24 megapixels at three levels take 288 MB plain."""
+    packed = np.frombuffer(zlib.compress(np.ascontiguousarray(view.labels, "<i4").data, 1), np.uint8)
+    tensors = {"labels": torch.from_numpy(packed.copy()), "vectors": view.vectors.half()}
+    write_tensors(path, tensors, {"format": FORMAT, "shape": view.labels.shape})
+
+
+def _read(path: Path, dimension: int) -> SegmentedView | None:
+    """What `_write` wrote; None where it is not there or damaged, so that it is made anew."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})["fruitlangs"])
+            packed, vectors = file.get_tensor("labels").numpy(), file.get_tensor("vectors")
+        size = 4 * math.prod(header["shape"])
+        labels = np.frombuffer(zlib.decompressobj().decompress(packed, size), "<i4").astype(np.int32)
+        labels = labels.reshape(header["shape"])
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, zlib.error):
+        return None
+    whole = header["format"] == FORMAT and vectors.shape[1:] == (dimension,) and labels.max(initial=-1) < len(vectors)
+    return SegmentedView(labels, _unit(vectors)) if whole else None
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return functional.normalize(vectors.float(), dim=-1)

@@ -1,0 +1,1 @@
+"""Features and a prompt → probability per Gaussian (paper eq. 10 and 11)."""

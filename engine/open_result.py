@@ -1,0 +1,72 @@
+"""An earlier result opened to be looked at and asked again: what `count_scene` left in memory, from its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .config import Config
+from .errors import EncoderError, FormatError
+from .language.features.embedder import Embedder
+from .language.prompts.selection import select
+from .publishing import Result
+from .reconstruction import Reconstruction, Stages, reopen
+from .report.results import FRUITS_JSON, near_members, read_results, stored_count
+from .report.selection import SELECTION, Selection, read_selection
+
+
+def open_result(folder: Path) -> Result:
+    """The result that lies in `folder`, with its photos where they still are; nothing is written or computed anew.
+
+    Fruit lack their sampled points.
+
+    Raises:
+        OutputError: there is no result, or its files are not of one run.
+        FormatError: it is damaged, or of another version.
+    """
+    document = read_results(folder)
+    stored, stages = Config.from_document(document["config"]), Stages()
+    made = reopen(folder, folder, None, stored, stages)
+    try:
+        selection = _selection(folder, document, made, stored, stages)
+        counted = stored_count(document, selection.fruit_ids)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}); count again into this folder") from error
+    return Result(
+        scene=made.scene,
+        gaussians=made.gaussians,
+        features=made.features,
+        probability=selection.probability,
+        fruit_count=counted,
+        origin=document["provenance"],
+        config=stored,
+        seconds={},
+        reused=stages.reused,
+        notices=stages.notices,
+        out=folder,
+        set_id=document["set_id"],
+    )
+
+
+def _selection(
+    folder: Path, document: Mapping[str, Any], made: Reconstruction, stored: Config, stages: Stages
+) -> Selection:
+    """What the count said of every Gaussian.
+
+    Results of before `selection.safetensors` are asked again; where their encoder is not on this computer the
+    probabilities are 0, and a notice says so.
+    """
+    if SELECTION in document["files"]:
+        return read_selection(folder / SELECTION)
+    prompts, negatives = document["provenance"]["prompts"], document["provenance"].get("negatives", [])
+    means = made.gaussians.means
+    try:
+        encoder = Embedder.open(stored.embed).encoder
+        probability = select(made.features, encoder, prompts, negatives, stored.count, means)
+    except EncoderError as error:
+        stages.notices.append(f"what the words fit is not shown: {error}")
+        probability = torch.zeros(len(means))
+    return Selection(probability, near_members(document, means.double().numpy()))

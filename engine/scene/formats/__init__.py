@@ -1,0 +1,1 @@
+"""Camera files: COLMAP models, nerfstudio's transforms.json and a result's cameras.json."""

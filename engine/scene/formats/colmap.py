@@ -1,0 +1,154 @@
+"""COLMAP models, binary or text, with their photos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config import SceneConfig
+from ...errors import SceneError
+from ...progress import Progress, silent
+from ..camera import FloatArray, Scene
+from ..photos.lens import Lens
+from ..photos.photo import PosedPhoto, make_scene, posed_photos
+from ..pycolmap_import import colmap_library
+from .colmap_records import MODEL_FILES, RIG_FILES, check_records
+from .layout import ModelFiles, find_model, mask_paths, photo_paths
+
+
+def read_colmap(
+    path: Path,
+    config: SceneConfig = SceneConfig(),  # noqa: B008 (frozen)
+    *,
+    images: Path | None = None,
+    masks: Path | None = None,
+    progress: Progress = silent,
+) -> Scene:
+    """Read a COLMAP model and the headers of its photos; pixels load when asked for, undistorted and resized.
+
+    path: a folder with a model in `sparse/0`, `sparse`, itself or `colmap/sparse/0`; of several sub-models the one with
+    the most images is taken (`progress` says which). images: the folder of the photos, by default the nearest `images`
+    beside or above the model. masks: a folder of masks by the photos' names (or with `.png` appended), black where a
+    photo may not be used; by default `masks` beside the photos' folder, if there is one.
+
+    The scene's cameras and photos are in name order, its points in id order, its frame the model's, its scale unknown.
+    A model without points gives a scene without points: whoever starts from points has to refuse it. Points that are
+    not finite are left out (`progress` says how many).
+
+    Raises:
+        SceneError: no model, an incomplete, damaged or empty one, a pose that is not finite, a missing photo, or a
+            photo of another shape than its camera.
+    """
+    model = _open_model(Path(path), images, masks, progress)
+    views: list[PosedPhoto] = []
+    for index, image in enumerate(model.images):
+        progress(0.2 + 0.8 * index / len(model.images), "reading photo headers")
+        camera = model.reconstruction.cameras[image.camera_id]
+        views += posed_photos(
+            model.photos[index],
+            name=image.name,
+            lens=_lens(camera, model.files),
+            world_to_camera=_world_to_camera(image, model.files),
+            mask_path=model.masks[index],
+            downscale=config.downscale,
+            max_side=config.max_side,
+        )
+    points, colors = _points(model.reconstruction, progress)
+    return make_scene(views, points, colors)
+
+
+def colmap_files(path: Path, *, images: Path | None = None, masks: Path | None = None) -> list[Path]:
+    """Every file that `read_colmap` reads from: the model's, then photos and masks in name order.
+
+    Raises:
+        SceneError: as `read_colmap` for the model and missing photos.
+    """
+    model = _open_model(Path(path), images, masks, silent)
+    stems = [stem for stem in (*MODEL_FILES, *RIG_FILES) if model.files.file(stem).is_file()]
+    return [*map(model.files.file, stems), *model.photos, *(mask for mask in model.masks if mask)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A model that pycolmap has read: its posed images in name order with their files."""
+
+    files: ModelFiles
+    reconstruction: Any
+    images: Sequence[Any]
+    photos: Sequence[Path]
+    masks: Sequence[Path | None]
+
+
+def _open_model(path: Path, images: Path | None, masks: Path | None, progress: Progress) -> _Model:
+    if not path.is_dir():
+        raise SceneError(f"{path} is not a folder; give the folder of a COLMAP model")
+    files = find_model(path, progress)
+    if files is None:
+        raise SceneError(
+            f"{path} holds no COLMAP model (cameras, images and points3D as .bin or .txt) in sparse/0, sparse, itself "
+            "or colmap/sparse/0; give a folder that does"
+        )
+    progress(0.0, f"reading {files.folder}")
+    for stem in (*MODEL_FILES, *RIG_FILES):
+        file = files.file(stem)
+        if (stem in MODEL_FILES or file.is_file()) and check_records(file) == 0 and stem in ("cameras", "images"):
+            raise SceneError(f"{file} is empty (0 {stem}); reconstruct again from more or more overlapping photos")
+    reconstruction = _read(files)
+    try:
+        posed = sorted((image for image in reconstruction.images.values() if image.has_pose), key=lambda i: i.name)
+    except UnicodeDecodeError as error:
+        file = files.file("images")
+        raise SceneError(f"{file} has the image name {error.object!r}, which is not UTF-8; rename it") from error
+    names = [image.name for image in posed]
+    if not names:
+        raise SceneError(f"no image in {files.folder} has a pose; reconstruct again from more overlapping photos")
+    photos = photo_paths(files.folder, names, images)
+    return _Model(files, reconstruction, posed, photos, mask_paths(photos, names, masks))
+
+
+def _read(files: ModelFiles) -> Any:
+    pycolmap = colmap_library()
+
+    reconstruction = pycolmap.Reconstruction()
+    try:
+        (reconstruction.read_binary if files.suffix == ".bin" else reconstruction.read_text)(str(files.folder))
+    except (ValueError, RuntimeError, LookupError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SceneError(f"{files.folder} is not a sound COLMAP model ({reason}); export it again") from error
+    return reconstruction
+
+
+def _lens(camera: Any, files: ModelFiles) -> Lens:
+    try:
+        return Lens(camera.model.name, tuple(float(p) for p in camera.params), camera.width, camera.height)
+    except SceneError as error:
+        raise SceneError(f"camera {camera.camera_id} in {files.file('cameras')}: {error}") from error
+
+
+def _world_to_camera(image: Any, files: ModelFiles) -> FloatArray:
+    pose = image.cam_from_world
+    pose = pose() if callable(pose) else pose  # a property before pycolmap 3.12
+    matrix = np.eye(4)
+    matrix[:3] = pose.matrix()
+    rotation = matrix[:3, :3]
+    with np.errstate(all="ignore"):
+        rigid = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+    if not rigid:
+        raise SceneError(f"the pose of {image.name} in {files.file('images')} is no rigid motion; export it again")
+    return matrix
+
+
+def _points(reconstruction: Any, progress: Progress) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """Finite points (P, 3) and their colours (P, 3), by id."""
+    entries = sorted(reconstruction.points3D.items(), key=lambda entry: entry[0])
+    points = np.array([point.xyz for _, point in entries], dtype=np.float64).reshape(-1, 3)
+    colors = np.array([point.color for _, point in entries], dtype=np.uint8).reshape(-1, 3)
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        progress(1.0, f"left out {(~finite).sum()} of {len(points)} points that are not finite")
+    return points[finite], colors[finite]

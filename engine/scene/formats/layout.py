@@ -1,0 +1,101 @@
+"""Where a COLMAP model, its photos and its masks lie in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...errors import SceneError
+from ...progress import Progress, silent
+from .colmap_records import MODEL_FILES, check_records
+
+LAYOUTS = ("sparse", ".", "colmap/sparse")
+"""Where a model lies in a scene's folder; numbered sub-models (`0`, `1`, …) inside each are looked at first."""
+
+
+@dataclass(frozen=True)
+class ModelFiles:
+    """The files of one sparse model: folder, `.bin` or `.txt`, and how many images it says it has."""
+
+    folder: Path
+    suffix: str
+    images: int
+
+    def file(self, stem: str) -> Path:
+        return self.folder / f"{stem}{self.suffix}"
+
+
+def find_model(path: Path, progress: Progress = silent) -> ModelFiles | None:
+    """The model in a scene's folder: the first layout of `LAYOUTS` that has one, its largest sub-model; None without.
+
+    Binary files go before text files. `progress` says which of several sub-models was taken.
+
+    Raises:
+        SceneError: a model lacks a file or its images file is damaged.
+    """
+    for layout in LAYOUTS:
+        folder = path / layout
+        numbered = sorted((f for f in folder.glob("*") if f.name.isdecimal()), key=lambda f: int(f.name))
+        models = [model for f in [*numbered, folder] if (model := _model_in(f))]
+        if models:
+            largest = max(models, key=lambda m: m.images)
+            if len(models) > 1:
+                progress(0.0, f"{largest.folder} is the largest of {len(models)} models ({largest.images} images)")
+            return largest
+    return None
+
+
+def _model_in(folder: Path) -> ModelFiles | None:
+    for suffix in (".bin", ".txt"):
+        missing = [stem for stem in MODEL_FILES if not (folder / f"{stem}{suffix}").is_file()]
+        if not missing:
+            return ModelFiles(folder, suffix, check_records(folder / f"images{suffix}"))
+        if suffix == ".bin" and len(missing) < len(MODEL_FILES) and not (folder / "images.txt").is_file():
+            raise SceneError(f"{folder / (missing[0] + suffix)} is missing; copy the whole model")
+    if len(missing) < len(MODEL_FILES):
+        raise SceneError(f"{folder / (missing[0] + suffix)} is missing; copy the whole model")
+    return None
+
+
+def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[Path]:
+    """The photos of a model, in `images` or in the nearest folder of that name beside or above the model.
+
+    Raises:
+        SceneError: there is no such folder or a photo is not in it.
+    """
+    folder = images or _photo_folder(model, names)
+    paths = [folder / name for name in names]
+    missing = [path for path in paths if not path.is_file()]
+    if missing:
+        if len(missing) == len(paths):
+            which = f"none of the model's {len(paths)} photos"
+        else:
+            which = f"{len(missing)} of the model's {len(paths)} photos not"
+        raise SceneError(f"{which} found; first {missing[0]}; put them there")
+    return paths
+
+
+def _photo_folder(model: Path, names: Sequence[str]) -> Path:
+    """The nearest folder `images` that has one of the photos, else the nearest, at most three levels up."""
+    above = [model, *model.resolve().parents[:3]]
+    folders = [folder / "images" for folder in above if (folder / "images").is_dir()]
+    if not folders:
+        raise SceneError(f"no folder images beside {model}; put the model's {len(names)} photos there")
+    return next((folder for folder in folders if any((folder / name).is_file() for name in names)), folders[0])
+
+
+def mask_paths(photos: Sequence[Path], names: Sequence[str], masks: Path | None) -> list[Path | None]:
+    """A mask a photo, None where there is none: the same name, or with .png appended or in place of its suffix.
+
+    Raises:
+        SceneError: `masks` is given and has no mask at all.
+    """
+    folder = masks or photos[0].parents[len(Path(names[0]).parts) - 1].parent / "masks"
+    paths: list[Path | None] = []
+    for name in names:
+        candidates = (folder / name, folder / f"{name}.png", (folder / name).with_suffix(".png"))
+        paths.append(next((path for path in candidates if path.is_file()), None))
+    if masks is not None and not any(paths):
+        raise SceneError(f"{masks} has no mask for any photo; name masks like the photos, or with .png appended")
+    return paths

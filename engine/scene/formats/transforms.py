@@ -1,0 +1,239 @@
+"""Nerfstudio's `transforms.json`: cameras with OpenGL axes, and perhaps a point cloud beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config import SceneConfig
+from ...errors import SceneError
+from ...progress import Progress, silent
+from ..camera import FloatArray, Scene
+from ..photos.lens import Lens
+from ..photos.photo import PosedPhoto, make_scene, posed_photos, read_header
+
+TRANSFORMS = "transforms.json"
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff")
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # COLMAP's order in FULL_OPENCV
+_FISHEYE = ("k1", "k2", "k3", "k4")
+_GREY = 128
+
+
+def read_transforms(
+    path: Path,
+    config: SceneConfig = SceneConfig(),  # noqa: B008 (frozen)
+    *,
+    progress: Progress = silent,
+) -> Scene:
+    """Read a `transforms.json` (its path or its folder's) and the headers of its photos.
+
+    Intrinsics are `fl_x, fl_y, cx, cy, w, h` (or `camera_angle_x`) and `k1…, p1, p2`, a frame's own before the
+    file's; `camera_model` OPENCV (the default), OPENCV_FISHEYE or EQUIRECTANGULAR. `transform_matrix` is camera to
+    world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative to the
+    file; a photo may lack its extension. The scene's frame is the file's; without a point cloud it has no points.
+
+    Raises:
+        SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or a photo is missing.
+    """
+    source = _open_transforms(Path(path))
+    views: list[PosedPhoto] = []
+    for index, frame in enumerate(source.frames):
+        progress(index / len(source.frames), "reading photo headers")
+        views += posed_photos(
+            frame.photo,
+            name=frame.name,
+            lens=_lens(frame.values, frame.photo, f"{source.file}, {frame.name}"),
+            world_to_camera=_world_to_camera(frame.values, f"{source.file}, {frame.name}"),
+            mask_path=frame.mask,
+            downscale=config.downscale,
+            max_side=config.max_side,
+        )
+    points, colors = _no_cloud() if source.cloud is None else _cloud(source.cloud)
+    return make_scene(views, points, colors)
+
+
+def transforms_files(path: Path) -> list[Path]:
+    """Every file that `read_transforms` reads from: the JSON, the point cloud, then photos and masks in name order.
+
+    Raises:
+        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+    """
+    source = _open_transforms(Path(path))
+    clouds = [] if source.cloud is None else [source.cloud]
+    photos = [frame.photo for frame in source.frames]
+    return [source.file, *clouds, *photos, *(frame.mask for frame in source.frames if frame.mask)]
+
+
+def named_files(path: Path, key: str) -> list[Path | None]:
+    """The file that each frame names under `key`, in the order of `read_transforms`; None where it names none.
+
+    Raises:
+        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+    """
+    source = _open_transforms(Path(path))
+    return [_named_file(frame.values, key, source.file) for frame in source.frames]
+
+
+def extra_fields(path: Path) -> Mapping[str, Any]:
+    """What stands in the JSON beside its frames.
+
+    Raises:
+        SceneError: the JSON is missing or malformed.
+    """
+    content = _read_json(path / TRANSFORMS if path.is_dir() else path)
+    return {key: value for key, value in content.items() if key != "frames"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One entry of `frames`: values are its own before the file's."""
+
+    name: str
+    values: Mapping[str, Any]
+    photo: Path
+    mask: Path | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Transforms:
+    """A transforms.json with the files that it names; frames in name order."""
+
+    file: Path
+    frames: Sequence[_Frame]
+    cloud: Path | None
+
+
+def _open_transforms(path: Path) -> _Transforms:
+    file = path / TRANSFORMS if path.is_dir() else path
+    content = _read_json(file)
+    entries = content.pop("frames", None)
+    if not isinstance(entries, list) or not entries:
+        raise SceneError(f"{file} has no frames; give a transforms.json with at least one posed photo")
+    named = sorted(((_frame_name(entry, index, file), index) for index, entry in enumerate(entries)))
+    frames = [
+        _Frame(
+            name=name.removeprefix("./"),
+            values={**content, **entries[index]},
+            photo=_photo_path(file.parent / name, len(named)),
+            mask=_named_file(entries[index], "mask_path", file),
+        )
+        for name, index in named
+    ]
+    return _Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file))
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{file} cannot be read ({error.strerror}); give a folder with a transforms.json") from error
+    except ValueError as error:
+        raise SceneError(f"{file} is not JSON ({error}); export it again") from error
+    if not isinstance(content, dict):
+        raise SceneError(f"{file} is not a transforms.json: it holds no object; export it again")
+    return content
+
+
+def _frame_name(frame: Any, index: int, file: Path) -> str:
+    name = frame.get("file_path") if isinstance(frame, dict) else None
+    if not isinstance(name, str) or not name:
+        raise SceneError(f"{file}: frame {index} has no file_path; export it again")
+    return name.replace("\\", "/")
+
+
+def _photo_path(path: Path, frames: int) -> Path:
+    candidates = [path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES)]
+    found = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if found is None:
+        raise SceneError(f"photo {path} (one of {frames}) cannot be found; put it there")
+    return found
+
+
+def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
+    """The file that `values[key]` names beside the JSON, None without one."""
+    if not values.get(key):
+        return None
+    path = file.parent / str(values[key]).replace("\\", "/")
+    if not path.is_file():
+        raise SceneError(f"{path} cannot be found; put it there or take {key} out of {file}")
+    return path
+
+
+def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
+    def number(key: str) -> float:
+        try:
+            return float(values[key])
+        except (TypeError, ValueError):
+            raise SceneError(f"{where}: {key} is {values[key]!r}, not a number; export it again") from None
+
+    if "w" in values and "h" in values:
+        width, height = int(number("w")), int(number("h"))
+    else:
+        header = read_header(photo)
+        width, height = header.width, header.height
+    model = values.get("camera_model", "OPENCV")
+    if model == "EQUIRECTANGULAR":
+        return Lens(model, (float(width), float(height)), width, height)
+    if "fl_x" in values:
+        fx = number("fl_x")
+    elif "camera_angle_x" in values:
+        fx = 0.5 * width / np.tan(0.5 * number("camera_angle_x"))
+    else:
+        raise SceneError(f"{where} has neither fl_x nor camera_angle_x; export it with intrinsics")
+    fy = number("fl_y") if "fl_y" in values else fx
+    cx = number("cx") if "cx" in values else width / 2
+    cy = number("cy") if "cy" in values else height / 2
+    if model not in ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
+        raise SceneError(f"{where} has the camera_model {model!r}; known are OPENCV, OPENCV_FISHEYE, EQUIRECTANGULAR")
+    fisheye = model == "OPENCV_FISHEYE"
+    distortion = tuple(number(key) if key in values else 0.0 for key in (_FISHEYE if fisheye else _DISTORTION))
+    if fisheye:
+        return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *distortion), width, height)
+    if not any(distortion):
+        return Lens("PINHOLE", (fx, fy, cx, cy), width, height)
+    return Lens("FULL_OPENCV", (fx, fy, cx, cy, *distortion), width, height)
+
+
+def _world_to_camera(frame: Mapping[str, Any], where: str) -> FloatArray:
+    try:
+        matrix = np.array(frame["transform_matrix"], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        matrix = np.zeros((0, 0))
+    if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+        raise SceneError(f"{where} has no transform_matrix of 4x4 finite numbers; export it again")
+    u, s, vt = np.linalg.svd(matrix[:3, :3])
+    if np.linalg.det(matrix[:3, :3]) <= 0.0 or np.abs(s - 1.0).max() > 1e-2:
+        raise SceneError(f"{where}: transform_matrix is no rigid motion (it scales or mirrors); export it again")
+    camera_axes = u @ vt * [1.0, -1.0, -1.0]  # OpenGL's y up, z backward to y down, z forward
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = camera_axes.T
+    world_to_camera[:3, 3] = -camera_axes.T @ matrix[:3, 3]
+    return world_to_camera
+
+
+def _no_cloud() -> tuple[FloatArray, NDArray[np.uint8]]:
+    return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8)
+
+
+def _cloud(path: Path) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """(P, 3) finite points and their (P, 3) colours (grey where the file has none)."""
+    from plyfile import PlyData, PlyParseError
+
+    try:
+        vertex = PlyData.read(str(path))["vertex"].data
+        points = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    except (OSError, PlyParseError, KeyError, ValueError) as error:
+        raise SceneError(f"{path} cannot be read as a point cloud ({error}); export it again") from error
+    if {"red", "green", "blue"} <= set(vertex.dtype.names):
+        colors = np.stack([vertex[channel] for channel in ("red", "green", "blue")], axis=1).astype(np.uint8)
+    else:
+        colors = np.full((len(points), 3), _GREY, dtype=np.uint8)
+    finite = np.isfinite(points).all(axis=1)
+    return points[finite], colors[finite]

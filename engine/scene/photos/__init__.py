@@ -1,0 +1,1 @@
+"""Photos on disk: pixels, resampling and lens models."""

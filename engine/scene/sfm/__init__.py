@@ -1,0 +1,1 @@
+"""Cameras found from photos alone (structure from motion)."""

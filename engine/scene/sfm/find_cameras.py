@@ -1,0 +1,164 @@
+"""Poses from photos alone: a folder of photos → a COLMAP model, by pycolmap's structure from motion."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from ...child_process import ChildError, run_child
+from ...config import PhotosConfig
+from ...errors import OutputError, SceneError
+from ...files import replacing
+from ...progress import Progress, part, silent
+from ..formats.colmap_records import check_records
+from ..photos.photo import DECODE_ERRORS, read_header
+from .mapping import FOUND, Copy, Job
+
+PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng", ".bmp"}
+LEAST_PHOTOS = 3
+_MODEL, _WORK = "model", "work"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundPoses:
+    """A model of photos: its folder; what the user should know of it; whether an earlier run had made it."""
+
+    model: Path
+    notices: Sequence[str]
+    reused: bool
+
+
+def list_photos(folder: Path) -> list[Path]:
+    """The photos that lie in a folder itself, in name order; [] where there is no such folder."""
+    if not folder.is_dir():
+        return []
+    return sorted(
+        (file for file in folder.iterdir() if file.suffix.lower() in PHOTO_SUFFIXES and not file.name.startswith(".")),
+        key=lambda file: file.name,
+    )
+
+
+def find_poses(
+    photos: Path,
+    out: Path,
+    config: PhotosConfig = PhotosConfig(),  # noqa: B008 (frozen)
+    *,
+    progress: Progress = silent,
+) -> FoundPoses:
+    """Find the cameras of the photos in the folder `photos` and leave a COLMAP model (binary) in `out`/model.
+
+    SIFT features, guided matching with verification, then incremental mapping, all in a child process that a cancel
+    ends at once. Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. Up to
+    `config.exhaustive_up_to` photos every pair is matched; above that each photo with the `config.overlap` next ones
+    in name order, and an evenly spread subset of `exhaustive_up_to` photos exhaustively, which closes the walk (no
+    vocabulary tree is needed). EXIF orientation is ignored, as COLMAP
+    does, except that photos of several orientations are not held to be upright; masks are not used.
+
+    The model's frame and scale are arbitrary; names and pixels are those of the photos. Equal photos, settings and
+    versions give equal models. `out` is for one set of photos and settings: a finished model in it is returned as it
+    is, and an interrupted run goes on with the features and matches it had (placing the photos starts anew). The model
+    is put in place when it is whole.
+
+    Raises:
+        SceneError: fewer than 3 photos, one that cannot be decoded, no two that match, fewer than half of the photos
+            (or than 3) in the largest model, or pycolmap missing or failing.
+        OutputError: `out` cannot be written.
+        Cancelled: `progress` asked for it.
+    """
+    files = list_photos(photos)
+    if len(files) < LEAST_PHOTOS:
+        raise SceneError(f"{photos} has {len(files)} photos; take at least {LEAST_PHOTOS}, better 40, around the tree")
+    orientations = {read_header(file).orientation for file in files}
+    if len(orientations) > 1:
+        config = dataclasses.replace(config, upright=False)
+    model, work = out / _MODEL, out / _WORK
+    reused = (model / FOUND).is_file()
+    if not reused:
+        try:
+            _make_model(files, work, config, progress)
+            os.replace(work / _MODEL, model)
+            shutil.rmtree(work, ignore_errors=True)
+        except OSError as error:
+            raise OutputError(f"{out} cannot be written ({error.strerror or error}); free space there") from error
+    return FoundPoses(model=model, notices=_notices(files, model), reused=reused)
+
+
+def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progress: Progress) -> None:
+    (work / "copies").mkdir(parents=True, exist_ok=True)
+    copies = []
+    for index, file in enumerate(files):
+        progress(0.1 * index / len(files), f"reading photo {index + 1} of {len(files)}")
+        # Neutral names: pycolmap's list of pairs has spaces between its columns.
+        copies.append(_copy(file, work / "copies" / f"{index:06d}.png", config.max_side))
+    for folder in ("models", _MODEL):
+        shutil.rmtree(work / folder, ignore_errors=True)
+    job = Job(folder=str(work.resolve()), photos=copies, config=config)
+    try:
+        run_child("scene.sfm.mapping", [str(job.write())], work / "log.txt", part(progress, 0.1, 1.0))
+    except ChildError as error:
+        raise SceneError(f"no cameras were found for the photos in {files[0].parent}: {error}") from error
+    count = check_records(work / _MODEL / "images.bin")
+    if count < max(LEAST_PHOTOS, len(files) / 2):
+        raise SceneError(
+            f"only {count} of the {len(files)} photos in {files[0].parent} fit together; take more photos in smaller "
+            "steps (5 to 10 degrees) around the tree, without wind, or give a COLMAP model of them"
+        )
+
+
+def _copy(file: Path, copy: Path, max_side: int) -> Copy:
+    """Write a grey copy with sides of at most `max_side` pixels, unless it is there.
+
+    Raises:
+        SceneError: the photo cannot be decoded.
+    """
+    header = read_header(file)
+    share = min(1.0, max_side / max(header.width, header.height))
+    size = max(round(header.width * share), 1), max(round(header.height * share), 1)
+    if not copy.is_file():
+        try:
+            with Image.open(file) as image:
+                grey = _grey(image)
+        except DECODE_ERRORS as error:
+            raise SceneError(f"{file} cannot be decoded ({error}); replace it, or save it as JPEG") from error
+        with replacing(copy) as temporary:
+            grey.resize(size, Image.Resampling.LANCZOS).save(temporary)
+    return Copy(
+        name=file.name,
+        width=header.width,
+        height=header.height,
+        copy=copy.name,
+        copy_width=size[0],
+        copy_height=size[1],
+        file=str(file.resolve()),
+    )
+
+
+def _grey(image: Image.Image) -> Image.Image:
+    """8-bit grey of any picture; 16-bit grey is scaled, not clipped."""
+    if image.mode.startswith("I"):
+        return image.convert("F").point(lambda value: value / 257.0).convert("L")
+    return image.convert("RGB").convert("L")
+
+
+def _notices(files: Sequence[Path], model: Path) -> list[str]:
+    """What a user should know of a model that was found: photos left out, other models."""
+    found = json.loads((model / FOUND).read_text(encoding="utf-8"))
+    notices = []
+    missing = sorted({file.name for file in files} - set(found["placed"]))
+    if missing:
+        notices.append(
+            f"{len(missing)} of {len(files)} photos fit nowhere and were left out, first {missing[0]}; take more there"
+        )
+    if len(found["models"]) > 1:
+        notices.append(
+            f"the photos fall into {len(found['models'])} parts that do not fit together; the largest, "
+            f"of {found['models'][0]} photos, was taken"
+        )
+    return notices

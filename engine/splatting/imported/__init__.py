@@ -1,0 +1,1 @@
+"""Gaussians and coloured points that another program reconstructed."""

@@ -1,0 +1,137 @@
+"""A foreign reconstruction made ready for the rest of the chain, and kept under a name that tells all that went in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...cache import stage_key
+from ...config import SceneConfig
+from ...errors import FormatError, SceneError
+from ...files import file_hash, write_text
+from ...scene.camera import FloatArray, Scene
+from ...scene.formats.cameras_json import dump_cameras, read_cameras
+from ..gaussians import Gaussians
+from ..ply import read_ply, write_ply
+from .frame_check import Fit, measure_fit
+from .read_ply import Foreign, read_foreign
+from .rendered_photos import draw_photos, scene_around
+
+PLACED = "placed"
+"""What the record of a reconstruction without cameras says of those that were placed around it."""
+LEAST_COVERED = 0.02
+"""Share of the photos below which the cameras see next to nothing of a reconstruction."""
+_UPS = {"gaussians": np.array([0.0, -1.0, 0.0]), "points": np.array([0.0, 0.0, 1.0])}
+"""Up where no ground tells it: 3DGS files mostly keep COLMAP's axes, clouds those of a scanner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Borrowed:
+    """What another program reconstructed, with cameras.
+
+    key: names all that went in; record: what the provenance says of it (file, sha256, kind, cameras); notices: what the
+    user should know; reused: an earlier run had read it.
+    """
+
+    scene: Scene
+    gaussians: Gaussians
+    gaussians_file: Path
+    cameras_file: Path
+    key: str
+    record: dict[str, Any]
+    notices: Sequence[str]
+    reused: bool
+
+
+def borrow(file: Path, scene: Scene | None, inputs: str, config: SceneConfig, cache: Path) -> Borrowed:
+    """Read `file` into a folder of `cache`, unless an earlier run did.
+
+    scene: photos and cameras in the file's frame, `inputs` being their hash; without it cameras are placed around the
+    file's subject and its own pictures are the photos.
+
+    Raises:
+        FormatError: the file cannot be used (see `read_foreign`).
+        SceneError: the cameras see next to nothing of it, or their photos show something else.
+    """
+    sha256 = _hash(file)
+    key = stage_key(("scene", "splatting"), inputs, sha256, config)
+    folder = cache / f"foreign-{key}"
+    gaussians_file, cameras_file, record_file = (
+        folder / "gaussians.ply",
+        folder / "cameras.json",
+        folder / "foreign.json",
+    )
+    reused = record_file.is_file() and gaussians_file.is_file() and cameras_file.is_file()
+    if not reused:
+        foreign = read_foreign(file)
+        notices = list(foreign.notices)
+        if scene is None:
+            used = _scene_around(foreign, file, config.up, notices)
+        else:
+            used = scene
+            _check_fit(measure_fit(foreign.gaussians, scene), file)
+        write_ply(gaussians_file, foreign.gaussians)
+        write_text(cameras_file, dump_cameras(used))
+        write_text(record_file, json.dumps({"kind": foreign.kind, "notices": notices}))
+    kept = json.loads(record_file.read_text(encoding="utf-8"))
+    # Read back even when just written: the first prompt must see what later ones will.
+    gaussians, stored = read_ply(gaussians_file), read_cameras(cameras_file)
+    return Borrowed(
+        scene=drawn_again(gaussians, stored) if scene is None else replace(scene, cameras=stored.cameras),
+        gaussians=gaussians,
+        gaussians_file=gaussians_file,
+        cameras_file=cameras_file,
+        key=key,
+        record={
+            "file": str(file.resolve()),
+            "sha256": sha256,
+            "kind": kept["kind"],
+            "cameras": PLACED if scene is None else "given",
+        },
+        notices=kept["notices"],
+        reused=reused,
+    )
+
+
+def drawn_again(gaussians: Gaussians, stored: Scene) -> Scene:
+    """The scene of placed cameras that a file kept, with the pictures that they take."""
+    return replace(stored, images=draw_photos(gaussians, stored.cameras))
+
+
+def _hash(file: Path) -> str:
+    try:
+        return file_hash(file)
+    except FileNotFoundError as error:
+        raise FormatError(f"{file} is not there; give a .ply of Gaussians or coloured points") from error
+    except OSError as error:
+        raise FormatError(f"{file} cannot be read ({error.strerror}); give a .ply file") from error
+
+
+def _scene_around(foreign: Foreign, file: Path, up: Sequence[float] | None, notices: list[str]) -> Scene:
+    """Cameras and pictures around it; adds what the user should know of them to `notices`."""
+    guess: FloatArray = _UPS[foreign.kind]
+    drawn = scene_around(foreign.gaussians, up, guess)
+    notices.append(f"{len(drawn.scene.cameras)} cameras were placed around {file.name}; their pictures serve as photos")
+    if not drawn.up_is_known:
+        axis = "-y" if guess[1] else "+z"
+        notices.append(f"no ground tells which way is up, so {axis} was taken; --scene.up X Y Z sets it")
+    return drawn.scene
+
+
+def _check_fit(fit: Fit, file: Path) -> None:
+    """Raise where cameras and reconstruction have different frames."""
+    if fit.covered < LEAST_COVERED:
+        raise SceneError(
+            f"the cameras see next to nothing of {file} ({fit.covered:.1%} of their photos): their frames differ;"
+            " export it in the frame of the scene's cameras, or give it alone as SCENE"
+        )
+    if fit.own <= fit.other:
+        raise SceneError(
+            f"{file} looks no more like the photos of its cameras than like others (correlation {fit.own:.2f} against"
+            f" {fit.other:.2f}): their frames differ; export it in the frame of the scene's cameras, or give it alone"
+        )

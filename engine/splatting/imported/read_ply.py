@@ -1,0 +1,49 @@
+"""A reconstruction that another program made: 3DGS Gaussians or coloured points in a `.ply`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from ...errors import FormatError
+from ..gaussians import Gaussians
+from ..ply import gaussians_of, has_gaussians, read_vertices
+from .points import gaussians_from, has_colored_points, points_of, thinned
+
+MOST_POINTS = 300_000
+"""A cloud of more points is thinned to about this many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Foreign:
+    """What a file held. kind: what its vertices are; notices: what the user should know of how they were read."""
+
+    gaussians: Gaussians
+    kind: Literal["gaussians", "points"]
+    notices: Sequence[str] = ()
+
+
+def read_foreign(path: Path, *, most_points: int = MOST_POINTS) -> Foreign:
+    """Read 3DGS Gaussians as they are, or coloured points as Gaussians (see `gaussians_from`).
+
+    most_points: a cloud of more is thinned evenly to about this many.
+
+    Raises:
+        FormatError: the file is missing, cut short, holds neither, or holds too little or what is not finite.
+    """
+    vertices = read_vertices(path)
+    looks_like_gaussians = bool(vertices.names & {"opacity", "f_dc_0", "scale_0"})
+    if has_gaussians(vertices) or (looks_like_gaussians and not has_colored_points(vertices)):
+        if len(vertices) == 0:
+            raise FormatError(f"{path} holds no Gaussians; export it again")
+        return Foreign(gaussians_of(vertices, path), "gaussians")
+    finite = points_of(vertices, path)
+    points = thinned(finite, most_points)
+    notices = []
+    if len(finite) < len(vertices):
+        notices.append(f"{len(vertices) - len(finite):,} points of {path.name} are not finite and were left out")
+    if len(finite) > most_points:
+        notices.append(f"the {len(finite):,} points of {path.name} were thinned to {len(points):,}")
+    return Foreign(gaussians_from(points, path), "points", notices)

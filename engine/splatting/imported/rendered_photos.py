@@ -1,0 +1,69 @@
+"""Pictures of Gaussians that stand in for photos, where a reconstruction came without any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ...scene.camera import Camera, FloatArray, Scene
+from ..gaussians import Gaussians
+from ..rendering.rasterize import render
+from ..subject.ground import up_from_ground
+from ..subject.viewpoints import cameras_around, find_subject
+
+BACKGROUND = (0.75, 0.82, 0.9)
+"""sRGB of a pale sky, which the encoder knows, behind a reconstruction that has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPhoto:
+    """A photo that is drawn anew each time it is asked for."""
+
+    name: str
+    gaussians: Gaussians
+    camera: Camera
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB."""
+        with torch.no_grad():
+            color = render(self.gaussians, self.camera, background=torch.tensor(BACKGROUND)).color
+        return (color.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8).numpy()
+
+    def mask(self) -> None:
+        """Every pixel may be used."""
+
+
+def draw_photos(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[DrawnPhoto]:
+    """A picture a camera, named by their order."""
+    return [DrawnPhoto(f"drawn_{index + 1:03d}.png", gaussians, camera) for index, camera in enumerate(cameras)]
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnScene:
+    """A scene whose photos are drawn. up_is_known: up was given, or there is a ground to tell it from."""
+
+    scene: Scene
+    up_is_known: bool
+
+
+def scene_around(gaussians: Gaussians, up: Sequence[float] | None, guess: FloatArray) -> DrawnScene:
+    """Cameras placed around what the Gaussians show in most detail, with the pictures that they take of it.
+
+    up: (3,) away from the ground; found from the ground when not given, else `guess`.
+    """
+    subject = find_subject(gaussians)
+    found = up_from_ground(gaussians, subject) if up is None else np.asarray(up, np.float64)
+    upright = guess if found is None else found / np.linalg.norm(found)
+    cameras = cameras_around(subject, upright)
+    scene = Scene(
+        cameras=cameras,
+        images=draw_photos(gaussians, cameras),
+        points=np.zeros((0, 3)),
+        colors=np.zeros((0, 3), np.uint8),
+        up=upright,
+    )
+    return DrawnScene(scene, found is not None)

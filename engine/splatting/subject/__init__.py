@@ -1,0 +1,1 @@
+"""What the Gaussians show: the subject's extent, the ground, and viewpoints around it."""

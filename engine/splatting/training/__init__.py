@@ -1,0 +1,1 @@
+"""Photos → Gaussians by gradient descent (paper section 3.1)."""

@@ -1,0 +1,115 @@
+"""Training interrupted and taken up again: one safetensors file with everything that the next step depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+
+from ...config import TrainConfig
+from ...errors import TrainingError
+from ...files import write_tensors
+from ...scene.camera import Scene
+from ..gaussians import PARAMETERS
+from .densify import Pulls
+from .exposure import Exposures
+from .parameters import CHANNELS, Parameters
+from .poses import Poses
+
+SCHEMA = 2
+_PARTS: dict[str, Any] = {"exposures": Exposures, "poses": Poses}
+"""Parts of a state that are there only when asked for."""
+
+
+@dataclass(eq=False)
+class TrainingState:
+    """Everything that changes while training. Random choices are drawn from (seed, step), so no generator is kept.
+
+    exposures: the photos' learnt colour maps, poses: the refined ones, None where they are not asked for; checks:
+    (step, held-out PSNR in dB) so far.
+    """
+
+    parameters: Parameters
+    pulls: Pulls
+    exposures: Exposures | None = None
+    poses: Poses | None = None
+    checks: list[tuple[int, float]] = field(default_factory=list)
+
+    @property
+    def step(self) -> int:
+        """Steps done."""
+        return self.parameters.step
+
+    def select(self, index: torch.Tensor) -> None:
+        """Keep the Gaussians at `index` (mask or integers)."""
+        self.parameters.select(index)
+        self.pulls = Pulls(self.pulls.sums[index], self.pulls.counts[index])
+
+
+def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
+    """Hash of what a checkpoint must agree with: the settings, the cameras, the photos' names and the sparse cloud.
+
+    extra: what further channels are trained on, as text; empty for none.
+    """
+    digest = hashlib.sha256((json.dumps(asdict(config), sort_keys=True) + extra).encode())
+    for camera, photo in zip(scene.cameras, scene.images, strict=True):
+        digest.update(f"{photo.name} {camera.width} {camera.height}".encode())
+        digest.update(np.ascontiguousarray(camera.K, np.float64).tobytes())
+        digest.update(np.ascontiguousarray(camera.world_to_camera, np.float64).tobytes())
+    digest.update(np.ascontiguousarray(scene.points, np.float64).tobytes())
+    return digest.hexdigest()
+
+
+def write_checkpoint(path: Path, state: TrainingState, key: str) -> None:
+    """Put the state in place of the earlier one, which stays readable until then.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    parameters = state.parameters
+    tensors = {"pulls.sums": state.pulls.sums, "pulls.counts": state.pulls.counts, "updates": parameters.updates}
+    for group in ("values", "first", "second"):
+        tensors |= {f"{group}.{name}": tensor.contiguous() for name, tensor in getattr(parameters, group).items()}
+    for part, kind in _PARTS.items():
+        held = getattr(state, part)
+        if held is not None:
+            tensors |= {f"{part}.{entry.name}": torch.from_numpy(getattr(held, entry.name)) for entry in fields(kind)}
+    about = {"schema": SCHEMA, "step": parameters.step, "key": key, "checks": state.checks}
+    write_tensors(path, tensors, about)
+
+
+def read_checkpoint(path: Path, key: str) -> TrainingState:
+    """Read what `write_checkpoint` wrote.
+
+    Raises:
+        TrainingError: the file is damaged, or belongs to another scene or other settings.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            about = json.loads((file.metadata() or {})["fruitlangs"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        if about["schema"] != SCHEMA or about["key"] != key:
+            raise TrainingError(f"{path} belongs to another scene or other settings")
+        names = [*PARAMETERS, *([CHANNELS] if f"values.{CHANNELS}" in tensors else [])]
+        values, first, second = (
+            {name: tensors[f"{group}.{name}"] for name in names} for group in ("values", "first", "second")
+        )
+        parameters = Parameters(values, first, second, tensors["updates"], step=int(about["step"]))
+        pulls = Pulls(tensors["pulls.sums"], tensors["pulls.counts"])
+        parts = {
+            part: kind(**{entry.name: tensors.pop(f"{part}.{entry.name}").numpy() for entry in fields(kind)})
+            for part, kind in _PARTS.items()
+            if any(name.startswith(f"{part}.") for name in tensors)
+        }
+        checks = [(int(step), float(quality)) for step, quality in about["checks"]]
+    except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
+        raise TrainingError(f"{path} is not a whole checkpoint ({error}); delete it to start anew") from error
+    if any(len(tensor) != len(parameters) for tensor in tensors.values()):
+        raise TrainingError(f"{path} is not a whole checkpoint (tensors differ in length); delete it to start anew")
+    return TrainingState(parameters, pulls, **parts, checks=checks)

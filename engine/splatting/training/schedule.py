@@ -1,0 +1,125 @@
+"""What changes from step to step of a training, all of it a function of the step alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...config import TrainConfig
+from ...scene.camera import Scene
+from ..rendering.render import FAINTEST, DrawRules
+from .densify import DensifyRules
+from .parameters import Rates
+
+LEAST_OVERSIZE, OVERSIZE_GAUSSIANS = 0.1, 700
+"""The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more where fewer than 70,000
+Gaussians share the scene, since N of them cover it when their size goes with 1 / √N."""
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """The settings of a training, spread over its steps."""
+
+    config: TrainConfig
+    scene: Scene
+
+    @cached_property
+    def extent(self) -> float:
+        """Scene units: a little more than the radius of the cameras."""
+        return self.scene.extent
+
+    @cached_property
+    def middle(self) -> Tensor:
+        """(3,) of the cameras."""
+        return torch.from_numpy(self.scene.middle).float()
+
+    def done(self, step: int) -> float:
+        """Share of the training that is over."""
+        return step / self.config.steps
+
+    def rates(self, step: int) -> Rates:
+        """That of the means is in the scene's extent and falls exponentially to a hundredth; a short training needs
+        higher ones than 3DGS's 30,000 steps."""
+        config = self.config
+        return Rates(
+            means=config.means_rate * self.extent * 0.01 ** self.done(step),
+            log_scales=config.scales_rate,
+            quats=config.quats_rate,
+            opacity_logits=config.opacity_rate,
+            sh=config.sh_rate,
+            sh_rest=config.sh_rest_rate,
+        )
+
+    def rules(self, step: int) -> DrawRules:
+        """How the step's view is drawn: one degree of harmonics more with every sixth of the steps."""
+        config = self.config
+        return DrawRules(
+            sh_degree=min(config.sh_degree, int(6 * self.done(step))),
+            antialiased=config.antialiased,
+            pair_alpha=config.pair_alpha * FAINTEST,
+            literal_pairs=config.literal_pairs,
+        )
+
+    def shrink(self, step: int) -> int:
+        """By how much the step's photo is made smaller: 2 in the coarse part of the training."""
+        return 2 if self.done(step) < self.config.coarse_until else 1
+
+    @cached_property
+    def last_densified(self) -> int:
+        """The last step after which Gaussians may come and go."""
+        return int(self.config.densify_until * self.config.steps)
+
+    def densifies(self, step: int) -> bool:
+        config = self.config
+        begun = config.densify_from * config.steps <= step <= self.last_densified
+        return begun and step % config.densify_every == 0
+
+    def watches_pulls(self, step: int) -> bool:
+        """Whether a densification by gradient is still to come."""
+        return self.config.densify == "gradient" and step < self.last_densified
+
+    def densifications_left(self, step: int) -> int:
+        """How many times Gaussians will come and go, that of this step included."""
+        return (self.last_densified - step) // self.config.densify_every + 1
+
+    def resets_opacity(self, step: int) -> bool:
+        every = self.config.reset_opacity_every
+        return every > 0 and step % every == 0 and step < self.last_densified
+
+    def drops_unneeded(self, step: int) -> bool:
+        """Once, when no Gaussian comes any more."""
+        return self.config.drop_unneeded > 0 and step == min(self.last_densified + 1, self.config.steps)
+
+    def forgives(self, step: int) -> bool:
+        """Whether the worst pixels are left out: not before the picture stands roughly."""
+        return self.config.forgive > 0 and self.done(step) >= 0.5
+
+    def checks(self, step: int) -> bool:
+        every = self.config.check_every
+        return every > 0 and step % every == 0 and step < self.config.steps
+
+    def settled(self, step: int) -> bool:
+        """Whether quality now tells when to stop: before, it jumps as photos get their full size and Gaussians come."""
+        return self.shrink(step) == 1 and step > self.last_densified
+
+    def densify_rules(self) -> DensifyRules:
+        return DensifyRules(
+            gradient=self.config.densify_gradient,
+            max_gaussians=self.config.max_gaussians,
+            small=self.config.split_size * self.extent,
+            opacity=self.config.prune_opacity,
+            oversize=max(LEAST_OVERSIZE, math.sqrt(OVERSIZE_GAUSSIANS / self.config.max_gaussians)),
+            extent=self.extent,
+        )
+
+
+def view_at(step: int, views: Sequence[int], seed: int) -> int:
+    """The photo of a step: every round shows all photos once, in an order drawn from (seed, round)."""
+    lap, place = divmod(step, len(views))
+    return views[np.random.default_rng([seed, lap]).permutation(len(views))[place]]

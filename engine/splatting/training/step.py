@@ -1,0 +1,145 @@
+"""One step of training: a photo's view is drawn, compared, and the Gaussians behind it are moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from ...config import TrainConfig
+from ..kernels.tile import CHANNELS as PLANES
+from ..rendering.render import blend_view, load_view, project_view, pull_view, tile_view
+from ..rendering.workspace import Workspace
+from .checkpoint import TrainingState
+from .densify import Pulls, densify, hold_sizes, reset_opacity
+from .extra_channels import ExtraChannels
+from .losses import PhotometricLoss, unevenness
+from .parameters import CHANNELS, Parameters
+from .photos import Picture
+from .relocate import explore, relocate
+from .schedule import Schedule
+
+HOLD_EVERY = 10
+"""Steps between two looks at Gaussians that have grown too large: they grow slowly."""
+PATCH = 15
+"""Side in pixels of the windows that are forgiven as one: as wide as a leaf, so that fine texture is not."""
+_BLACK = np.zeros(3, np.float32)
+
+
+class Step:
+    """What steps share: memory that is used again, and what the loss remembers of the photos."""
+
+    def __init__(self, schedule: Schedule, extra: ExtraChannels | None = None) -> None:
+        self.schedule = schedule
+        self.extra = extra
+        self.workspace = Workspace()
+        self.loss = PhotometricLoss(schedule.config.ssim_weight, self.workspace)
+
+    def take(self, state: TrainingState, picture: Picture) -> float:
+        """Draw, compare, move; come and go when it is time. Returns the loss of the picture and of further channels."""
+        schedule, config, step = self.schedule, self.schedule.config, state.step
+        drawn, pulled, loss = self._pull(state, picture, step)
+        regularise(pulled, state.parameters, config, schedule.extent)
+        rates = replace(schedule.rates(step), channels=self._channel_rate(step))
+        state.parameters.update(pulled, rates, schedule.rules(step).sh_degree, drawn)
+        if config.densify == "mcmc":
+            explore(state.parameters, schedule.extent, schedule.done(step), [config.seed, step, 0])
+        elif schedule.watches_pulls(step):
+            state.pulls.add(pulled["pulls"], drawn, picture.camera.width, picture.camera.height)
+        if step % HOLD_EVERY == 0:
+            hold_sizes(state.parameters, schedule.middle, schedule.extent)
+        self._come_and_go(state)
+        return loss
+
+    def _pull(
+        self, state: TrainingState, picture: Picture, step: int
+    ) -> tuple[NDArray[np.int32], dict[str, NDArray[Any]], float]:
+        """Which Gaussians the view drew (N,), the gradients by parameter, and the loss."""
+        workspace, rules, camera = self.workspace, self.schedule.rules(step), picture.camera
+        if state.poses is not None:
+            camera = state.poses.camera(picture.view, camera)
+        parameters = state.parameters.arrays()
+        extra = self.extra if self._channel_rate(step) > 0 else None
+        features = np.zeros((len(state.parameters), 0), np.float32) if extra is None else state.parameters.channels()
+        tiles = tile_view(project_view(parameters, camera, rules, workspace), camera, rules, workspace)
+        planes = blend_view(tiles, features, camera, workspace)
+        gradients = workspace.zeros("gradients", (5 + features.shape[1], camera.height, camera.width))
+        image = planes[:3]
+        if state.exposures is not None:
+            image = state.exposures.apply(picture.view, image, workspace)
+        mask = picture.mask
+        if self.schedule.forgives(step):
+            mask = unforgiven(image, picture, self.schedule.config.forgive)
+        loss = self.loss.pull(image, picture.pixels, mask, gradients[:3], key=(picture.view, camera.width))
+        if state.exposures is not None:
+            state.exposures.learn(picture.view, planes[:3], gradients[:3], self.schedule.done(step), workspace)
+        if extra is not None:
+            loss += extra.loss(picture.view, planes[PLANES:], gradients[5:])
+        load_gradient = None
+        share = self.schedule.config.load_weight
+        if share > 0:
+            _, load_gradient = unevenness(load_view(tiles, planes, workspace)[1])
+            load_gradient *= share / (1.0 - share)  # of (1 - λ) · photometric + λ · unevenness, over 1 - λ
+        pulled = pull_view(
+            parameters, camera, rules, tiles, planes, gradients, workspace,
+            features=features, background=_BLACK, load_gradient=load_gradient,
+            with_depth=False, with_pulls=self.schedule.watches_pulls(step),
+            features_push=extra is not None and extra.moves_gaussians,
+        )  # fmt: skip
+        if extra is not None:
+            pulled[CHANNELS] = pulled["features"]
+        if state.poses is not None:
+            state.poses.learn(picture.view, pulled["pose"], self.schedule.done(step), self.schedule.extent)
+        return tiles.counts, pulled, loss
+
+    def _channel_rate(self, step: int) -> float:
+        return 0.0 if self.extra is None else self.extra.rate_at(self.schedule.done(step))
+
+    def _come_and_go(self, state: TrainingState) -> None:
+        schedule, config, done = self.schedule, self.schedule.config, state.step
+        if schedule.densifies(done):
+            if config.densify == "mcmc":
+                relocate(
+                    state.parameters,
+                    config.max_gaussians,
+                    schedule.densifications_left(done),
+                    [config.seed, done, 1],
+                )
+            else:
+                densify(state.parameters, state.pulls, schedule.densify_rules(), schedule.middle, [config.seed, done])
+            state.pulls = Pulls.none(len(state.parameters))
+        if schedule.resets_opacity(done):
+            reset_opacity(state.parameters, 0.05)
+
+
+def unforgiven(image: NDArray[np.float32], picture: Picture, share: float) -> NDArray[np.bool_]:
+    """(H, W) pixels to learn from: all usable ones but the `share` that differ most, in patches (RobustNeRF, Sabour
+    et al. 2023): what moves between photos is seldom drawn twice alike."""
+    away = np.abs(image - picture.pixels.transpose(2, 0, 1) * np.float32(1 / 255)).mean(0)
+    smooth = uniform_filter(away, PATCH, mode="nearest")
+    use = np.ones(smooth.shape, bool) if picture.mask is None else picture.mask
+    if not use.any():
+        return use
+    return use & (smooth <= np.quantile(smooth[use], 1.0 - share))
+
+
+def regularise(gradients: dict[str, NDArray[Any]], parameters: Parameters, config: TrainConfig, extent: float) -> None:
+    """Add the gradients of the paper's λ_reg terms: means over Gaussians of opacity, of size and of thickness, both in
+    scene extents (3DGS-MCMC; PhysGaussian)."""
+    n = max(len(parameters), 1)
+    gaussians = parameters.gaussians()
+    d_opacity_logits = torch.from_numpy(gradients["opacity_logits"])  # rows of Gaussians not drawn may hold anything
+    d_log_scales = torch.from_numpy(gradients["log_scales"])
+    if config.opacity_weight > 0:
+        opacities = gaussians.opacities
+        d_opacity_logits += opacities * (1 - opacities) * (config.opacity_weight / n)
+    if config.scale_weight > 0:
+        d_log_scales += gaussians.scales * (config.scale_weight / (3 * n * extent))
+    if config.flatness_weight > 0:
+        thinnest = gaussians.log_scales.argmin(1, keepdim=True)
+        slope = gaussians.scales.gather(1, thinnest) * (config.flatness_weight / (n * extent))
+        d_log_scales.scatter_add_(1, thinnest, slope)

@@ -1,0 +1,332 @@
+"""Photos → Gaussians by gradient descent (Kerbl et al. 2023; paper section 3.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...compiled.jit import compiled_before
+from ...config import TrainConfig
+from ...errors import TrainingError
+from ...progress import Progress, silent
+from ...scene.camera import Camera, Scene
+from ..gaussians import PARAMETERS, Gaussians
+from ..rendering.rasterize import accumulate, render
+from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
+from .densify import Pulls
+from .exposure import Exposures, fitted
+from .extra_channels import ExtraChannels
+from .initialise import first_gaussians
+from .losses import psnr, ssim
+from .memory import require_memory
+from .parameters import Parameters
+from .photos import PhotoShelf, Picture
+from .poses import Poses
+from .schedule import Schedule, view_at
+from .step import Step
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """How well a photo that training never saw is drawn: PSNR in dB, SSIM."""
+
+    name: str
+    psnr: float
+    ssim: float
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """Trained Gaussians and what is known of their quality.
+
+    held_out: scores of the photos kept aside; steps: optimiser steps behind the Gaussians; checks: (step, held-out PSNR
+    in dB) measured on the way; cameras: the scene's, at the poses that were refined; channels: (N, C) the further
+    channels that were asked for, C = 0 where none were.
+    """
+
+    gaussians: Gaussians
+    held_out: tuple[ViewScore, ...]
+    steps: int
+    checks: tuple[tuple[int, float], ...]
+    cameras: tuple[Camera, ...]
+    channels: Tensor
+
+    @property
+    def psnr(self) -> float | None:
+        """Mean over the photos kept aside, in dB; None where none was kept."""
+        return float(np.mean([score.psnr for score in self.held_out])) if self.held_out else None
+
+    @property
+    def ssim(self) -> float | None:
+        """Mean over the photos kept aside; None where none was kept."""
+        return float(np.mean([score.ssim for score in self.held_out])) if self.held_out else None
+
+
+Watch = Callable[[Gaussians, Scene], None]
+"""Shown what training has made so far, in the frame of the scene, and the scene; it must not keep the call long."""
+WATCH_EVERY = 100
+"""Steps between two looks of a `Watch`."""
+
+LEAST_GAIN = 0.02
+"""dB of held-out PSNR below which a measurement counts as no progress."""
+
+
+def train(
+    scene: Scene,
+    config: TrainConfig,
+    *,
+    checkpoint: Path | None = None,
+    extra: ExtraChannels | None = None,
+    watch: Watch | None = None,
+    progress: Progress = silent,
+) -> Training:
+    """Train Gaussians on a scene's photos, and with `extra` further channels that they carry.
+
+    With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it takes
+    up from it: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or of
+    another scene is passed over, with a message to `progress`. `watch` is shown copies of the Gaussians on the way.
+
+    Raises:
+        TrainingError: there is nothing to train on, settings contradict each other, memory does not suffice, or the
+            loss is no longer a number.
+        SceneError: a photo cannot be read.
+        OutputError: the checkpoint cannot be written.
+        Cancelled: `progress` asked for it; the last checkpoint stays.
+    """
+    aside = held_out_views(scene, config.holdout_every)
+    views = [view for view in range(len(scene.cameras)) if view not in aside]
+    if not views:
+        raise TrainingError("the scene has no photo to train on; give at least one")
+    middle = scene.middle
+    require_digits(middle, scene.extent)
+    require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
+    kept_aside = _usable(PhotoShelf(scene, limit=0), sorted(aside), progress)
+    if config.patience > 0 and (config.check_every == 0 or not kept_aside):
+        raise TrainingError(
+            "--train.patience stops by measurements of photos kept aside: give --train.check-every, and a"
+            " --train.holdout-every that keeps some"
+        )
+    key = training_key(scene, config, "" if extra is None else extra.key)
+    near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
+    shelf = PhotoShelf(near)
+    try:
+        shown = None if watch is None else lambda gaussians: watch(_at(gaussians, middle), scene)
+        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, extra, shown, progress)
+    finally:
+        shelf.close()
+    cameras = (
+        _shifted(replace(scene, cameras=training.cameras), middle).cameras if config.refine_poses else scene.cameras
+    )
+    return replace(training, gaussians=_at(training.gaussians, middle), cameras=tuple(cameras))
+
+
+def _at(gaussians: Gaussians, offset: NDArray[np.float64]) -> Gaussians:
+    """The Gaussians moved by an offset (3,)."""
+    return replace(gaussians, means=(gaussians.means.double() + torch.from_numpy(offset)).float())
+
+
+COARSEST = 1e-3
+"""Largest step of single precision, in scene extents, at which Gaussians may be kept."""
+
+
+def require_digits(middle: NDArray[np.float64], extent: float) -> None:
+    """Refuse a scene so far from its origin that Gaussians there would lie on a coarse grid.
+
+    Raises:
+        TrainingError: it does; says how far away it is.
+    """
+    away = float(np.abs(middle).max())
+    step = float(np.spacing(np.float32(away)))
+    if not step <= COARSEST * extent:
+        raise TrainingError(
+            f"the scene lies {away:.6g} units from its origin, where single precision has steps of {step:.2g} units,"
+            f" too coarse for a scene of {extent:.2g}; move the model to the middle of its cameras"
+        )
+
+
+def _shifted(scene: Scene, offset: NDArray[np.float64]) -> Scene:
+    """The scene with everything in it moved by an offset (3,)."""
+    cameras = []
+    for camera in scene.cameras:
+        pose = camera.world_to_camera.copy()
+        pose[:3, 3] = -pose[:3, :3] @ (camera.center + offset)
+        cameras.append(replace(camera, world_to_camera=pose))
+    return replace(scene, cameras=cameras, points=np.asarray(scene.points, np.float64) + offset)
+
+
+def _train(
+    scene: Scene,
+    config: TrainConfig,
+    shelf: PhotoShelf,
+    views: Sequence[int],
+    kept_aside: Sequence[int],
+    checkpoint: Path | None,
+    key: str,
+    extra: ExtraChannels | None,
+    watch: Callable[[Gaussians], None] | None,
+    progress: Progress,
+) -> Training:
+    channels = 0 if extra is None else extra.count
+    state = _resume(checkpoint, key, progress) or _start(shelf, views, config, channels, progress)
+    if not compiled_before():
+        progress(0.0, "compiling for this machine, about half a minute, the first time only")
+    schedule = Schedule(config, scene)
+    step = Step(schedule, extra)
+    blank = 0
+    while state.step < config.steps:
+        picture = _picture(shelf, state.step, views, schedule)
+        blank = blank + 1 if picture.mask is not None and not picture.mask.any() else 0
+        if blank == 2 * len(views) - 1:  # a whole round is among them, whatever its order
+            raise TrainingError("the masks leave no pixel of any photo to learn from; white is what may be used")
+        loss = step.take(state, picture)
+        done = state.step
+        if not math.isfinite(loss):
+            raise _breakdown(done, f"the loss is {loss}")
+        if schedule.drops_unneeded(done):
+            state.select(_needed(state, config, [_posed(state, scene, view) for view in views]))
+        if done % 20 == 0 or done == config.steps:
+            if not finite(state.parameters.gaussians()).any():
+                raise _breakdown(done, "no Gaussian has finite values any more")
+            progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
+        if watch is not None and done % WATCH_EVERY == 0:
+            so_far = _drawable(state, config)
+            watch(so_far.select(finite(so_far)))
+        if schedule.checks(done) and kept_aside:
+            scores = _scores(_drawable(state, config), shelf, kept_aside, config)
+            quality = float(np.mean([score.psnr for score in scores]))
+            state.checks.append((done, quality))
+            progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {quality:.2f} dB")
+            if stalled([checked for at, checked in state.checks if schedule.settled(at)], config.patience):
+                break
+        if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
+            write_checkpoint(checkpoint, state, key)
+    trained = _drawable(state, config)
+    whole = finite(trained)
+    gaussians = trained.select(whole)
+    progress(0.96, "measuring the photos kept aside")
+    held_out = _scores(gaussians, shelf, kept_aside, config)
+    return Training(
+        gaussians=gaussians,
+        held_out=held_out,
+        steps=state.step,
+        checks=tuple(state.checks),
+        cameras=tuple(_posed(state, scene, view) for view in range(len(scene.cameras))),
+        channels=torch.from_numpy(state.parameters.channels())[whole],
+    )
+
+
+def _posed(state: TrainingState, scene: Scene, view: int) -> Camera:
+    """A view's camera at its pose so far."""
+    return scene.cameras[view] if state.poses is None else state.poses.camera(view, scene.cameras[view])
+
+
+def _usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list[int]:
+    """The views whose photos have a pixel that may be used; all are read, so that a broken one is told of at once."""
+    usable = []
+    for view in views:
+        progress(0.0, "reading the photos kept aside")
+        mask = shelf.picture(view).mask
+        if mask is None or mask.any():
+            usable.append(view)
+    return usable
+
+
+def _start(
+    shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, channels: int, progress: Progress
+) -> TrainingState:
+    progress(0.0, "placing the first Gaussians")
+    gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
+    exposures = Exposures.neutral(len(shelf.scene.cameras)) if config.exposure else None
+    poses = Poses.of(shelf.scene.cameras) if config.refine_poses else None
+    return TrainingState(Parameters.start(gaussians, channels), Pulls.none(len(gaussians)), exposures, poses)
+
+
+def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Schedule) -> Picture:
+    """The step's photo; the next one is decoded meanwhile."""
+    picture = shelf.picture(view_at(step, views, schedule.config.seed), schedule.shrink(step))
+    if step + 1 < schedule.config.steps:
+        shelf.expect(view_at(step + 1, views, schedule.config.seed), schedule.shrink(step + 1))
+    return picture
+
+
+def stalled(checks: Sequence[float], patience: int) -> bool:
+    """Whether the last `patience` measurements (dB) brought nothing over those before."""
+    if patience == 0 or len(checks) <= patience:
+        return False
+    return max(checks[-patience:]) < max(checks[:-patience]) + LEAST_GAIN
+
+
+def finite(gaussians: Gaussians) -> Tensor:
+    """(N,) mask of the Gaussians that hold neither NaN nor infinity."""
+    rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in PARAMETERS]
+    return torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1)
+
+
+def _breakdown(step: int, reason: str) -> TrainingError:
+    return TrainingError(
+        f"training broke down at step {step}: {reason}; look for broken photos and wrong camera poses, or lower the"
+        " learning rates"
+    )
+
+
+def held_out_views(scene: Scene, every: int) -> frozenset[int]:
+    """Every n-th view from the first on (as 3DGS does); none for 0, and never all."""
+    if every <= 1 or len(scene.cameras) < 2:
+        return frozenset()
+    return frozenset(range(0, len(scene.cameras), every))
+
+
+def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingState | None:
+    if checkpoint is None or not checkpoint.exists():
+        return None
+    try:
+        return read_checkpoint(checkpoint, key)
+    except TrainingError as error:
+        progress(0.0, f"starting anew: {error}")
+        return None
+
+
+def _drawable(state: TrainingState, config: TrainConfig) -> Gaussians:
+    return replace(state.parameters.gaussians(), antialiased=config.antialiased)
+
+
+def _needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]) -> Tensor:
+    """(N,) mask of the Gaussians that some camera shows with more than `drop_unneeded` pixels' blending weight."""
+    gaussians = _drawable(state, config)
+    most = torch.zeros(len(gaussians))
+    for camera in cameras:
+        weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights
+        most = torch.maximum(most, weights)
+    needed = most > config.drop_unneeded
+    if not needed.any():
+        raise TrainingError(
+            f"--train.drop-unneeded {config.drop_unneeded:g} would remove every Gaussian: no photo shows one with more"
+            f" than {float(most.max()):.1f} pixels' weight; give less"
+        )
+    return needed
+
+
+def _scores(
+    gaussians: Gaussians, shelf: PhotoShelf, views: Sequence[int], config: TrainConfig
+) -> tuple[ViewScore, ...]:
+    names = [photo.name for photo in shelf.scene.images]
+    return tuple(_score(gaussians, shelf.picture(view), names[view], config) for view in views)
+
+
+def _score(gaussians: Gaussians, picture: Picture, name: str, config: TrainConfig) -> ViewScore:
+    with torch.no_grad():
+        color = render(gaussians, picture.camera).color
+    if config.exposure:
+        color = torch.from_numpy(fitted(color.numpy(), picture.pixels, picture.mask))
+    return ViewScore(
+        name=name,
+        psnr=psnr(color, picture.pixels, mask=picture.mask),
+        ssim=ssim(color, picture.pixels, mask=picture.mask),
+    )

@@ -1,0 +1,1 @@
+"""Cases that the numbers of counting are fitted on."""

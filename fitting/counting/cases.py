@@ -1,0 +1,114 @@
+"""Scenes with truth that counting is fitted on: simulated crowns, and rendered walks, trained and as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from _terminal import terminal_progress
+
+from ...benchmarks.counting.baselines import surface_of
+from ...benchmarks.counting.simulated import Setting, simulate
+from ...benchmarks.orchards import TRUTH, read_origin
+from ...engine.config import CountConfig, SceneConfig
+from ...engine.counting.evidence.cluster import Search, search
+from ...engine.counting.evidence.visibility import Picture, draw
+from ...engine.errors import ConfigError
+from ...engine.evaluation.renders import read_depths, read_instances
+from ...engine.evaluation.true_surface import true_surface
+from ...engine.evaluation.truth import Truth, read_truth, true_labels
+from ...engine.language.encoders.embedded import EmbeddedEncoder
+from ...engine.language.features.lift import encode_photos, lift_features
+from ...engine.language.prompts.relevancy import relevancy
+from ...engine.scene.camera import Camera, Scene
+from ...engine.scene.read import read_scene
+from ...engine.splatting.gaussians import Gaussians
+from ...orchard.config import FIRST_TRAINING_SEED
+from ..encoder.lifted import trained, true_fruit, walks
+from ..encoder.pictures import training_seeds
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Gaussians with a probability (N,) of being fruit, the cameras, and truth.
+
+    kind: of scene; family: cases of which none is judged by what was fitted to another; shown: (M,) the true fruit of
+    which three views show a tenth.
+    """
+
+    kind: str
+    family: str
+    gaussians: Gaussians
+    probability: torch.Tensor
+    cameras: Sequence[Camera]
+    truth: Truth
+    shown: NDArray[np.bool_]
+
+
+def check_seed(first: int) -> None:
+    """Refuse to learn from what tests and tables are made of."""
+    if first < FIRST_TRAINING_SEED:
+        raise ConfigError(f"seeds below {FIRST_TRAINING_SEED} are for tests and tables; give a larger --first")
+
+
+def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Case]:
+    """A crown of every setting and seed."""
+    progress, todo = terminal_progress(), [(name, seed) for seed in seeds for name in settings]
+    for place, (name, seed) in enumerate(todo):
+        progress(place / len(todo), f"{name}, seed {seed}")
+        crown = simulate(settings[name], seed)
+        yield Case(name, f"crown {seed}", crown.gaussians, crown.probability, crown.cameras, crown.truth, crown.shown)
+    progress(1.0, "crowns done")
+
+
+def walk_cases(renders: Path) -> Iterator[Case]:
+    """Gaussians trained on rendered walks, with true masks and with the encoder of the package."""
+    encoder = EmbeddedEncoder.open()
+    for folder, scene, species, truth in _walks(renders):
+        gaussians = trained(folder)
+        features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
+        by_kind = {
+            "walk, true masks": true_fruit(folder, scene, gaussians),
+            "walk, encoder": relevancy(features, encoder, [species]),
+        }
+        for kind, probability in by_kind.items():
+            yield Case(kind, f"walk {folder.name}", gaussians, probability, scene.cameras, truth, truth.visible)
+
+
+def surface_cases(renders: Path) -> Iterator[Case]:
+    """The true surfaces of rendered walks as their views see them, with true masks."""
+    for folder, scene, _, truth in _walks(renders):
+        surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
+        probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
+        kind = "walk, true surfaces"
+        yield Case(kind, f"walk {folder.name}", surface.gaussians, probability, scene.cameras, truth, truth.visible)
+
+
+def _walks(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
+    """Folder, scene, species and truth of each walk.
+
+    Raises:
+        FormatError: a walk's seed is not recorded, or is kept for tests.
+    """
+    progress, folders = terminal_progress(), walks(renders)
+    training_seeds(folders)
+    for place, folder in enumerate(folders):
+        progress(place / len(folders), f"walk {folder.name}")
+        species = read_origin(folder).species
+        yield folder, read_scene(folder, SceneConfig()), species, read_truth(folder / TRUTH, true_labels([species]))
+    progress(1.0, "walks done")
+
+
+def searched(case: Case) -> tuple[Search, list[Picture]] | None:
+    """The weighed candidates of a case and its views; None where nothing in it looks round."""
+    surface = surface_of(case.gaussians, case.probability, case.cameras)
+    if surface.sample is None:
+        return None
+    points, size = surface.sample
+    pictures = draw(case.gaussians, case.probability.double().numpy(), case.cameras)
+    return search(points, size, pictures, CountConfig().threshold), pictures

@@ -1,0 +1,143 @@
+"""Calibration where it is used: on Gaussians that many views drew, in rendered scenes with true masks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...engine.config import PRESETS, SceneConfig
+from ...engine.evaluation.calibration import balanced_weights
+from ...engine.evaluation.renders import read_instances
+from ...engine.language.encoders.embedded import Calibration, EmbeddedEncoder
+from ...engine.language.features.lift import encode_photos, lift_features
+from ...engine.language.prompts.relevancy import MIN_WEIGHT, margin
+from ...engine.scene.camera import Scene
+from ...engine.scene.read import read_scene
+from ...engine.splatting.gaussians import Gaussians
+from ...engine.splatting.ply import read_ply, write_ply
+from ...engine.splatting.training.train import train
+from .calibration import Fit, logistic
+from .pictures import LEAST_WALK
+from .reliability import judged
+
+FloatArray = NDArray[np.float64]
+
+SHARPEST = 0.4
+"""Lowest temperature: rendered scenes are easier than real ones, and must not make the encoder too sure of itself."""
+
+FRUIT_SHARE = 0.15
+"""Share of fruit, by drawn pixels, that lifted features are calibrated for: of those tried it counted best on rendered
+walks and on the sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedScene:
+    """One scene's Gaussians: margin of "fruit" (N,), whether most of their pixels are fruit (N,), weights (N,)."""
+
+    margins: FloatArray
+    fruit: NDArray[np.bool_]
+    weights: FloatArray
+
+    @property
+    def tells(self) -> bool:
+        """Whether it shows fruit and other things: without both there is nothing to calibrate or to judge."""
+        return bool(self.fruit.any() and not self.fruit.all())
+
+
+@dataclass(frozen=True)
+class LiftedMeasures:
+    """Means over walks of the calibration error of "fruit" (see `reliability`) and of `intersection_over_union`."""
+
+    walks: int
+    calibration_error: float
+    iou: float
+
+
+def walks(folder: Path) -> list[Path]:
+    """Every finished scene below `folder` with pictures enough to train Gaussians from."""
+    scenes = (path.parent for path in sorted(folder.glob("*/truth.json")))
+    return [scene for scene in scenes if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
+
+
+def trained(folder: Path) -> Gaussians:
+    """The Gaussians of a walk, trained the first time and kept in its folder."""
+    kept = folder / "gaussians.ply"
+    if not kept.is_file():
+        training = train(read_scene(folder, SceneConfig()), PRESETS["standard"])
+        write_ply(kept, training.gaussians)
+    return read_ply(kept)
+
+
+def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
+    """One of the `walks`, seen by the encoder."""
+    scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
+    features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
+    fruit = true_fruit(folder, scene, gaussians)
+    weights = features.weights[:, 0]
+    seen = weights >= MIN_WEIGHT
+    (question,) = encoder.questions("fruit")
+    return LiftedScene(
+        margin(features.unit(0)[seen], question).double().numpy(),
+        (fruit > 0.5)[seen].numpy(),
+        weights[seen].double().numpy(),
+    )
+
+
+def true_fruit(folder: Path, scene: Scene, gaussians: Gaussians) -> Tensor:
+    """(N,) share of the pixels that each Gaussian of a walk draws that are fruit by the true masks."""
+    truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
+    return truth[:, 0] / truth.sum(dim=1).clamp_min(1e-9)
+
+
+def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
+    for instances in read_instances(folder, scene):
+        mask = torch.from_numpy(instances > 0).float()
+        yield torch.stack([mask, 1.0 - mask], dim=-1)
+
+
+def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
+    """Temperature and bias of "fruit" for lifted features; each scene counts alike, and in it FRUIT_SHARE is fruit.
+
+    All scenes tell (see `LiftedScene`).
+
+    Of what views draw a fiftieth may be fruit, and at that share a half hidden fruit is hardly ever likelier than not:
+    counting would miss it. At equal shares leaves become fruit.
+    """
+    m, t = (np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("margins", "fruit"))
+    shares = np.where(t, FRUIT_SHARE, 1.0 - FRUIT_SHARE)
+    w = shares * np.concatenate([balanced_weights(scene.fruit, scene.weights) for scene in scenes])
+    temperature, bias = logistic(m, t, w)
+    sharpest = max(temperature, SHARPEST)
+    return Fit(Calibration(sharpest, bias * temperature / sharpest, pixels.kind_temperature), FRUIT_SHARE)
+
+
+def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
+    """Each scene by the calibration of all others; None with fewer than two. All scenes tell (see `LiftedScene`)."""
+    if len(scenes) < 2:
+        return None
+    errors, overlaps = [], []
+    for place, one in enumerate(scenes):
+        fit = calibrate_lifted([*scenes[:place], *scenes[place + 1 :]], pixels)
+        calibration = fit.calibration
+        guess = 1.0 / (1.0 + np.exp(calibration.bias - one.margins / calibration.temperature))
+        found = judged(guess, one.fruit, fit.prior, one.weights)
+        assert found is not None  # it tells
+        errors.append(found.calibration_error)
+        overlaps.append(intersection_over_union([one], calibration))
+    return LiftedMeasures(len(errors), float(np.mean(errors)), float(np.mean(overlaps)))
+
+
+def intersection_over_union(scenes: Sequence[LiftedScene], calibration: Calibration) -> float:
+    """Of the Gaussians with P(fruit) ≥ 0.5 and the true ones, by drawn pixels."""
+    both = either = 0.0
+    for scene in scenes:
+        chosen = scene.margins / calibration.temperature >= calibration.bias
+        both += float(scene.weights[chosen & scene.fruit].sum())
+        either += float(scene.weights[chosen | scene.fruit].sum())
+    return both / max(either, 1e-9)

@@ -1,0 +1,98 @@
+"""Everything that the model card says of weights: on photos, renders and plain pictures kept out of training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.language.encoders.embedded import EmbeddedEncoder
+from ...engine.language.vocabulary import CONCEPTS, GENERAL
+from .calibration import Fit
+from .confusable import Distinction, colour_distinctions, distinctions
+from .photo_scores import PhotoScore, pasted_words, photo_scores
+from .pictures import Picture
+from .reliability import Judged, judged
+from .render_scores import Condition, RenderScore, conditions, render_scores
+from .samples import Sample, answers
+
+
+@dataclass(frozen=True)
+class Measures:
+    """By fruit: `photos`, `pasted_word`, `renders` (and of "fruit"). `words`: each against its worst rival; colours are
+    measured on named colours. `reliability` of P("fruit") on renders and photos; `conditions`: where fruit is hard.
+    """
+
+    photos: dict[str, PhotoScore]
+    pasted_word: dict[str, float]
+    renders: dict[str, RenderScore]
+    words: dict[str, Distinction]
+    colours: dict[str, Distinction]
+    reliability: dict[str, Judged]
+    conditions: dict[str, Condition]
+
+    def document(self) -> dict[str, object]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Pictures that training did not see, with the measured pixels of each."""
+
+    photos: Sequence[Picture]
+    renders: Sequence[Picture]
+    photo_samples: Sequence[Sample]
+    render_samples: Sequence[Sample]
+    plain_samples: Sequence[Sample]
+
+
+@dataclass(frozen=True, eq=False)
+class Half:
+    """The measured pixels of some photos and of some scenes' renders."""
+
+    photo_samples: Sequence[Sample]
+    render_samples: Sequence[Sample]
+
+
+def halves(unseen: Unseen) -> tuple[Half, Half]:
+    """What to calibrate on and what to judge the calibration on: every other photo, every other scene."""
+    scenes = sorted({each.source for each in unseen.renders})
+    return _half(unseen, set(scenes[::2]), 0), _half(unseen, set(scenes[1::2]), 1)
+
+
+def _half(unseen: Unseen, scenes: set[str], first: int) -> Half:
+    return Half(unseen.photo_samples[first::2], [each for each in unseen.render_samples if each.source in scenes])
+
+
+def measure(encoder: EmbeddedEncoder, unseen: Unseen, tested: Half, fit: Fit) -> Measures:
+    """fit: the calibration of single pixels, which `encoder` carries; tested: what its reliability is measured on."""
+    reliable = {
+        "renders": _reliability(encoder, tested.render_samples, fit),
+        "photos": _reliability(encoder, tested.photo_samples, fit),
+    }
+    return Measures(
+        photos=photo_scores(encoder, unseen.photo_samples),
+        pasted_word=pasted_words(encoder, unseen.photos),
+        renders=render_scores(encoder, unseen.render_samples),
+        words=_words(encoder, [*unseen.photo_samples, *unseen.render_samples, *unseen.plain_samples]),
+        colours=colour_distinctions(),
+        reliability={name: found for name, found in reliable.items() if found is not None},
+        conditions=conditions(encoder, unseen.renders, unseen.render_samples),
+    )
+
+
+def _reliability(encoder: EmbeddedEncoder, samples: Sequence[Sample], fit: Fit) -> Judged | None:
+    if not samples:
+        return None
+    known = [each.among(each.known & (each.fruit | ~each.missed)) for each in samples]
+    guess = np.concatenate([answers(encoder, each, "fruit") for each in known])
+    return judged(guess, np.concatenate([each.fruit for each in known]), fit.prior)
+
+
+def _words(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> dict[str, Distinction]:
+    known = [each.among(each.labels < len(CONCEPTS)) for each in samples]
+    truth: NDArray[np.str_] = np.array(CONCEPTS)[np.concatenate([each.labels for each in known])]
+    asked = {word: np.concatenate([answers(encoder, each, word) for each in known]) for word in (*CONCEPTS, *GENERAL)}
+    return distinctions(asked, truth, general=GENERAL)

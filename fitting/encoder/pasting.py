@@ -1,0 +1,132 @@
+"""Fruit cut out of one picture and pasted into another, so that a fruit is named by itself and not by its tree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ...engine.language.vocabulary import CONCEPTS, FRUITS
+from .pictures import IGNORED, Box, Labels, Picture
+
+ALPHA_SHARE = 0.92
+LABEL_SHARE = 0.78
+TURNS = (None, Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180)
+"""Of a photo's box: how much of its ellipse is pasted, and how much of that is surely fruit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cutout:
+    """pixels: (h, w, 4) sRGB and opacity; labels: (h, w) the fruit's index where sure, else IGNORED."""
+
+    pixels: NDArray[np.uint8]
+    labels: Labels
+    concept: int
+    source: str
+
+
+def cut_fruit(pictures: Sequence[Picture], *, smallest: int = 14) -> list[list[Cutout]]:
+    """Well visible fruit by concept: whole instances of renders, ellipses in the boxes of photos."""
+    bank: list[list[Cutout]] = [[] for _ in FRUITS]
+    for picture in pictures:
+        found = _from_boxes(picture, smallest) if picture.instances is None else _from_masks(picture, smallest)
+        for cutout in found:
+            bank[cutout.concept].append(cutout)
+    return bank
+
+
+def _from_boxes(picture: Picture, smallest: int) -> list[Cutout]:
+    height, width = picture.labels.shape
+    cutouts = []
+    for box in picture.boxes:
+        left, top, right, bottom = round(box.left), round(box.top), round(box.right), round(box.bottom)
+        if min(left, top) < 2 or right > width - 2 or bottom > height - 2 or min(right - left, bottom - top) < smallest:
+            continue
+        concept = CONCEPTS.index(box.label)
+        y, x = np.ogrid[: bottom - top, : right - left]
+        u, v = (x + 0.5) / ((right - left) / 2.0) - 1.0, (y + 0.5) / ((bottom - top) / 2.0) - 1.0
+        radius = np.sqrt(u * u + v * v)
+        alpha = np.clip((ALPHA_SHARE - radius) * min(right - left, bottom - top) / 3.0 + 0.5, 0.0, 1.0)
+        labels = np.where(radius < LABEL_SHARE, concept, IGNORED).astype(np.uint8)
+        colors = picture.pixels[top:bottom, left:right]
+        pixels = np.concatenate([colors, (alpha * 255.0).astype(np.uint8)[..., None]], axis=-1)
+        cutouts.append(Cutout(pixels, labels, concept, picture.source))
+    return cutouts
+
+
+def _from_masks(picture: Picture, smallest: int, *, fullest: float = 0.8) -> list[Cutout]:
+    assert picture.instances is not None
+    height, width = picture.labels.shape
+    cutouts = []
+    for fruit in np.unique(picture.instances):
+        if fruit == 0:
+            continue
+        mask = picture.instances == fruit
+        rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        whole = np.pi / 4.0 * (bottom - top) * (right - left)
+        cut = min(top, left) == 0 or bottom == height or right == width
+        if cut or min(bottom - top, right - left) < smallest or mask.sum() < fullest * whole:
+            continue
+        inside = mask[top:bottom, left:right]
+        concept = int(np.bincount(picture.labels[top:bottom, left:right][inside]).argmax())
+        if concept >= len(FRUITS):
+            continue
+        colors = picture.pixels[top:bottom, left:right]
+        pixels = np.concatenate([colors, (inside * np.uint8(255))[..., None]], axis=-1)
+        labels = np.where(inside, concept, IGNORED).astype(np.uint8)
+        cutouts.append(Cutout(pixels, labels, concept, picture.source))
+    return cutouts
+
+
+def paste(
+    pixels: NDArray[np.uint8],
+    labels: Labels,
+    cutout: Cutout,
+    size: int,
+    rng: np.random.Generator,
+    *,
+    occlude: bool = True,
+) -> Box | None:
+    """Paste in place, `size` pixels on the longer side, flipped and turned, at times half covered by what was there.
+
+    Returns the pasted place, None when the cutout does not fit.
+    """
+    image, marks = Image.fromarray(cutout.pixels), Image.fromarray(cutout.labels)
+    turn = TURNS[rng.integers(len(TURNS))]
+    if turn is not None:
+        image, marks = image.transpose(turn), marks.transpose(turn)
+    scale = size / max(image.size)
+    shape = (max(3, round(image.width * scale)), max(3, round(image.height * scale)))
+    if shape[0] >= labels.shape[1] or shape[1] >= labels.shape[0]:
+        return None
+    source = np.asarray(image.resize(shape, Image.Resampling.BILINEAR)).astype(np.float32)
+    mark = np.asarray(marks.resize(shape, Image.Resampling.NEAREST))
+    left = int(rng.integers(0, labels.shape[1] - shape[0]))
+    top = int(rng.integers(0, labels.shape[0] - shape[1]))
+    region = np.s_[top : top + shape[1], left : left + shape[0]]
+    alpha = source[..., 3:] / 255.0
+    if occlude and rng.random() < 0.35:
+        alpha = alpha * _uncovered(shape, rng)[..., None]
+    gain = rng.uniform(0.75, 1.25)
+    pixels[region] = (np.clip(source[..., :3] * gain, 0, 255) * alpha + pixels[region] * (1.0 - alpha)).astype(np.uint8)
+    opaque = alpha[..., 0]
+    edge = np.where(opaque < 0.05, labels[region], IGNORED)
+    labels[region] = np.where((opaque > 0.5) & (mark != IGNORED), mark, np.where(opaque < 0.5, edge, IGNORED))
+    return Box(FRUITS[cutout.concept], left, top, left + shape[0], top + shape[1])
+
+
+def _uncovered(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """(h, w) 0 behind a leaf-like ellipse at the rim, else 1."""
+    width, height = shape
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    angle = rng.uniform(0, 2 * np.pi)
+    off = rng.uniform(0.25, 0.5)
+    u = (x - width / 2) / width - off * np.cos(angle)
+    v = (y - height / 2) / height - off * np.sin(angle)
+    turn = rng.uniform(0, np.pi)
+    along, across = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
+    return ((along / rng.uniform(0.3, 0.7)) ** 2 + (across / rng.uniform(0.12, 0.3)) ** 2 > 1.0).astype(np.float32)

@@ -1,0 +1,51 @@
+"""Whether a probability means what it says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.evaluation.calibration import balanced_weights, reliability
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Errors with both classes brought to half of the mass, and the bins behind them.
+
+    calibration_error: expected calibration error; brier: mean squared error; constant_brier: that of always answering
+    one half, whose calibration error is 0 although it tells nothing.
+    """
+
+    calibration_error: float
+    brier: float
+    constant_brier: float
+    predicted: tuple[float, ...]
+    observed: tuple[float, ...]
+
+
+def judged(
+    probability: FloatArray, truth: NDArray[np.bool_], prior: float, weights: FloatArray | None = None
+) -> Judged | None:
+    """Of (M,) probabilities that were calibrated where a share `prior` is true; None where one class is missing.
+
+    weights: (M,) how much each counts; all alike without them. Most pixels are sky, grass and leaf that nobody takes
+    for fruit; weighed as they come, they would make any predictor look calibrated. So both classes weigh one half, and
+    the probabilities are moved to that prior by Bayes' rule: logit p − logit prior.
+    """
+    if truth.all() or not truth.any():
+        return None
+    odds = np.clip(probability, 1e-9, 1.0 - 1e-9)
+    moved = 1.0 / (1.0 + (1.0 - odds) / odds * prior / (1.0 - prior))
+    mass = balanced_weights(truth, weights)
+    bins = reliability(moved, truth, weights=mass)
+    return Judged(
+        calibration_error=bins.error,
+        brier=float((mass * (moved - truth) ** 2).sum()),
+        constant_brier=0.25,
+        predicted=tuple(bins.predicted.tolist()),
+        observed=tuple(bins.observed.tolist()),
+    )

@@ -1,0 +1,108 @@
+"""Measured pixels: what the encoder gives for them, and what they are known to be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...engine.language.encoders.embedded import EmbeddedEncoder
+from ...engine.language.prompts.relevancy import answer, scene_answers, understood
+from ...engine.language.vocabulary import CONCEPTS, FRUITS
+from .pictures import NOT_FRUIT, Labels, Picture, inside
+
+FloatArray = NDArray[np.float64]
+
+STEP = 4
+"""Every so many pixels, across and down, one is measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Every STEP-th pixel of a picture: features (M, D) in half precision, labels (M,), colours (M, 3) in [0, 1];
+    boxed: (M,) inside a box; missed: (M,) on fruit that has no box (`pictures.UNBOXED`).
+    """
+
+    features: Tensor
+    labels: Labels
+    colours: FloatArray
+    boxed: NDArray[np.bool_]
+    missed: NDArray[np.bool_]
+    source: str
+
+    @property
+    def fruit(self) -> NDArray[np.bool_]:
+        """(M,) surely fruit."""
+        return self.labels < len(FRUITS)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(M,) surely fruit or surely not."""
+        return (self.labels < len(CONCEPTS)) | (self.labels == NOT_FRUIT)
+
+    def among(self, chosen: NDArray[np.bool_]) -> Sample:
+        """Some of these pixels."""
+        return Sample(
+            self.features[torch.from_numpy(chosen)],
+            self.labels[chosen],
+            self.colours[chosen],
+            self.boxed[chosen],
+            self.missed[chosen],
+            self.source,
+        )
+
+
+def sample(encoder: EmbeddedEncoder, pictures: Sequence[Picture]) -> list[Sample]:
+    """Encode each picture once; everything but the pasted words is measured on these pixels."""
+    return [_sampled(encoder, picture) for picture in pictures]
+
+
+def _sampled(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
+    shape = picture.labels.shape
+    boxed, missed = np.zeros(shape, bool), np.zeros(shape, bool)
+    for box in picture.boxes:
+        boxed |= inside(box, 1.0, shape, ellipse=False)
+    for box in picture.unboxed:
+        missed |= inside(box, 1.0, shape, ellipse=False)
+    every = np.s_[::STEP, ::STEP]
+    return Sample(
+        encoder.encode_dense(picture.pixels)[every].flatten(0, 1).half(),
+        picture.labels[every].ravel(),
+        picture.pixels[every].reshape(-1, 3) / 255.0,
+        boxed[every].ravel(),
+        missed[every].ravel(),
+        picture.source,
+    )
+
+
+def answers(encoder: EmbeddedEncoder, pixels: Sample, word: str) -> FloatArray:
+    """(M,) the probability of a word, whatever the rest of the scene is."""
+    return answer(pixels.features.float(), encoder.questions(word)).double().numpy()
+
+
+def answers_in_scene(encoder: EmbeddedEncoder, scene: Sample, word: str) -> FloatArray:
+    """(M,) the probability of a word, kinds of fruit weighed by their shares of the scene as in use."""
+    weights = torch.full((len(scene.features),), float(STEP * STEP))
+    return scene_answers(scene.features.float(), weights, understood(encoder, [word]))[0].double().numpy()
+
+
+def by_scene(samples: Sequence[Sample]) -> list[Sample]:
+    """All pixels of each scene as one."""
+    scenes = []
+    for source in sorted({each.source for each in samples}):
+        mine = [each for each in samples if each.source == source]
+        scenes.append(
+            Sample(
+                torch.cat([each.features for each in mine]),
+                np.concatenate([each.labels for each in mine]),
+                np.concatenate([each.colours for each in mine]),
+                np.concatenate([each.boxed for each in mine]),
+                np.concatenate([each.missed for each in mine]),
+                source,
+            )
+        )
+    return scenes

@@ -1,0 +1,51 @@
+"""A larger network that starts as a smaller one: what the smaller one answers, the larger one answers too."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from ...engine.language.encoders.embedded import StoredWeights
+from ...engine.language.encoders.network import Network
+from ...engine.language.vocabulary import CONCEPTS
+
+
+def widened(stored: StoredWeights, network: Network) -> dict[str, Tensor]:
+    """The state of `network` that answers as `stored` for the words that both know; new words start at random.
+
+    Old channels hear nothing from new ones, which start at random, and new layers with a skip start as the identity
+    (Chen, Goodfellow and Shlens 2016, "Net2Net", keep the function alike by copies instead).
+
+    Raises:
+        ValueError: `stored` is of a larger network.
+    """
+    if len(stored.widths) != len(network.down):
+        raise ValueError("the stored network has other stages")
+    state = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    if not stored.tensors.keys() <= state.keys():
+        raise ValueError("the stored network is the deeper one")
+    for name, mine in state.items():
+        old = stored.tensors.get(name)
+        if name.startswith("head."):
+            _take_words(mine, stored, name)
+        elif old is None and name.endswith("norm.weight"):
+            mine.zero_()  # a new unit adds nothing to its skip
+        elif old is not None:
+            _take(mine, old)
+    return state
+
+
+def _take(mine: Tensor, old: Tensor) -> None:
+    """Put the old channels first; they hear only each other."""
+    if any(theirs > ours for theirs, ours in zip(old.shape, mine.shape, strict=True)):
+        raise ValueError("the stored network is the wider one")
+    if mine.dim() > 1:
+        mine[: len(old)] = 0.0
+    mine[tuple(slice(side) for side in old.shape)] = old
+
+
+def _take_words(mine: Tensor, stored: StoredWeights, name: str) -> None:
+    old = stored.tensors[name]
+    for row, word in enumerate(CONCEPTS):
+        if word in stored.concepts:
+            mine[row] = 0.0
+            mine[row][tuple(slice(side) for side in old.shape[1:])] = old[stored.concepts.index(word)]

@@ -1,0 +1,115 @@
+"""The list of fruit: one row an object of the Fruits collection, sorted and filtered as the review says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ...operators.blender_data import OWNER
+from ...operators.data.fruit_objects import REJECTED, REVIEW, diameter_head, diameter_number, metres_per_unit
+from .panel_parts import sidebar_width
+
+VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
+KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
+WIDTHS = (0.3, 0.37, 0.47)
+"""Of what is left: name, diameter, probability; the visible share has the rest, where the kind is a sign."""
+WIDE, WIDE_WIDTHS = 340, (0.26, 0.32, 0.36, 0.42)  # of these the kind has the rest
+"""Pixels of a sidebar from which there is room for the kind's name, before the interface's scale."""
+
+
+class FRUITLANGS_UL_fruits(bpy.types.UIList):
+    bl_idname = "FRUITLANGS_UL_fruits"
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: Any,
+        data: Any,
+        item: Any,
+        icon: int,
+        active_data: Any,
+        active_property: str,
+        index: int = 0,
+        flt_flag: int = 0,
+    ) -> None:
+        row = layout.row(align=True)
+        row.active = item.get(REVIEW) != REJECTED
+        texts = cells(item, metres_per_unit(context.scene) is not None)
+        sign = VERDICT_ICONS.get(item.get(REVIEW), "BLANK1")
+        if not _has_room(context) and sign == "BLANK1":
+            sign = KIND_ICONS.get(texts[-1], "BLANK1")
+        _draw_row(row, context, sign, texts)
+
+    def filter_items(self, context: bpy.types.Context, data: Any, property: str) -> tuple[list[int], list[int]]:
+        review, items = context.scene.fruitlangs.review, list(getattr(data, property))
+        shown = [is_shown(item, review.show, review.doubt, self.filter_name) for item in items]
+        flags = [self.bitflag_filter_item if visible else 0 for visible in shown]
+        return flags, ranks(items, review.sort)
+
+
+def draw_head(layout: Any, context: bpy.types.Context) -> None:
+    """What the columns of the list are, with their units."""
+    _draw_row(layout.row(align=True), context, "BLANK1", head(metres_per_unit(context.scene) is not None))
+
+
+def _draw_row(row: Any, context: bpy.types.Context, sign: str, texts: list[str]) -> None:
+    """One text a column; without the last one, the kind, where there is no room for it."""
+    wide = _has_room(context)
+    row.label(text="", icon=sign)
+    for text, share in zip(texts, (*WIDE_WIDTHS, None) if wide else (*WIDTHS, None, None), strict=True):
+        if share is None:
+            row.label(text=text)
+            return
+        row = row.split(factor=share, align=True)
+        row.label(text=text)
+
+
+def _has_room(context: bpy.types.Context) -> bool:
+    """Whether the sidebar has room for the kind's name."""
+    return sidebar_width(context) >= WIDE
+
+
+def head(metric: bool) -> list[str]:
+    """What `cells` are. metric: lengths are metres."""
+    return ["Fruit", diameter_head(metric), "Prob.", "Seen", "Kind"]
+
+
+def cells(item: Any, metric: bool) -> list[str]:
+    """Number and label, diameter (its unit is in the `head`), probability, visible share and kind of a fruit object.
+    metric: lengths are metres."""
+    visible = item.get("visible_fraction")
+    return [
+        f"{item.get('id', 0)} {item.get('label', '')}",
+        diameter_number(item, metric),
+        f"{float(item.get('probability', 1.0)):.2f}",
+        "" if visible is None else f"{float(visible):.0%}",
+        str(item.get("kind", "")),
+    ]
+
+
+def is_shown(item: Any, show: str, doubt: float, name: str) -> bool:
+    """Whether the list shows an object: a fruit, as the review says."""
+    if item.get(OWNER) != "fruit":
+        return False
+    verdict = item.get(REVIEW)
+    if name and name.casefold() not in item.name.casefold():
+        return False
+    if show == "OPEN":
+        return verdict is None
+    if show == "DOUBTFUL":
+        return verdict is None and item.get("probability", 1.0) < doubt
+    return verdict == REJECTED if show == "REJECTED" else True
+
+
+def ranks(items: list[Any], key: str) -> list[int]:
+    """The place of each item when they are sorted by a custom property, then by number."""
+    default: Any = "" if key in {"kind", "label"} else 1.0
+    order = sorted(range(len(items)), key=lambda index: (items[index].get(key, default), items[index].get("id", 0)))
+    places = [0] * len(items)
+    for place, index in enumerate(order):
+        places[index] = place
+    return places
+
+
+CLASSES = (FRUITLANGS_UL_fruits,)

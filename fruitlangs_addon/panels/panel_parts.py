@@ -1,0 +1,86 @@
+"""What the steps of the Fruit tab share: their frame, their state, text that wraps, and settings in short."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+import bpy
+
+from ...operators.drawing.splat_drawing import problem
+from ...operators.jobs.jobs import FRUITLANGS_OT_cancel, Job, running
+from .steps import ICONS, Name, step_of
+
+
+class SidebarPanel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Fruit"
+
+
+class StepPanel(SidebarPanel):
+    """One step of the day: its header shows how far it is, its body what it needs next."""
+
+    step: ClassVar[Name]
+
+    def draw_header(self: Any, context: bpy.types.Context) -> None:
+        self.layout.label(text="", icon=ICONS[step_of(self.step, context.scene).state])
+
+    def body(self: Any, context: bpy.types.Context) -> Any:
+        """The panel's layout with names left of their values, below what the step needs next."""
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        sentence = step_of(self.step, context.scene).sentence
+        if sentence and running() is None:
+            draw_text(self.layout, sentence, context, icon="INFO")
+        return self.layout
+
+
+def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
+    """How far the job of that title is, with the button that stops it, and False where no such job runs; then also
+    what went wrong with the last one."""
+    job: Job | None = running()
+    if job is None or job.title != title:
+        settings = context.scene.fruitlangs
+        if settings.error and settings.failed == title:
+            box = layout.box()
+            box.alert = True
+            draw_text(box, settings.error, context, icon="ERROR")
+        return False
+    column = layout.column()
+    column.progress(factor=job.fraction, text=f"{job.title} {job.fraction:.0%}")
+    draw_text(column, job.text, context)
+    column.operator(FRUITLANGS_OT_cancel.bl_idname, icon="CANCEL")
+    return True
+
+
+def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
+    """Text broken to the sidebar's width; labels do not wrap by themselves."""
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(text, max(int(sidebar_width(context) / 6.3) - 6, 12))):
+        column.label(text=line, icon=icon if number == 0 else "NONE")
+
+
+def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
+    """Why splats cannot be drawn, with what can be instead; nothing while they can."""
+    if not problem():
+        return
+    box, look = layout.box(), context.scene.fruitlangs.look
+    box.alert = True
+    draw_text(box, f"Splats cannot be drawn here ({problem()}). Another look tries again", context, icon="ERROR")
+    if look.style == "SPLATS":
+        box.prop_enum(look, "style", "ELLIPSOIDS")
+
+
+def sidebar_width(context: bpy.types.Context) -> float:
+    """Pixels of the region that is drawn, before the interface's scale."""
+    pixels: float = context.region.width / context.preferences.system.ui_scale
+    return pixels
+
+
+def draw_settings(layout: Any, group: Any, names: Iterable[str]) -> None:
+    """Settings of one stage, one below the other."""
+    column = layout.column(align=True)
+    for name in names:
+        column.prop(group, name)

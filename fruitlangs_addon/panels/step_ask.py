@@ -1,0 +1,37 @@
+"""Step 3, Ask: which words, and how many Gaussians answer to them."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...operators.jobs.jobs import running
+from ...operators.steps.ask import FRUITLANGS_OT_ask
+from .panel_parts import StepPanel, draw_text
+from .settings_panels import settings_panel
+
+
+class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_ask"
+    bl_label = "3 Ask"
+    bl_order = 3
+    step = "ask"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.body(context), context.scene.fruitlangs
+        column = layout.column()
+        column.enabled = running() is None
+        column.prop(settings, "prompt")
+        column.prop(settings, "negative")
+        column.prop(settings.config.count, "threshold", slider=True)
+        if settings.answer.problem:
+            box = layout.box()
+            box.alert = True
+            draw_text(box, settings.answer.problem, context, icon="ERROR")
+        elif settings.answer.text:
+            draw_text(layout, settings.answer.text, context, icon="CHECKMARK")
+        layout.operator(FRUITLANGS_OT_ask.bl_idname, icon="QUESTION")
+
+
+FRUITLANGS_PT_ask_settings = settings_panel(FRUITLANGS_PT_ask, ("embed",))
+
+CLASSES = (FRUITLANGS_PT_ask, FRUITLANGS_PT_ask_settings)

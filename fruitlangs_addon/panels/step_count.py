@@ -1,0 +1,54 @@
+"""Step 4, Count: the number, how sure it is, and what went wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ...operators.steps.count import FRUITLANGS_OT_count
+from ...operators.steps.show_result import size_text
+from .panel_parts import StepPanel, draw_job, draw_text
+from .settings_panels import settings_panel
+
+
+class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_count"
+    bl_label = "4 Count"
+    bl_order = 4
+    step = "count"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.body(context), context.scene.fruitlangs
+        if not draw_job(layout, FRUITLANGS_OT_count.title, context):
+            row = layout.row()
+            row.scale_y = 1.5
+            row.operator(FRUITLANGS_OT_count.bl_idname, icon="VIEWZOOM")
+        draw_result(layout, settings, context)
+
+
+def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
+    """The last count."""
+    result = settings.result
+    if result.count < 0:
+        return
+    box = layout.box()
+    row = box.row()
+    row.scale_y = 1.4
+    row.label(text=f"{result.label}: {result.count}", icon="CHECKMARK")
+    if result.count:
+        box.label(text=size_text(result).capitalize())
+        if result.unit != "mm":
+            draw_text(box, "Scale unknown: Measure a Length in step 1 makes millimetres of it", context)
+        draw_text(box, result.sureness, context)
+        draw_text(box, result.whereabouts, context)
+    else:
+        draw_text(box, result.zero_reason, context)
+    if result.notices:
+        draw_text(box, result.notices, context)
+    draw_text(box, result.folder, context)
+
+
+FRUITLANGS_PT_count_settings = settings_panel(FRUITLANGS_PT_count, ("count",))
+
+CLASSES = (FRUITLANGS_PT_count, FRUITLANGS_PT_count_settings)

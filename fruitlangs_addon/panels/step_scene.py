@@ -1,0 +1,57 @@
+"""Step 1, Scene: which photos or reconstruction, and what is known of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ...operators.blender_data import owned_object
+from ...operators.jobs.jobs import running
+from ...operators.settings.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
+from ...operators.steps.import_scene import FRUITLANGS_OT_import_scene
+from ...operators.tools.level import FRUITLANGS_OT_set_ground
+from ...operators.tools.scale import FRUITLANGS_OT_measure, scale_text
+from .missing_packages import draw_missing_packages
+from .panel_parts import StepPanel, draw_job, draw_text
+from .settings_panels import settings_panel
+
+
+class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
+    bl_idname = "FRUITLANGS_PT_scene"
+    bl_label = "1 Scene"
+    bl_order = 1
+    step = "scene"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.body(context), context.scene.fruitlangs
+        draw_missing_packages(layout, context)
+        column = layout.column()
+        column.enabled = running() is None
+        column.prop(settings, "source")
+        if not draw_job(layout, FRUITLANGS_OT_import_scene.title, context):
+            layout.operator(FRUITLANGS_OT_import_scene.bl_idname, icon="IMPORT")
+        result = settings.result
+        if result.cameras:
+            points = f", {result.points:,} points" if result.points else ""
+            layout.label(text=f"{result.cameras} cameras{points}", icon="CAMERA_DATA")
+            draw_tools(layout, context)
+        if result.notices and not result.gaussians and result.count < 0:  # later steps tell them with what they made
+            draw_text(layout, result.notices, context, icon="INFO")
+
+
+def draw_tools(layout: Any, context: bpy.types.Context) -> None:
+    """What a person can say of the scene by clicks: its scale, its ground, and where to count."""
+    column = layout.column(align=True)
+    column.operator(FRUITLANGS_OT_measure.bl_idname, icon="DRIVER_DISTANCE")
+    column.operator(FRUITLANGS_OT_set_ground.bl_idname, icon="GRID")
+    if owned_object(context.scene, "region") is None:
+        column.operator(FRUITLANGS_OT_add_region.bl_idname, icon="CUBE")
+    else:
+        column.operator(FRUITLANGS_OT_remove_region.bl_idname, icon="X")
+    layout.label(text=scale_text(context.scene) or "Scale not known: sizes are in scene units")
+
+
+FRUITLANGS_PT_scene_settings = settings_panel(FRUITLANGS_PT_scene, ("scene", "photos", "units"))
+
+CLASSES = (FRUITLANGS_PT_scene, FRUITLANGS_PT_scene_settings)

@@ -1,0 +1,146 @@
+"""How far each of the six steps is, and what it needs next in a sentence; quick, for every draw asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Literal
+
+import bpy
+
+from ...operators.blender_data import owned_object, owned_objects
+from ...operators.data.fruit_objects import REVIEW, standing
+from ...operators.data.read_fruits import counted
+from ...operators.export.export_file import TITLE
+from ...operators.steps.count import FRUITLANGS_OT_count
+from ...operators.steps.import_scene import FRUITLANGS_OT_import_scene
+from ...operators.steps.reconstruct import FRUITLANGS_OT_reconstruct
+
+Name = Literal["scene", "reconstruct", "ask", "count", "review", "export"]
+State = Literal["done", "next", "ready", "later", "wrong"]
+ICONS: dict[State, str] = {
+    "done": "CHECKMARK",
+    "next": "PLAY",
+    "ready": "RADIOBUT_ON",
+    "later": "RADIOBUT_OFF",
+    "wrong": "ERROR",
+}
+CHOOSE = "Choose the scene in step 1 first"
+
+
+@dataclass(frozen=True)
+class Step:
+    """state: how far it is; sentence: what it needs next, or how it ended; empty where the panel shows that anyway."""
+
+    state: State
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """What one look at a Blender scene tells of a step: whether it is done, whether all that it needs is there."""
+
+    done: bool
+    ready: bool
+    sentence: str = ""
+
+
+def step_of(name: Name, bpy_scene: bpy.types.Scene) -> Step:
+    """How far a step is. `next` is the first one that is not done; of the others `ready` ones can be done as well."""
+    if _went_wrong(name, bpy_scene):
+        return Step("wrong", "")
+    found = CHECKS[name](bpy_scene)
+    if found.done:
+        return Step("done", found.sentence)
+    before = list(CHECKS)[: list(CHECKS).index(name)]
+    if all(CHECKS[each](bpy_scene).done for each in before):
+        return Step("next", found.sentence)
+    return Step("ready" if found.ready else "later", found.sentence)
+
+
+def _went_wrong(name: Name, bpy_scene: bpy.types.Scene) -> bool:
+    settings = bpy_scene.fruitlangs
+    if name == "ask":
+        return bool(settings.answer.problem)
+    return bool(settings.failed) and settings.failed == TITLES.get(name)
+
+
+def _scene(bpy_scene: bpy.types.Scene) -> Check:
+    if bpy_scene.fruitlangs.result.cameras:
+        return Check(True, True)
+    chosen = bool(bpy_scene.fruitlangs.source)
+    choose = "Choose a folder of photos, a .ply or the folder of an earlier result"
+    return Check(False, True, "Press Import Scene to look at it" if chosen else choose)
+
+
+def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
+    if owned_object(bpy_scene, "gaussians") is not None:
+        return Check(True, True)
+    settings = bpy_scene.fruitlangs
+    if not settings.source:
+        return Check(False, False, CHOOSE)
+    return Check(False, True, f"Press Reconstruct: Gaussians are {'read' if settings.gaussians else 'trained'}")
+
+
+def _ask(bpy_scene: bpy.types.Scene) -> Check:
+    if bpy_scene.fruitlangs.answer.text:
+        return Check(True, True)
+    if owned_object(bpy_scene, "gaussians") is None:
+        return Check(False, False, "Gaussians answer: reconstruct in step 2 first")
+    return Check(False, True, "Type what you look for")
+
+
+def _count(bpy_scene: bpy.types.Scene) -> Check:
+    settings = bpy_scene.fruitlangs
+    if settings.result.count >= 0:
+        return Check(True, True)
+    if not settings.source:
+        return Check(False, False, CHOOSE)
+    if not settings.prompt.strip(" ,"):
+        return Check(False, False, "Type in step 3 what to count first")
+    if owned_object(bpy_scene, "gaussians") is None:
+        return Check(False, True, "Count Fruit does by itself what is missing of the steps before")
+    return Check(False, True, "Press Count Fruit")
+
+
+def _review(bpy_scene: bpy.types.Scene) -> Check:
+    if not counted(bpy_scene):
+        return Check(False, False, "Count first; then every fruit can be looked at here")
+    fruit, bound = owned_objects(bpy_scene, "fruit"), bpy_scene.fruitlangs.review.doubt
+    if not fruit:
+        return Check(True, True, "There is no fruit to look at; Add makes those that were missed")
+    doubtful = [item for item in fruit if item.get("probability", 1.0) < bound]
+    left = sum(REVIEW not in item for item in doubtful)
+    if left:
+        return Check(False, True, f"{left} fruit below {bound:.2f} nobody has looked at: Next Doubtful goes to them")
+    looked_at = f"All {len(doubtful)} doubtful fruit have been looked at"
+    return Check(True, True, looked_at if doubtful else f"No doubtful fruit: none is below {bound:.2f}")
+
+
+def _export(bpy_scene: bpy.types.Scene) -> Check:
+    if not counted(bpy_scene):
+        return Check(False, False, "Count first; then the fruit can be exported")
+    written = bpy_scene.fruitlangs.result.exported
+    stands = f"Writes the {len(standing(bpy_scene))} fruit that stand now"
+    if written:
+        return Check(True, True, f"{stands}; the last file was {PurePath(written).name}")
+    return Check(False, True, stands)
+
+
+CHECKS: dict[Name, Callable[[bpy.types.Scene], Check]] = {
+    "scene": _scene,
+    "reconstruct": _reconstruct,
+    "ask": _ask,
+    "count": _count,
+    "review": _review,
+    "export": _export,
+}
+"""In the order of the day."""
+TITLES: dict[Name, str] = {
+    "scene": FRUITLANGS_OT_import_scene.title,
+    "reconstruct": FRUITLANGS_OT_reconstruct.title,
+    "count": FRUITLANGS_OT_count.title,
+    "export": TITLE,
+}
+"""The jobs that do the steps' work."""

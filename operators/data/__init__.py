@@ -1,0 +1,1 @@
+"""Engine values written to Blender data, and read back."""

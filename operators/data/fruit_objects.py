@@ -1,0 +1,192 @@
+"""The fruit objects of a Blender scene as a review sees them: where they are, and what a person said of them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.report.words import three_digits
+from ..blender_data import (
+    OWNER,
+    gaussian_attributes,
+    in_scene_frame,
+    local_collections,
+    owned_object,
+    owned_objects,
+    set_attribute,
+)
+from .write_fruits import write_fruit
+
+if TYPE_CHECKING:
+    from ...engine.counting.accounts.review import Decision, Spot
+
+REVIEW = "review"
+"""Custom property of a fruit that a person judged: 'confirmed', 'rejected', or 'added' where they made it."""
+REJECTED, CONFIRMED, ADDED = "rejected", "confirmed", "added"
+LAST_ID = "fruitlangs_last_id"
+"""Custom property of the Blender scene: the highest number that a fruit ever had in it."""
+
+
+def fruit_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The collection of the fruit objects, or of the first of them where a person took it away; None without fruit."""
+    first = owned_object(bpy_scene, "fruit")
+    if first is None:
+        return None
+    made = (each for each in local_collections(bpy_scene) if each.get(OWNER) == "fruits")
+    return next(made, first.users_collection[0])
+
+
+def standing(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The fruit that count: all that were not rejected."""
+    return [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) != REJECTED]
+
+
+def metres_per_unit(bpy_scene: bpy.types.Scene) -> float | None:
+    """Metres in a unit of the scene's frame; None where the scale is not known."""
+    root = owned_object(bpy_scene, "root")
+    return None if root is None else float(root.get("metres_per_unit", 0.0)) or None
+
+
+def diameter_text(item: bpy.types.Object, metric: bool) -> str:
+    """A fruit's diameter for people: '81.2 mm' where lengths are metres (`metres_per_unit`), else '0.0812'."""
+    return f"{diameter_number(item, metric)} mm" if metric else diameter_number(item, metric)
+
+
+def diameter_number(item: bpy.types.Object, metric: bool) -> str:
+    """The same without a unit, for a column below `diameter_head`."""
+    return three_digits(float(item.get("diameter", 0.0)) * (1000.0 if metric else 1.0))
+
+
+def diameter_head(metric: bool) -> str:
+    """What stands over, or before, diameters without a unit."""
+    return "Ø mm" if metric else "Ø units"
+
+
+def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:
+    """Where a fruit object stands, in the scene's frame and units."""
+    from ...engine.counting.accounts.review import Spot
+
+    placed = np.array(in_scene_frame(item, root))
+    # The mesh is a ball of diameter 1.
+    axes = 0.5 * placed[:3, :3].T
+    axes = axes[np.argsort(-np.linalg.norm(axes, axis=1), kind="stable")]
+    axes[2] *= np.sign(np.linalg.det(axes)) or 1.0
+    return Spot(int(item.get("id", 0)), str(item.get("label", "fruit")), placed[:3, 3].copy(), axes)
+
+
+def judge(item: bpy.types.Object, verdict: str) -> None:
+    """Say of a fruit that it is 'confirmed', 'rejected' or 'added', or nothing (''); rejected ones are hidden."""
+    if verdict:
+        item[REVIEW] = verdict
+    elif REVIEW in item:
+        del item[REVIEW]
+    item.hide_viewport = item.hide_render = verdict == REJECTED
+
+
+def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | None) -> bpy.types.Object:
+    """An object for a fruit that a person made; its colour and tree are those of the fruit `like`."""
+    from ...engine.counting.fruit import Fruit
+
+    root = owned_object(bpy_scene, "root")
+    assert root is not None
+    color = np.array([200, 60, 40]) if like is None or "color" not in like else 255.0 * np.array(like["color"])
+    fruit = Fruit(
+        id=spot.id,
+        label=spot.label,
+        center=spot.center,
+        diameter=spot.diameter,
+        diameter_sd=float("nan"),
+        volume=float(np.pi / 6.0 * spot.diameter**3),
+        axes=spot.axes,
+        probability=1.0,
+        visible_fraction=None,
+        views=0,
+        color=np.asarray(color).round().astype(np.uint8),
+        kind="single",
+        members=np.zeros(0, np.int64),
+        fallen=None if like is None else like.get("fallen"),
+        tree=None if like is None else like.get("tree"),
+    )
+    item = write_fruit(bpy_scene, fruit, root, metres_per_unit=metres_per_unit(bpy_scene))
+    judge(item, ADDED)
+    bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), spot.id)
+    return item
+
+
+def next_ids(bpy_scene: bpy.types.Scene, count: int) -> list[int]:
+    """Numbers that no fruit of this Blender scene ever had."""
+    used = [int(item.get("id", 0)) for item in owned_objects(bpy_scene, "fruit")]
+    last = max([int(bpy_scene.get(LAST_ID, 0)), *used])
+    return list(range(last + 1, last + 1 + count))
+
+
+def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Indices (M,) of the Gaussians of a fruit, and their places (M, 3) in the scene's frame.
+
+    A copy that a person made of a fruit has its number: of those each has the Gaussians that are nearest to it.
+    """
+    found = gaussian_attributes(bpy_scene, "fruit_id", "position")
+    if found is None:
+        return np.zeros(0, np.int64), np.zeros((0, 3))
+    owners, places = found
+    own = np.flatnonzero(owners == item["id"])
+    root, same = owned_object(bpy_scene, "root"), [item]
+    same += [each for each in owned_objects(bpy_scene, "fruit") if each.get("id") == item["id"] and each != item]
+    if len(same) > 1 and root is not None:
+        centers = np.array([in_scene_frame(each, root).translation for each in same])
+        nearest = np.linalg.norm(places[own, None] - centers, axis=2).argmin(axis=1)
+        own = own[nearest == 0]
+    return own, places[own].astype(np.float64)
+
+
+def give_members(bpy_scene: bpy.types.Scene, own: NDArray[np.int64], numbers: NDArray[np.int64] | int) -> None:
+    """Make the Gaussians `own` (M,) those of the fruit with these numbers, (M,) or one."""
+    item, found = owned_object(bpy_scene, "gaussians"), gaussian_attributes(bpy_scene, "fruit_id")
+    if len(own) and item is not None and found is not None:
+        found[0][own] = numbers
+        set_attribute(item.data, "fruit_id", "INT", found[0])
+
+
+def now() -> str:
+    """The time, as the log has it."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def write_log(bpy_scene: bpy.types.Scene, decision: Decision) -> None:
+    """Add a decision to the log that the .blend keeps."""
+    entry = bpy_scene.fruitlangs.review.log.add()
+    entry.action, entry.time, entry.reason = decision.action, decision.time, decision.reason
+    for spots, kept in ((decision.before, entry.before), (decision.after, entry.after)):
+        for spot in spots:
+            keep_spot(kept, spot)
+
+
+def keep_spot(rows: Any, spot: Spot) -> None:
+    """Add a spot to those that the .blend keeps."""
+    row = rows.add()
+    row.number, row.label = spot.id, spot.label
+    row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
+
+
+def read_log(bpy_scene: bpy.types.Scene) -> list[Decision]:
+    """The decisions that the .blend keeps, oldest first."""
+    from ...engine.counting.accounts.review import Decision
+
+    return [
+        Decision(entry.action, entry.time, entry.reason, tuple(spots_of(entry.before)), tuple(spots_of(entry.after)))
+        for entry in bpy_scene.fruitlangs.review.log
+    ]
+
+
+def spots_of(rows: Any) -> list[Spot]:
+    """The spots that `keep_spot` kept."""
+    from ...engine.counting.accounts.review import Spot
+
+    return [
+        Spot(row.number, row.label, np.array(row.center, np.float64), np.array(row.axes, np.float64).reshape(3, 3))
+        for row in rows
+    ]

@@ -1,0 +1,107 @@
+"""Fruit that a person deleted or copied by Blender's own means (X, Shift-D), told to the log.
+
+The .blend keeps which fruit stood when last looked (`review.known`). What is missing since was deleted: rejected. What
+is there beside them was copied: added. So the log is complete, and a later count keeps both.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+
+from ..blender_data import in_scene_frame, owned_object
+from .fruit_objects import (
+    ADDED,
+    LAST_ID,
+    REVIEW,
+    judge,
+    keep_spot,
+    next_ids,
+    now,
+    spot_of,
+    spots_of,
+    standing,
+    write_log,
+)
+from .write_fruits import label_fruit
+
+if TYPE_CHECKING:
+    from ...engine.counting.accounts.review import Spot
+
+OF_ONE_LOOK = ("probability", "visible_fraction", "diameter_sd", "views", "kind")
+"""Custom properties that say how the machine saw a fruit, and nothing of a copy of it."""
+
+
+def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
+    """Keep which fruit stand and where; those of the machine where it found them, as a later count will."""
+    root, known = owned_object(bpy_scene, "root"), bpy_scene.fruitlangs.review.known
+    if root is None:
+        return
+    found = {spot.id: spot for spot in spots_of(known)}
+    spots = []
+    for item in standing(bpy_scene):
+        before = found.get(int(item.get("id", 0)))
+        spots.append(spot_of(item, root) if before is None or item.get(REVIEW) == ADDED else before)
+    known.clear()
+    for spot in spots:
+        keep_spot(known, spot)
+
+
+def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
+    """Write into the log which fruit were deleted or copied since `remember_fruit`; returns it in words.
+
+    Nothing is known of fruit that were never remembered (a .blend of the command line), nor where the root is gone: who
+    deletes all of a scene has judged no fruit.
+    """
+    from ...engine.counting.accounts.review import Decision
+
+    root, known = owned_object(bpy_scene, "root"), spots_of(bpy_scene.fruitlangs.review.known)
+    if root is None:
+        return []
+    items, told = _originals(bpy_scene, root, known), []
+    missing = [spot for spot in known if spot.id not in items]
+    if missing:
+        write_log(bpy_scene, Decision("reject", now(), "deleted", before=tuple(missing)))
+        told.append(f"deleted by hand and rejected in the log: {_numbers([spot.id for spot in missing])}")
+    own = set(items.values())
+    copies = [item for item in standing(bpy_scene) if item not in own]
+    for item, number in zip(copies, next_ids(bpy_scene, len(copies)), strict=True):
+        _make_own(bpy_scene, item, number)
+        write_log(bpy_scene, Decision("add", now(), "copied", after=(spot_of(item, root),)))
+    if copies:
+        told.append(f"copied by hand and added in the log: {_numbers([item['id'] for item in copies])}")
+    remember_fruit(bpy_scene)
+    return told
+
+
+def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[Spot]) -> dict[int, bpy.types.Object]:
+    """{number: object} of the fruit that were known; of several with a number the one that is nearest to where it was.
+
+    Where none was known the first of each number is taken for it.
+    """
+    centers, found = {spot.id: spot.center for spot in known}, dict[int, tuple[float, bpy.types.Object]]()
+    for item in sorted(standing(bpy_scene), key=lambda item: item.name):
+        number = int(item.get("id", 0))
+        if known and number not in centers:
+            continue
+        place = np.array(in_scene_frame(item, root).translation)
+        away = float(np.linalg.norm(place - centers.get(number, place)))
+        if number not in found or away < found[number][0]:
+            found[number] = (away, item)
+    return {number: item for number, (_, item) in found.items()}
+
+
+def _make_own(bpy_scene: bpy.types.Scene, item: bpy.types.Object, number: int) -> None:
+    """Make a fruit of its own of a copy, as if a person had added it: what is selected or active stays so."""
+    for key in OF_ONE_LOOK:
+        if key in item:
+            del item[key]
+    item["id"] = bpy_scene[LAST_ID] = number
+    judge(item, ADDED)
+    label_fruit(item, str(item.get("label", "fruit")), bpy_scene)
+
+
+def _numbers(numbers: list[int]) -> str:
+    return ", ".join(map(str, sorted(numbers)))

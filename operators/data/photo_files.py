@@ -1,0 +1,176 @@
+"""The photo of a Blender camera: where its file is, and which lens took it.
+
+A camera keeps all of it in custom properties, so that a saved .blend needs neither the scene's model nor its reader.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ...engine.errors import SceneError
+from ..blender_data import OWNER
+
+if TYPE_CHECKING:
+    from ...engine.scene.camera import Camera, Photo
+    from ...engine.scene.photos.photo import FilePhoto
+
+PHOTO, FILE, LENS, SIZE, ASPECT = "photo", "photo_file", "photo_lens", "photo_size", "pixel_aspect"
+"""Custom properties of a camera: its photo's name, its file, its lens where the file is not what the camera sees, the
+camera's width and height in pixels, and fx / fy."""
+LONGEST = 2048
+"""Pixels a side of an undistorted picture, at most: a person waits for it."""
+NEAR_BLEND = 2
+"""Folders up from the .blend in which a photo that was moved is looked for."""
+
+
+def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> None:
+    """Write into a camera what it needs to find and show its photo later."""
+    item[PHOTO] = "" if photo is None else photo.name
+    item[SIZE] = [camera.width, camera.height]
+    item[ASPECT] = float(camera.K[0, 0] / camera.K[1, 1])
+    path = getattr(photo, "path", None)
+    if path is None:
+        return
+    found: Any = photo
+    item[FILE] = str(path)
+    if not found.is_as_stored:
+        lens = found.lens
+        item[LENS] = json.dumps(
+            {
+                "model": lens.model,
+                "params": list(lens.params),
+                "calibrated": [lens.width, lens.height],
+                "size": [found.width, found.height],
+                "face": found.face,
+                "turn": None if found.turn is None else int(found.turn),
+            }
+        )
+
+
+def has_photo(item: bpy.types.Object | None) -> bool:
+    """Whether an object is a camera of ours that was made with its photo."""
+    return item is not None and item.get("fruitlangs") == "camera" and bool(item.get(FILE)) and SIZE in item
+
+
+def photo_path(item: bpy.types.Object) -> Path:
+    """The file of a camera's photo; one that was moved along with the .blend or the scene's folder is found there.
+
+    Raises:
+        SceneError: the camera was made without one, or it is not there (any more).
+    """
+    if not item.get(FILE):
+        raise SceneError(f"There was no photo for the camera {item.name}; import the scene again with its photos")
+    kept = Path(item[FILE])
+    if kept.is_file():
+        return kept
+    tails = [PurePath(*kept.parts[start:]) for start in range(1, len(kept.parts))]
+    found = next((base / tail for base in _bases() for tail in tails if (base / tail).is_file()), None)
+    if found is None:
+        raise SceneError(
+            f"The photo {kept.name} is not in {kept.parent} any more; put it back, or move it with its folder beside "
+            "the .blend"
+        )
+    return found
+
+
+def _bases() -> list[Path]:
+    """Folders in which photos that were moved are looked for."""
+    found = []
+    if bpy.data.filepath:
+        folder = Path(bpy.data.filepath).parent
+        found += [folder, *list(folder.parents)[:NEAR_BLEND]]
+    sources = {scene.fruitlangs.source for scene in bpy.data.scenes if hasattr(scene, "fruitlangs")}
+    return found + [Path(bpy.path.abspath(source)) for source in sorted(sources) if source]
+
+
+def viewed_file(item: bpy.types.Object) -> Path:
+    """A picture of what the camera sees: the photo's own file, or an undistorted copy in Blender's temporary folder.
+
+    Raises:
+        SceneError: the photo is gone or cannot be decoded.
+        ImportError: undistorting needs a package that is not installed.
+    """
+    made = _viewed_name(item)
+    if not made.is_file():
+        undistorting(item)()
+    return made
+
+
+def ready_file(item: bpy.types.Object) -> Path | None:
+    """`viewed_file` where that takes no time; None where `undistorting` must be called first.
+
+    Raises:
+        SceneError: the photo is gone.
+    """
+    made = _viewed_name(item)
+    return made if made.is_file() else None
+
+
+def undistorting(item: bpy.types.Object) -> Callable[[], None]:
+    """What makes the picture that the camera sees; any thread may call it.
+
+    Raises (both this and what is returned):
+        SceneError: the photo is gone or cannot be decoded.
+        ImportError: a package is not installed.
+    """
+    photo, made = _file_photo(item, photo_path(item)), _viewed_name(item)
+    return lambda: _write_undistorted(photo, made)
+
+
+def _viewed_name(item: bpy.types.Object) -> Path:
+    path = photo_path(item)
+    if LENS not in item:
+        return path
+    text = f"{path} {path.stat().st_mtime_ns} {item[LENS]}"
+    return Path(bpy.app.tempdir) / f"fruitlangs_{hashlib.sha256(text.encode()).hexdigest()[:16]}.png"
+
+
+def _file_photo(item: bpy.types.Object, path: Path) -> FilePhoto:
+    """The photo as the scene reader had it, no larger than `LONGEST`."""
+    from PIL import Image
+
+    from ...engine.scene.photos.lens import Lens
+    from ...engine.scene.photos.photo import FilePhoto, read_header
+
+    kept = json.loads(item[LENS])
+    width, height = kept["size"]
+    # The view of a smaller copy has the same frame: its K follows the resize exactly.
+    shrunk = max(max(width, height) / LONGEST, 1.0)
+    return FilePhoto(
+        name=item[PHOTO],
+        path=path,
+        header=read_header(path),
+        lens=Lens(kept["model"], tuple(kept["params"]), *kept["calibrated"]),
+        width=round(width / shrunk),
+        height=round(height / shrunk),
+        face=kept["face"],
+        turn=None if kept["turn"] is None else Image.Transpose(kept["turn"]),
+    )
+
+
+def _write_undistorted(photo: FilePhoto, made: Path) -> None:
+    from PIL import Image
+
+    part = made.with_suffix(".part.png")
+    try:
+        Image.fromarray(photo.pixels()).save(part, compress_level=1)
+        part.replace(made)
+    except OSError as error:
+        raise SceneError(f"The undistorted copy {made} cannot be written ({error}); free some space there") from error
+
+
+def remove_backgrounds(items: Iterable[bpy.types.Object]) -> None:
+    """Take our photos from behind these cameras, and out of memory."""
+    for item in items:
+        slots = item.data.background_images
+        for slot in [slot for slot in slots if slot.image is not None and slot.image.get(OWNER) == "photo"]:
+            image, slot.image = slot.image, None  # removing the slot alone would leave its use of the picture counted
+            slots.remove(slot)
+            if image.users == 0:
+                bpy.data.images.remove(image)

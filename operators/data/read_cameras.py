@@ -1,0 +1,109 @@
+"""Blender's cameras as the engine's: the way back of `write_cameras`, and what a person looks through."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+
+from ...engine.errors import SceneError
+from ..blender_data import get_attribute, in_scene_frame, owned_object, owned_objects, srgb_from_linear
+from .fruit_objects import metres_per_unit
+from .photo_files import ASPECT, SIZE
+from .write_cameras import BLENDER_AXES
+
+if TYPE_CHECKING:
+    from ...engine.scene.camera import Camera, FloatArray, Scene
+
+
+def read_scene(bpy_scene: bpy.types.Scene) -> Scene:
+    """The photos' cameras and the sparse points that are shown, in the scene's frame; without the photos.
+
+    Raises:
+        SceneError: nothing was imported, or a camera is none of perspective.
+    """
+    from ...engine.scene.camera import Scene
+
+    points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    sparse = owned_object(bpy_scene, "points")
+    if sparse is not None and sparse.mode != "EDIT":
+        points = get_attribute(sparse.data, "position").astype(np.float64)
+        shown = srgb_from_linear(get_attribute(sparse.data, "radiance:base")[:, :3])
+        colors = np.round(255.0 * shown.clip(0.0, 1.0)).astype(np.uint8)
+    return Scene(read_cameras(bpy_scene), [], points, colors, read_up(bpy_scene), metres_per_unit(bpy_scene))
+
+
+def read_up(bpy_scene: bpy.types.Scene) -> FloatArray:
+    """(3,) unit vector away from the ground, in the scene's frame.
+
+    Raises:
+        SceneError: nothing was imported.
+    """
+    up = np.array(_root(bpy_scene).matrix_basis.to_3x3().row[2], np.float64)
+    return up / np.linalg.norm(up)
+
+
+def read_cameras(bpy_scene: bpy.types.Scene) -> list[Camera]:
+    """The photos' cameras, as they stand now.
+
+    Raises:
+        SceneError: one is none of perspective.
+    """
+    root = _root(bpy_scene)
+    return [read_camera(item, root) for item in owned_objects(bpy_scene, "camera") if SIZE in item]
+
+
+def read_camera(item: bpy.types.Object, root: bpy.types.Object) -> Camera:
+    """One photo's camera, as it stands now.
+
+    Raises:
+        SceneError: it is none of perspective.
+    """
+    width, height = (int(side) for side in item[SIZE])
+    return _camera(item, root, width, height, float(item[ASPECT]))
+
+
+def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
+    """The camera that Blender would render through, at the render's size.
+
+    Raises:
+        SceneError: there is none, it is none of perspective, or nothing was imported.
+    """
+    item, render = bpy_scene.camera, bpy_scene.render
+    if item is None:
+        raise SceneError("The scene has no active camera; choose one, or let the view be framed by itself")
+    for layer in bpy_scene.view_layers:
+        layer.update()  # a camera that was just moved or added has no place in the world yet
+    share = render.resolution_percentage / 100.0
+    width, height = (max(round(side * share), 1) for side in (render.resolution_x, render.resolution_y))
+    return _camera(item, _root(bpy_scene), width, height, render.pixel_aspect_y / render.pixel_aspect_x)
+
+
+def _camera(item: bpy.types.Object, root: bpy.types.Object, width: int, height: int, aspect: float) -> Camera:
+    """A camera object that makes pictures of width × height pixels, which are `aspect` times as high as wide."""
+    from ...engine.scene.camera import Camera
+
+    if item.type != "CAMERA" or item.data.type != "PERSP":
+        raise SceneError(f"The camera {item.name} is not a perspective one; set its type to Perspective")
+    place, turned, _ = in_scene_frame(item, root).decompose()
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.array(turned.to_matrix()), np.array(place)
+    return Camera(_intrinsics(item.data, width, height, aspect), np.linalg.inv(pose @ BLENDER_AXES), width, height)
+
+
+def _intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: float) -> FloatArray:
+    """(3, 3) K. Blender fits the sensor to one side of the picture, and its shifts are fractions of that side."""
+    upright = data.sensor_fit == "VERTICAL" or (data.sensor_fit == "AUTO" and width < height * aspect)
+    side = height * aspect if upright else width
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+    focal = data.lens * side / sensor
+    middle = (0.5 * width - data.shift_x * side, 0.5 * height + data.shift_y * side / aspect)
+    return np.array([[focal, 0.0, middle[0]], [0.0, focal / aspect, middle[1]], [0.0, 0.0, 1.0]])
+
+
+def _root(bpy_scene: bpy.types.Scene) -> bpy.types.Object:
+    root = owned_object(bpy_scene, "root")
+    if root is None:
+        raise SceneError("There is no scene yet; import one first")
+    return root

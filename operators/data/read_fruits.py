@@ -1,0 +1,119 @@
+"""Fruit objects as the engine's count: what stands now, a person's corrections and all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.errors import CountingError
+from ..blender_data import gaussian_attributes, owned_object
+from .fruit_objects import LAST_ID, metres_per_unit, next_ids, spot_of, standing
+from .stored_audit import read_audit
+from .stored_review import is_reviewed, reviewed_interval
+
+if TYPE_CHECKING:
+    from ...engine.counting.fruit import Fruit, FruitCount, Tree
+
+SAME = 1e-3
+"""Share by which a fruit's diameter may differ from the one it was given before a person must have scaled it."""
+
+
+def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
+    """The fruit that stand in this Blender scene, by number, where and as large as they are now.
+
+    Rejected fruit are left out. A copy that a person made of a fruit has its number; it gets a free one here. The
+    interval is the corrected one. Of all fruit, seen or not, something is told only while nothing was reviewed.
+    The audit is that of the count, before the review. The sampled points are not in a .blend; a tree's place is the
+    middle of its fruit, and trees without any are not known.
+
+    Raises:
+        CountingError: nothing was counted.
+    """
+    from ...engine.counting.fruit import FruitCount
+
+    root = owned_object(bpy_scene, "root")
+    if not counted(bpy_scene):
+        raise CountingError("Nothing is counted yet; count first")
+    if root is None:
+        raise CountingError("The empty that holds the scene is gone; undo that, or import or count again")
+    items = sorted(standing(bpy_scene), key=lambda item: (int(item.get("id", 0)), item.name))
+    owners = _gaussian_attribute(bpy_scene, "fruit_id", np.int32)
+    numbers = _numbers(bpy_scene, items)
+    unit = metres_per_unit(bpy_scene) or 1.0
+    fruits = [_fruit(item, root, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
+    shown = bpy_scene.fruitlangs.result
+    told = shown.total >= 0.0 and not is_reviewed(bpy_scene) and len(fruits) == shown.count
+    return FruitCount(
+        fruits=fruits,
+        audit=read_audit(bpy_scene),
+        max_probability=float(_gaussian_attribute(bpy_scene, "probability", np.float32).max(initial=0.0)),
+        mean_diameter=float(np.mean([fruit.diameter for fruit in fruits])) if fruits else None,
+        last_id=max([int(bpy_scene.get(LAST_ID, 0)), *numbers]),
+        interval=reviewed_interval(bpy_scene),
+        total=float(shown.total) if told else None,
+        total_interval=(shown.total_low, shown.total_high) if told else None,
+        trees=_trees(fruits),
+    )
+
+
+def counted(bpy_scene: bpy.types.Scene) -> bool:
+    """Whether there was a count, be it of 0 fruit."""
+    return bpy_scene.fruitlangs.result.count >= 0 or owned_object(bpy_scene, "fruit") is not None
+
+
+def _fruit(
+    item: bpy.types.Object, root: bpy.types.Object, number: int, owners: NDArray[np.int32], metres_per_unit: float
+) -> Fruit:
+    """One fruit object. owners: (N,) the Gaussians' fruit."""
+    from ...engine.counting.fruit import Fruit
+
+    spot = spot_of(item, root)
+    known = float(item.get("diameter", 0.0)) / metres_per_unit
+    as_given = abs(spot.diameter - known) <= SAME * known
+    fraction, fallen, tree = (item.get(key) for key in ("visible_fraction", "fallen", "tree"))
+    return Fruit(
+        id=number,
+        label=spot.label,
+        center=spot.center,
+        diameter=spot.diameter,
+        # What was measured says nothing of a size that a person gave.
+        diameter_sd=float(item.get("diameter_sd", np.nan)) / metres_per_unit if as_given else float("nan"),
+        volume=float(np.pi / 6.0 * spot.diameter**3),
+        axes=spot.axes,
+        probability=float(item.get("probability", 1.0)),
+        visible_fraction=None if fraction is None else float(fraction),
+        views=int(item.get("views", 0)),
+        color=np.round(255.0 * np.array(item.get("color", (0.8, 0.2, 0.2)), np.float64)).clip(0, 255).astype(np.uint8),
+        kind=item.get("kind", "single"),
+        members=np.flatnonzero(owners == number),
+        fallen=None if fallen is None else bool(fallen),
+        tree=None if tree is None else int(tree),
+    )
+
+
+def _numbers(bpy_scene: bpy.types.Scene, items: list[bpy.types.Object]) -> list[int]:
+    """One number a fruit; the first of several with the same keeps it."""
+    found = np.array([item.get("id", 0) for item in items], np.int64)
+    first = np.zeros(len(found), bool)
+    first[np.unique(found, return_index=True)[1]] = True
+    found[~first] = next_ids(bpy_scene, int((~first).sum()))
+    return found.tolist()
+
+
+def _trees(fruits: list[Fruit]) -> list[Tree]:
+    from ...engine.counting.fruit import Tree
+
+    trees = []
+    for number in sorted({fruit.tree for fruit in fruits if fruit.tree is not None}):
+        own = [fruit.center for fruit in fruits if fruit.tree == number]
+        trees.append(Tree(number, np.mean(own, axis=0), len(own)))
+    return trees
+
+
+def _gaussian_attribute(bpy_scene: bpy.types.Scene, name: str, kind: type) -> NDArray[Any]:
+    """(N,) an attribute of the Gaussians; empty where it cannot be had."""
+    found = gaussian_attributes(bpy_scene, name)
+    return np.zeros(0, kind) if found is None else found[0]

@@ -1,0 +1,77 @@
+"""The Gaussian object's attributes as engine values: the way back of `write_gaussians`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.errors import FormatError
+from ..blender_data import get_attribute, owned_object, srgb_from_linear
+from ..viewport.splats import ANTIALIASED
+
+if TYPE_CHECKING:
+    from ...engine.splatting.gaussians import Gaussians
+
+NEEDED = ("scale", "quaternion", "radiance:base", "opacity")
+"""Attributes that a picture cannot do without."""
+LEAST = 1e-6
+"""Opacities are kept this far from 0 and 1, where their logits end."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredGaussians:
+    """What the mesh holds of N Gaussians, as NumPy arrays: reading them needs no PyTorch, whose import takes seconds.
+
+    positions: (N, 3); scales: (N, 3); quaternions: (N, 4); colors: (N, 3) sRGB; opacities: (N,).
+    """
+
+    positions: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    quaternions: NDArray[np.float32]
+    colors: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    antialiased: bool
+
+    def gaussians(self) -> Gaussians:
+        """In the scene's frame. Their colour is alike from all sides (spherical harmonics of degree 0)."""
+        import torch
+
+        from ...engine.splatting.gaussians import Gaussians, harmonics_of
+
+        return Gaussians(
+            means=torch.from_numpy(self.positions),
+            log_scales=torch.from_numpy(self.scales).clamp(min=1e-12).log(),
+            quats=torch.from_numpy(self.quaternions),
+            opacity_logits=torch.logit(torch.from_numpy(self.opacities).clamp(LEAST, 1.0 - LEAST)),
+            sh=harmonics_of(self.colors.astype(np.float64)),
+            antialiased=self.antialiased,
+        )
+
+
+def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
+    """This Blender scene's Gaussians; None where it has none.
+
+    Raises:
+        FormatError: the object is being edited, or a person removed an attribute.
+    """
+    item = owned_object(bpy_scene, "gaussians")
+    if item is None:
+        return None
+    if item.mode == "EDIT":
+        raise FormatError(f"{item.name} is in Edit Mode; leave it (Tab) and try again")
+    mesh = item.data
+    missing = [name for name in NEEDED if name not in mesh.attributes]
+    if missing:
+        raise FormatError(f"{item.name} has lost its attribute '{missing[0]}'; import the result or count again")
+    return StoredGaussians(
+        positions=get_attribute(mesh, "position"),
+        scales=get_attribute(mesh, "scale"),
+        quaternions=get_attribute(mesh, "quaternion"),
+        colors=srgb_from_linear(get_attribute(mesh, "radiance:base")[:, :3]),
+        opacities=get_attribute(mesh, "opacity"),
+        antialiased=bool(mesh.get(ANTIALIASED, False)),
+    )

@@ -1,0 +1,47 @@
+"""The audit of a count in the .blend: why each cluster of points was kept, split, merged or dropped.
+
+It is text in a custom property of the Blender scene: the command line writes scene.blend without the extension's own
+properties.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import bpy
+
+if TYPE_CHECKING:
+    from ...engine.counting.fruit import AuditEntry
+
+AUDIT = "fruitlangs_audit"
+"""Custom property of the Blender scene: a JSON list of the audit's entries, lengths in scene units, largest first."""
+
+
+def write_audit(bpy_scene: bpy.types.Scene, audit: Sequence[AuditEntry]) -> None:
+    """Replace the audit that this Blender scene keeps."""
+    largest_first = sorted(audit, key=lambda entry: (-entry.points, entry.cluster))
+    bpy_scene[AUDIT] = json.dumps([dataclasses.asdict(entry) for entry in largest_first])
+
+
+def read_audit(bpy_scene: bpy.types.Scene) -> list[AuditEntry]:
+    """The entries of the count that is shown, those of most points first; none where the .blend keeps no audit."""
+    return list(_entries(bpy_scene.get(AUDIT, "[]")))
+
+
+@lru_cache(maxsize=2)  # a panel asks at every draw
+def _entries(text: str) -> tuple[AuditEntry, ...]:
+    from ...engine.counting.fruit import AuditEntry
+
+    return tuple(
+        AuditEntry(**{**entry, "center": tuple(entry["center"]), "fruit_ids": tuple(entry["fruit_ids"])})
+        for entry in json.loads(text)
+    )
+
+
+def about_fruit(audit: Sequence[AuditEntry], number: int) -> list[AuditEntry]:
+    """The entries that name the fruit of that number: of its own cluster first, then of those merged into it."""
+    return sorted((entry for entry in audit if number in entry.fruit_ids), key=lambda entry: entry.verdict == "merged")

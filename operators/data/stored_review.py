@@ -1,0 +1,168 @@
+"""After a count: what a person decided before holds on, and the line that says where the review stands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+
+from ...engine.errors import VocabularyError
+from ..blender_data import owned_object, owned_objects, remove_objects
+from .fruit_objects import (
+    ADDED,
+    CONFIRMED,
+    LAST_ID,
+    REJECTED,
+    REVIEW,
+    give_members,
+    judge,
+    make_fruit,
+    members,
+    read_log,
+    spot_of,
+    standing,
+)
+from .manual_edits import log_by_hand, remember_fruit
+from .write_fruits import label_fruit
+
+if TYPE_CHECKING:
+    from ...engine.counting.accounts.review import Decision, Reviewed
+    from ...engine.counting.fruit import FruitCount
+
+
+def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
+    """Write into the log which fruit a person deleted and copied, which is told in words, and where those that a person
+    made stand now: they may have been moved and scaled since."""
+    root = owned_object(bpy_scene, "root")
+    if root is None:
+        return []
+    told = log_by_hand(bpy_scene)
+    made = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == ADDED]
+    spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
+    for row in _rows(bpy_scene):
+        spot = spots.get(row.number)
+        if spot is not None:
+            row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
+    return told
+
+
+def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
+    """Every fruit that the log names."""
+    for entry in bpy_scene.fruitlangs.review.log:
+        yield from entry.before
+        yield from entry.after
+
+
+def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts: Sequence[str]) -> list[str]:
+    """Apply the log to the fruit objects of a new count of these prompts; returns what of it was not, in words."""
+    from ...engine.counting.accounts.review import about, replay
+
+    bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), fruit_count.last_id)
+    root = owned_object(bpy_scene, "root")
+    if root is None:
+        return []
+    log, others = about(read_log(bpy_scene), _labels(fruit_count, prompts))
+    items = owned_objects(bpy_scene, "fruit")
+    found = replay(log, [spot_of(item, root) for item in items], bpy_scene[LAST_ID])
+    kept = {source for source in found.sources if source >= 0}
+    for spot, verdict, source in zip(found.spots, found.standings, found.sources, strict=True):
+        if source < 0:
+            judge(make_fruit(bpy_scene, spot, None), verdict)
+            continue
+        judge(items[source], verdict)
+        if items[source]["label"] != spot.label:
+            label_fruit(items[source], spot.label, bpy_scene)
+    gone = {index: item for index, item in enumerate(items) if index not in kept}
+    _give_members(bpy_scene, gone, found)
+    remove_objects(gone.values())
+    for row in _rows(bpy_scene):
+        row.number = found.renumbered.get(row.number, row.number)
+    bpy_scene.fruitlangs.review.known.clear()  # a number may be another fruit's now
+    remember_fruit(bpy_scene)
+    return _not_applied(found.lost, others)
+
+
+def _labels(fruit_count: FruitCount, prompts: Sequence[str]) -> set[str]:
+    """What the fruit of a count may be called."""
+    from ...engine.language.vocabulary import parse
+
+    labels = {fruit.label for fruit in fruit_count.fruits} | set(prompts)
+    for prompt in prompts:
+        with suppress(VocabularyError):
+            labels.add(parse(prompt).text)
+    return labels
+
+
+def _give_members(bpy_scene: bpy.types.Scene, gone: dict[int, bpy.types.Object], found: Reviewed) -> None:
+    """Give the Gaussians of the machine's fruit that persons replaced, {index: object}, to what was made of each, the
+    nearest."""
+    for index, item in gone.items():
+        heirs = [spot for spot, origins in zip(found.spots, found.origins, strict=True) if index in origins]
+        own, places = members(bpy_scene, item)
+        if heirs and len(own):
+            away = [np.linalg.norm(places - spot.center, axis=1) / spot.diameter for spot in heirs]
+            give_members(bpy_scene, own, np.array([spot.id for spot in heirs])[np.argmin(away, axis=0)])
+
+
+def _not_applied(lost: Sequence[Decision], others: Sequence[Decision]) -> list[str]:
+    told = [
+        f"{decision.action} of {', '.join(str(spot.id) for spot in decision.before)}: no longer found"
+        for decision in lost
+    ]
+    if others:
+        labels = sorted({spot.label for decision in others for spot in decision.before or decision.after})
+        told.append(f"decisions on {', '.join(labels)}, which hold when that is counted again: {len(others)}")
+    return told
+
+
+def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
+    """Whether a person has decided anything about the fruit that were counted last."""
+    counted = bpy_scene.fruitlangs.result.count
+    return any(REVIEW in item for item in owned_objects(bpy_scene, "fruit")) or (
+        counted >= 0 and len(standing(bpy_scene)) != counted
+    )
+
+
+def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
+    """90 % interval of the visible fruit, narrowed by what has been looked at; None where the count tells none."""
+    from ...engine.counting.accounts.review import corrected_interval
+
+    shown = bpy_scene.fruitlangs.result
+    if shown.high < 0:
+        return None
+    own = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) in (None, CONFIRMED, REJECTED)]
+    chances = np.array([float(item.get("probability", 1.0)) for item in own])
+    reviewed = np.array([REVIEW in item for item in own], bool)
+    rejected = sum(item.get(REVIEW) == REJECTED for item in own)
+    after = len(standing(bpy_scene))
+    return corrected_interval(shown.count, (shown.low, shown.high), chances, reviewed, rejected, after)
+
+
+def review_line(bpy_scene: bpy.types.Scene) -> str:
+    """'machine 182, after review 185, interval 178–196'; without the middle where nothing was reviewed."""
+    interval = reviewed_interval(bpy_scene)
+    return counts_line(bpy_scene) + ("" if interval is None else f", interval {interval[0]}–{interval[1]}")
+
+
+def counts_line(bpy_scene: bpy.types.Scene) -> str:
+    """'machine 182, after review 185'; without the second where nothing was reviewed."""
+    shown = bpy_scene.fruitlangs.result
+    told = [f"machine {shown.count}"] if shown.count >= 0 else []
+    if is_reviewed(bpy_scene):
+        told.append(f"after review {len(standing(bpy_scene))}")
+    elif not told:  # a .blend that the command line wrote
+        told.append(f"{len(standing(bpy_scene))} fruit")
+    return ", ".join(told)
+
+
+def entry_text(entry: bpy.types.PropertyGroup) -> str:
+    """One decision of the log: '2026-05-01 10:00 merge 12, 15 → 121 (one apple)'."""
+    numbers = [", ".join(str(spot.number) for spot in spots) for spots in (entry.before, entry.after)]
+    if entry.action == "relabel":
+        numbers[1] = entry.after[0].label
+    told = " → ".join(number for number in numbers if number)
+    reason = f" ({entry.reason})" if entry.reason else ""
+    return f"{entry.time[:16].replace('T', ' ')} {entry.action} {told}{reason}"

@@ -1,0 +1,75 @@
+"""The photos' cameras as Blender cameras."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..blender_data import new_object, owned_collection, owned_objects, remove_objects
+from .photo_files import ASPECT, SIZE, keep_photo, remove_backgrounds
+
+if TYPE_CHECKING:
+    from ...engine.scene.camera import Camera, FloatArray, Photo, Scene
+
+SENSOR_WIDTH = 36.0
+"""Millimetres; only the ratio lens : sensor matters."""
+
+BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+"""COLMAP's camera looks along +z with y down, Blender's along -z with y up."""
+
+
+def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> list[bpy.types.Object]:
+    """Replace this Blender scene's photo cameras; the one at the middle of the list becomes active.
+
+    A camera is named after its photo and keeps in custom properties what shows it later (see `photo_files`).
+    """
+    was_ours = bpy_scene.camera is None or bpy_scene.camera in owned_objects(bpy_scene, "camera")
+    remove_backgrounds(owned_objects(bpy_scene, "camera"))
+    remove_objects(owned_objects(bpy_scene, "camera"))
+    collection = owned_collection(bpy_scene, "cameras", "Cameras")
+    size = 0.04 * scene.extent if len(scene.cameras) else 1.0
+    scale = scene.metres_per_unit or 1.0
+    objects = []
+    # A scene read back from a result whose photos are gone has cameras only.
+    names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
+    photos: list[Photo | None] = [*scene.images] or [None] * len(scene.cameras)
+    for camera, photo, name in zip(scene.cameras, photos, names, strict=True):
+        data = bpy.data.cameras.new(PurePath(name).name)
+        set_intrinsics(data, camera)
+        data.display_size = size
+        # Unlike all else below the root, clipping is in the world's unit.
+        data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
+        item = new_object(PurePath(name).stem, data, "camera", collection, root)
+        keep_photo(item, camera, photo)
+        item.matrix_basis = Matrix(blender_pose(camera).tolist())
+        objects.append(item)
+    if objects and was_ours:
+        show_through(bpy_scene, objects[len(objects) // 2])
+    return objects
+
+
+def blender_pose(camera: Camera) -> FloatArray:
+    """(4, 4) camera-to-scene transform with Blender's camera axes."""
+    return np.linalg.inv(camera.world_to_camera) @ BLENDER_AXES
+
+
+def set_intrinsics(data: bpy.types.Camera, camera: Camera) -> None:
+    """Lens and shift from K. Shifts are fractions of the image's width (horizontal sensor fit)."""
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    data.sensor_fit = "HORIZONTAL"
+    data.sensor_width = SENSOR_WIDTH
+    data.lens = fx * SENSOR_WIDTH / camera.width
+    data.shift_x = (0.5 * camera.width - cx) / camera.width
+    data.shift_y = (cy - 0.5 * camera.height) / camera.width * (fx / fy)
+
+
+def show_through(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Make a camera of ours active and render at its photo's size and pixel shape (fx ≠ fy is a pixel aspect)."""
+    bpy_scene.camera = item
+    render, ratio = bpy_scene.render, item[ASPECT]
+    (render.resolution_x, render.resolution_y), render.resolution_percentage = item[SIZE], 100
+    render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1.0 / ratio), max(1.0, ratio)

@@ -1,0 +1,176 @@
+"""Counted fruit as Blender objects: one each, sharing a mesh a label."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+import zlib
+from typing import TYPE_CHECKING
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...engine.report.words import fruit_name
+from ..blender_data import OWNER, linear_from_srgb, new_object, owned_collection, owned_objects, remove_objects
+
+if TYPE_CHECKING:
+    from ...engine.counting.fruit import Fruit, FruitCount
+
+LABEL_HUES = {
+    "apple": 0.0,
+    "cherry": 0.96,
+    "fruit": 0.06,
+    "lemon": 0.15,
+    "mango": 0.11,
+    "orange": 0.08,
+    "peach": 0.05,
+    "pear": 0.19,
+    "plum": 0.80,
+}
+LENGTHS = ("length", "width", "thickness")
+MEASURED = ("diameter", "diameter_sd", *LENGTHS)
+"""Custom properties that are lengths."""
+GOLDEN = 0.6180339887
+"""Steps of the golden ratio spread any number of neighbours evenly."""
+
+
+def write_fruits(
+    bpy_scene: bpy.types.Scene,
+    fruit_count: FruitCount,
+    root: bpy.types.Object,
+    *,
+    metres_per_unit: float | None = None,
+) -> list[bpy.types.Object]:
+    """Replace this Blender scene's fruit objects.
+
+    Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
+    world), turned and scaled as it is long, and carries the custom properties of its row in `fruits.json`: id, label,
+    diameter, length, width and thickness (metres where metres_per_unit is known, else scene units), probability, views,
+    color and kind; absent where not known: diameter_sd (in the same unit), visible_fraction, fallen and tree.
+    """
+    remove_objects(owned_objects(bpy_scene, "fruit"))
+    collection = owned_collection(bpy_scene, "fruits", "Fruits")
+    meshes: dict[str, bpy.types.Mesh] = {}
+    return [_write(bpy_scene, fruit, root, collection, meshes, metres_per_unit) for fruit in fruit_count.fruits]
+
+
+def write_fruit(
+    bpy_scene: bpy.types.Scene, fruit: Fruit, root: bpy.types.Object, *, metres_per_unit: float | None = None
+) -> bpy.types.Object:
+    """Add one fruit object to those there are, as `write_fruits` makes them."""
+    meshes = {item["label"]: item.data for item in owned_objects(bpy_scene, "fruit") if "label" in item}
+    collection = owned_collection(bpy_scene, "fruits", "Fruits")
+    return _write(bpy_scene, fruit, root, collection, meshes, metres_per_unit)
+
+
+def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) -> None:
+    """Give a fruit object another label: its name, colour and mesh follow."""
+    old = item.data
+    others = (each for each in owned_objects(bpy_scene, "fruit") if each.get("label") == label)
+    item.data = next((each.data for each in others), None) or _unit_sphere(label)
+    if old.users == 0:
+        bpy.data.meshes.remove(old)
+    item["label"] = label
+    item.name = _name(label, item["id"], bpy_scene, item)
+    item.color = fruit_color(label, item["id"])
+
+
+def _write(
+    bpy_scene: bpy.types.Scene,
+    fruit: Fruit,
+    root: bpy.types.Object,
+    collection: bpy.types.Collection,
+    meshes: dict[str, bpy.types.Mesh],
+    metres_per_unit: float | None,
+) -> bpy.types.Object:
+    mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
+    item = new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, root)
+    item.location = tuple(np.asarray(fruit.center, dtype=float))
+    item.scale = tuple(fruit.lengths.tolist())
+    item.rotation_mode = "QUATERNION"
+    item.rotation_quaternion = Matrix((2.0 * fruit.axes / fruit.lengths[:, None]).T.tolist()).to_quaternion()
+    item.color = fruit_color(fruit.label, fruit.id)
+    _set_properties(item, fruit, metres_per_unit)
+    return item
+
+
+def fruit_color(label: str, number: int) -> tuple[float, float, float, float]:
+    """Linear RGBA: the label's hue, with a brightness by id so that touching fruit can be told apart."""
+    hue = LABEL_HUES.get(label)
+    if hue is None:
+        hue = zlib.crc32(label.encode()) % 1000 / 1000
+    value = 0.6 + 0.4 * (number * GOLDEN % 1.0)
+    red, green, blue = linear_from_srgb(np.array(colorsys.hsv_to_rgb(hue, 0.75, value)))
+    return (float(red), float(green), float(blue), 1.0)
+
+
+def _name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:
+    """What a fruit is called, `own` where it is there already."""
+    name = fruit_name(label, number)
+    # Taken, by another Blender scene's fruit or by the user: Blender would count on and give a name with another id.
+    return name if bpy.data.objects.get(name) in (None, own) else f"{bpy_scene.name} {name}"
+
+
+def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float | None) -> None:
+    item["id"] = int(fruit.id)
+    item["label"] = fruit.label
+    item["diameter"] = float(fruit.diameter) * (metres_per_unit or 1.0)
+    if math.isfinite(fruit.diameter_sd):
+        item["diameter_sd"] = float(fruit.diameter_sd) * (metres_per_unit or 1.0)
+    for key, length in zip(LENGTHS, fruit.lengths, strict=True):
+        item[key] = float(length) * (metres_per_unit or 1.0)
+    item["probability"] = float(fruit.probability)
+    if fruit.visible_fraction is not None:
+        item["visible_fraction"] = float(fruit.visible_fraction)
+    item["views"] = int(fruit.views)
+    item["color"] = [float(value) / 255.0 for value in fruit.color]
+    item["kind"] = str(fruit.kind)
+    for key, known in (("fallen", fruit.fallen), ("tree", fruit.tree)):
+        if known is not None:
+            item[key] = known
+    for key, text in (
+        ("probability", "Probability of being a fruit of the prompt"),
+        ("visible_fraction", "Largest share of it that any photo shows"),
+    ):
+        if key in item:
+            item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
+    item.id_properties_ui("views").update(min=0, description="Photos that show at least a tenth of it")
+    item.id_properties_ui("color").update(subtype="COLOR", min=0.0, max=1.0, description="Mean colour of its surface")
+    tell_unit(item, metres_per_unit)
+
+
+def tell_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
+    """Say in a fruit's custom properties in which unit its lengths are."""
+    for key in (key for key in MEASURED if key in item):
+        item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
+
+
+def _unit_sphere(label: str) -> bpy.types.Mesh:
+    """A smooth sphere of diameter 1, so that an object's scale is its length, width and thickness."""
+    mesh = bpy.data.meshes.new(label)
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=3, radius=0.5)
+    shape.to_mesh(mesh)
+    shape.free()
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), dtype=bool))
+    mesh.materials.append(_fruit_material())
+    return mesh
+
+
+def _fruit_material() -> bpy.types.Material:
+    """A matt skin in the object's own colour, one for all fruit."""
+    for material in bpy.data.materials:
+        if material.get(OWNER) == "fruit":
+            return material
+    material = bpy.data.materials.new("Fruit")
+    material[OWNER] = "fruit"
+    material.use_nodes = True
+    tree = material.node_tree
+    skin = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    skin.inputs["Roughness"].default_value = 0.4
+    info = tree.nodes.new("ShaderNodeObjectInfo")
+    info.location = (skin.location.x - 200, skin.location.y)
+    tree.links.new(info.outputs["Color"], skin.inputs["Base Color"])
+    return material

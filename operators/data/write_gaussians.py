@@ -1,0 +1,98 @@
+"""Gaussians as a Blender point object: a mesh of points with attributes, drawn as ellipsoids by Geometry Nodes.
+
+The attributes are the stored truth. Their names follow Blender's native splats where it has one: `scale` (standard
+deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); beside them `opacity`,
+`probability` and `fruit_id` (-1 where the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`.
+The mesh's custom properties say how they are drawn (`ANTIALIASED`) and which words `probability` answers (`ASKED`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender_data import (
+    array,
+    linear_from_srgb,
+    new_object,
+    owned_collection,
+    owned_objects,
+    point_mesh,
+    remove_objects,
+    rgba,
+    set_attribute,
+)
+from ..viewport.gaussian_nodes import gaussian_node_group, set_input
+from ..viewport.splats import ANTIALIASED
+from .write_root import looked_at
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ...engine.counting.fruit import Fruit
+    from ...engine.scene.camera import Scene
+    from ...engine.splatting.gaussians import Gaussians
+
+ASKED = "fruitlangs_asked"
+"""Custom property of the mesh: the words that its attribute `probability` answers, as `asked_words` has them."""
+REACH = 1.2
+"""How far from the centre Gaussians are shown, in extents of the scene (about the cameras' distance)."""
+
+
+def write_gaussians(
+    bpy_scene: bpy.types.Scene,
+    scene: Scene,
+    gaussians: Gaussians,
+    probability: Tensor | NDArray[Any] | None,  # (N,) of the prompt
+    fruits: Sequence[Fruit],
+    root: bpy.types.Object,
+    asked: str = "",
+) -> bpy.types.Object:
+    """Replace this Blender scene's Gaussian object.
+
+    Gaussians outside the cameras' ring (sky, far background) are hidden by the modifier's Reach, not left out. asked:
+    what the probability answers, of `asked_words`.
+    """
+    remove_objects(owned_objects(bpy_scene, "gaussians"))
+    mesh = gaussian_mesh(gaussians, probability, fruits)
+    mesh[ASKED] = asked
+    collection = owned_collection(bpy_scene, "scene", "FruitLangs")
+    item = new_object("Gaussians", mesh, "gaussians", collection, root)
+    modifier = item.modifiers.new("Gaussians", "NODES")
+    modifier.node_group = gaussian_node_group()
+    set_input(modifier, "Centre", looked_at(scene).tolist())
+    if len(scene.cameras):
+        set_input(modifier, "Reach", REACH * scene.extent)
+    set_input(modifier, "Highlight", probability is not None)
+    item.visible_shadow = False  # what they show is light already; the fruit among them need theirs
+    return item
+
+
+def asked_words(prompts: Sequence[str], negatives: Sequence[str]) -> str:
+    """'apple, plum | leaf': what was asked for, and what not."""
+    return f"{', '.join(prompts)} | {', '.join(negatives)}"
+
+
+def gaussian_mesh(
+    gaussians: Gaussians, probability: Tensor | NDArray[Any] | None, fruits: Sequence[Fruit]
+) -> bpy.types.Mesh:
+    """Points at the means, in the scene's frame, with the attributes named above."""
+    from ...engine.counting.fruit import member_ids
+
+    count = len(gaussians)
+    mesh = point_mesh("Gaussians", array(gaussians.means))
+    quats = array(gaussians.quats)
+    quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+    set_attribute(mesh, "scale", "FLOAT_VECTOR", array(gaussians.scales))
+    set_attribute(mesh, "quaternion", "QUATERNION", quats)
+    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(array(gaussians.base_colors))))
+    set_attribute(mesh, "opacity", "FLOAT", array(gaussians.opacities))
+    set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else array(probability))
+    set_attribute(mesh, "fruit_id", "INT", member_ids(count, fruits))
+    mesh[ANTIALIASED] = bool(gaussians.antialiased)
+    mesh.update()
+    return mesh

@@ -1,0 +1,1 @@
+"""What is drawn into viewports: splats, labels and the legend."""

@@ -1,0 +1,261 @@
+"""Splats in every 3D viewport: what is drawn where, and what must be read anew.
+
+A mesh is read when Blender says that it changed. What is on the graphics card belongs to this session, not to the
+.blend, and is found by the session's ids of meshes and scenes. Nothing here runs in background mode.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from bpy.app.handlers import persistent
+from mathutils import Matrix
+
+from ..blender_data import OWNER, owned_objects
+from ..photos.photo_backgrounds import photo_cover
+from ..viewport.appearance import look_changed, look_of
+from ..viewport.gaussian_nodes import get_input, shown_by
+from ..viewport.splats import Splats, splats_of_mesh, splats_of_points
+from ..viewport.viewport import Drawing, redraw_viewports
+
+if TYPE_CHECKING:
+    from .splat_textures import Picture, SplatTextures
+
+KEPT_VIEWS = 12
+"""Viewports whose picture and orders are kept."""
+EVERYWHERE = ((0.0, 0.0, 0.0), 1e9)
+"""Centre and reach that hide nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Interim:
+    """What training made so far. matrix: of its frame in the world; centre, reach: in its frame, as of the modifier."""
+
+    splats: Splats
+    matrix: Matrix
+    centre: tuple[float, ...]
+    reach: float
+
+
+@dataclass(eq=False)
+class Drawn:
+    """What this session has on the graphics card.
+
+    meshes: splats by the mesh's session id; stale: ids of meshes that changed since they were read; pictures: by
+    viewport; previews: what training made so far, by the Blender scene's session id.
+    """
+
+    meshes: dict[int, SplatTextures] = field(default_factory=dict)
+    stale: set[int] = field(default_factory=set)
+    pictures: dict[int, Picture] = field(default_factory=dict)
+    previews: dict[int, Interim] = field(default_factory=dict)
+    preview_textures: dict[int, SplatTextures] = field(default_factory=dict)
+    problem: str = ""
+
+
+_drawn = Drawn()
+
+
+def show_preview(scene: int, preview: Interim | None) -> None:
+    """Draw these splats in place of the Gaussians of the Blender scene of that session id; None: draw what the .blend
+    holds again."""
+    if bpy.app.background:
+        return
+    if preview is None:
+        _drawn.previews.pop(scene, None)
+        _drawn.preview_textures.pop(scene, None)
+    else:
+        _drawn.previews[scene] = preview
+    redraw_viewports()
+
+
+def has_preview(bpy_scene: bpy.types.Scene) -> bool:
+    """Whether what a job trains is drawn in place of this Blender scene's Gaussians."""
+    return bpy_scene.session_uid in _drawn.previews
+
+
+def problem() -> str:
+    """Why splats cannot be drawn in this session; empty while they can."""
+    return _drawn.problem
+
+
+def draw_viewport() -> None:
+    """Draw the splats of the scene that the viewport in context shows; Blender calls it after its own objects."""
+    context = bpy.context
+    region, space, bpy_scene = context.region, context.space_data, context.scene
+    if region is None or context.region_data is None or _drawn.problem:
+        return
+    try:
+        layers = _layers(bpy_scene, context.view_layer, space)
+        if layers:
+            # Splats are drawn after a camera's background and would hide the photo.
+            strength = 1.0 - photo_cover(space, context.region_data, bpy_scene)
+            _draw(layers, bpy_scene, region, context.region_data, strength)
+    except Exception as error:  # one line; at every redraw it would be thousands
+        _drawn.problem = f"{type(error).__name__}: {error}"
+        print(f"FruitLangs cannot draw splats here, choose the look Ellipsoids: {_drawn.problem}", file=sys.stderr)
+        # The panels say it too; while Blender draws nothing may be asked to be drawn anew.
+        bpy.app.timers.register(_redraw, first_interval=0.0)
+
+
+def _redraw() -> None:
+    """A timer that runs once."""
+    redraw_viewports()
+
+
+def look_edited(settings: Any, context: Any = None) -> None:
+    """Called when the look was edited: splats that could not be drawn are tried again, from the start."""
+    global _drawn
+    if _drawn.problem:
+        _drawn = Drawn(previews=_drawn.previews)
+    look_changed(settings, context)
+
+
+_drawing = Drawing(draw_viewport, "POST_VIEW")
+
+
+def _draw(
+    layers: list[tuple[SplatTextures, Matrix]], bpy_scene: Any, region: Any, view_data: Any, strength: float
+) -> None:
+    from .splat_textures import Highlight, Picture, View, read_depths
+
+    size = (region.width, region.height)
+    key = region.as_pointer()
+    picture = _drawn.pictures.pop(key, None)
+    if picture is None or picture.size != size:
+        picture = Picture(size)
+    _drawn.pictures[key] = picture
+    look = look_of(bpy_scene)
+    view = View(view_data.view_matrix.copy(), view_data.window_matrix.copy(), size)
+    highlight = Highlight(look.highlight, look.threshold, look.dimming)
+    picture.draw(layers, view, highlight, read_depths(size), key)
+    picture.show(strength)
+    while len(_drawn.pictures) > KEPT_VIEWS:
+        oldest = next(iter(_drawn.pictures))
+        del _drawn.pictures[oldest]
+        for textures in (*_drawn.meshes.values(), *_drawn.preview_textures.values()):
+            textures.orders.pop(oldest, None)
+
+
+def _layers(bpy_scene: Any, view_layer: Any, space: Any) -> list[tuple[SplatTextures, Matrix]]:
+    """Textures and matrices of what is drawn."""
+    preview = _drawn.previews.get(bpy_scene.session_uid)
+    if preview is not None:
+        return [(_preview_textures(bpy_scene.session_uid, preview), preview.matrix)]
+    if look_of(bpy_scene).style != "SPLATS":
+        return []
+    items = [*owned_objects(bpy_scene, "points"), *owned_objects(bpy_scene, "gaussians")]
+    visible = [item for item in items if item.visible_get(view_layer=view_layer, viewport=space)]
+    found = [(_mesh_textures(item), item.matrix_world.copy()) for item in visible]
+    return [(textures, matrix) for textures, matrix in found if textures is not None]
+
+
+def _preview_textures(scene: int, preview: Interim) -> SplatTextures:
+    from .splat_textures import SplatTextures
+
+    textures = _drawn.preview_textures.get(scene)
+    if textures is None:
+        textures = _drawn.preview_textures[scene] = SplatTextures(preview.splats, preview.centre, preview.reach)
+    elif textures.splats is not preview.splats:
+        textures.replace(preview.splats, preview.centre, preview.reach)
+    return textures
+
+
+def _mesh_textures(item: bpy.types.Object) -> SplatTextures | None:
+    """An object's splats on the card, read anew where its mesh changed; as they were while it is edited."""
+    from .splat_textures import SplatTextures
+
+    uid, (centre, reach) = item.data.session_uid, _room(item)
+    textures = _drawn.meshes.get(uid)
+    if textures is None or uid in _drawn.stale:
+        splats = _read(item)
+        if splats is None:
+            return textures
+        _drawn.stale.discard(uid)
+        if textures is None:
+            textures = _drawn.meshes[uid] = SplatTextures(splats, centre, reach)
+        else:
+            textures.replace(splats, centre, reach)
+    elif (centre, reach) != (textures.centre, textures.reach):
+        textures.replace(textures.splats, centre, reach)
+    return textures
+
+
+def _room(item: bpy.types.Object) -> tuple[tuple[float, ...], float]:
+    """Centre and reach of what is shown of an object."""
+    modifiers = [] if item[OWNER] == "points" else shown_by(item)
+    return (get_input(modifiers[0], "Centre"), get_input(modifiers[0], "Reach")) if modifiers else EVERYWHERE
+
+
+def _read(item: bpy.types.Object) -> Splats | None:
+    if item[OWNER] != "points":
+        return splats_of_mesh(item.data)
+    modifiers = shown_by(item)
+    return splats_of_points(item.data, get_input(modifiers[0], "Radius")) if modifiers else None
+
+
+@persistent
+def note_changes(_scene: Any, depsgraph: bpy.types.Depsgraph) -> None:
+    """After an update: meshes of which Blender says that their geometry changed are read anew when drawn next.
+
+    So are sparse points whose modifier changed: it has their radius.
+    """
+    for update in depsgraph.updates:
+        if not update.is_updated_geometry:
+            continue
+        changed = update.id.original
+        if isinstance(changed, bpy.types.Object) and changed.get(OWNER) == "points":
+            changed = changed.data
+        if isinstance(changed, bpy.types.Mesh):
+            _drawn.stale.add(changed.session_uid)
+
+
+@persistent
+def note_all(_file: Any = None, _unused: Any = None) -> None:
+    """After undo and redo: any mesh may be another, and some are gone."""
+    alive = {mesh.session_uid for mesh in bpy.data.meshes}
+    for uid in set(_drawn.meshes) - alive:
+        del _drawn.meshes[uid]
+    _drawn.stale = set(_drawn.meshes)
+
+
+@persistent
+def forget_all(_file: Any = None, _unused: Any = None) -> None:
+    """Before another file is loaded, and when the extension is disabled."""
+    global _drawn
+    _drawn = Drawn()
+
+
+HANDLERS = {
+    "depsgraph_update_post": note_changes,
+    "undo_post": note_all,
+    "redo_post": note_all,
+    "load_pre": forget_all,
+}
+
+
+def register_handlers() -> None:
+    """Draw in every 3D viewport from now on; nothing in background mode."""
+    if bpy.app.background:
+        return
+    for name, function in HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(function)
+    _drawing.start()
+
+
+def unregister_handlers() -> None:
+    """Take back what `register_handlers` added."""
+    for name, function in HANDLERS.items():
+        handlers = getattr(bpy.app.handlers, name)
+        if function in handlers:
+            handlers.remove(function)
+    if bpy.app.background:
+        return
+    _drawing.stop()
+    forget_all()
+    from .splat_textures import free
+
+    free()

@@ -1,0 +1,117 @@
+"""What every export shares: a dialog that asks where, a file name that makes sense, and the fruit as they stand now."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ...engine.errors import FruitLangsError, OutputError
+from ...engine.progress import Progress
+from ..data.read_fruits import counted, read_fruits
+from ..data.stored_review import keep_corrections
+from ..jobs.jobs import JobOperator, Work, busy, linked
+from ..settings.settings import result_folder, stored_path
+
+if TYPE_CHECKING:
+    from ...engine.counting.fruit import FruitCount
+
+Write = Callable[[Path, Progress], None]
+"""Writes a file atomically."""
+TITLE = "Export"
+# Blender 4.5 asks for it before it takes paths relative to the .blend; older ones do not know it.
+_PATH = {"SKIP_SAVE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
+
+
+class ExportFile(JobOperator):
+    """Mix into an operator that writes one file. In a window a dialog asks where and a thread does the work; a script
+    gives `filepath`, and the file is there when the operator returns.
+    """
+
+    title = TITLE
+    suffixes: tuple[str, ...] = ()
+    """Of the files it writes; the first is the one that a name without any gets."""
+
+    filepath: bpy.props.StringProperty(name="File", subtype="FILE_PATH", options=_PATH, description="Where to write")
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if busy(cls) or linked(cls, context):
+            return False
+        if context.scene is None or not counted(context.scene):
+            cls.poll_message_set("Count first; then the fruit can be exported")
+            return False
+        return True
+
+    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+        """Read what else is needed from the .blend, on the main thread, and return what writes the file, on any."""
+        raise NotImplementedError
+
+    def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.filepath or bpy.app.background:
+            return super().invoke(context, event)
+        self.filepath = str(default_path(context.scene, self.suffixes[0]))
+        self.filter_glob = ";".join(f"*{suffix}" for suffix in self.suffixes)
+        return self.ask_where(context)
+
+    def check(self: Any, _context: bpy.types.Context) -> bool:
+        """Called by the dialog at every change: the name keeps a suffix that fits."""
+        before = self.filepath
+        if Path(before).name and not before.endswith(("/", "\\")):
+            self.filepath = str(with_suffix(Path(before), self.suffixes))
+        return bool(self.filepath != before)
+
+    def prepare(self: Any, context: bpy.types.Context) -> Work:
+        path = chosen_file(self.filepath, self.suffixes)
+        told = keep_corrections(context.scene)
+        fruit_count = read_fruits(context.scene)
+        write = self.writing(context, fruit_count)
+        self._path = path
+        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}", *told])
+        return lambda progress: write(path, progress)
+
+    def finish(self: Any, context: bpy.types.Context, result: Any) -> None:
+        bpy_scene = self._target.find()
+        if bpy_scene is not None:
+            bpy_scene.fruitlangs.result.exported = stored_path(self._path)
+        self.report({"INFO"}, self._said)
+
+
+def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:
+    """The file that a person chose, absolute.
+
+    Raises:
+        OutputError: none was chosen, it is a folder, or relative to a .blend never saved.
+    """
+    if not text:
+        raise OutputError("No file is chosen; say where to write")
+    if text.startswith("//") and not bpy.data.filepath:
+        raise OutputError(f"{text} is relative to this .blend, which was never saved; choose the file again")
+    path = Path(bpy.path.abspath(text)).absolute()
+    if text.endswith(("/", "\\")) or path.is_dir():
+        raise OutputError(f"{path} is a folder; add a file name")
+    return with_suffix(path, suffixes)
+
+
+def with_suffix(path: Path, suffixes: tuple[str, ...]) -> Path:
+    """The path with the first of the suffixes, unless it has one of them."""
+    return path if path.suffix.lower() in suffixes else path.with_name(path.name + suffixes[0])
+
+
+def default_path(bpy_scene: bpy.types.Scene, suffix: str) -> Path:
+    """Where an export goes unless the person says otherwise: beside the .blend, else beside the results."""
+    if bpy.data.filepath:
+        opened = Path(bpy.data.filepath)
+        return opened.with_name(f"{opened.stem}_fruit{suffix}")
+    try:
+        results = result_folder(bpy_scene.fruitlangs)
+    except FruitLangsError:
+        return Path.home() / f"scene_fruit{suffix}"
+    return results.parent / f"{results.name.removesuffix('_fruit')}_fruit{suffix}"

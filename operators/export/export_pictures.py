@@ -1,0 +1,175 @@
+"""Export pictures for people: a still of the tree with its fruit numbered, and the report, a page that holds one."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ...engine.errors import SceneError
+from ...engine.files import replacing
+from ...engine.progress import Progress, part
+from ..blender_data import owned_object
+from ..data.fruit_objects import metres_per_unit
+from ..data.read_cameras import active_camera, read_scene
+from ..data.read_gaussians import StoredGaussians, read_gaussians
+from ..data.stored_review import counts_line, entry_text, is_reviewed
+from ..data.write import SET_ID
+from .export_file import ExportFile, Write
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from ...engine.counting.fruit import FruitCount
+    from ...engine.scene.camera import Camera, Scene
+
+WIDTH = 1600
+"""Pixels across the report's still."""
+
+
+class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
+    bl_idname = "fruitlangs.export_still"
+    bl_label = "Export Still"
+    bl_description = "Draw the tree with every fruit outlined and numbered (.jpg or .png)"
+
+    suffixes = (".jpg", ".jpeg", ".png")
+
+    view: bpy.props.EnumProperty(
+        name="View",
+        items=[
+            ("FRAMED", "Framed", "From the side of a photo that shows most fruit, with the whole tree in it"),
+            ("CAMERA", "Active Camera", "From the scene's active camera, at the size that it renders"),
+        ],
+        description="From where the tree is drawn",
+    )
+    width: bpy.props.IntProperty(
+        name="Width", default=WIDTH, min=64, soft_max=4000, max=16000, description="Pixels across a framed picture"
+    )
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        if owned_object(context.scene, "gaussians") is None:
+            cls.poll_message_set("There are no Gaussians to draw; count again or import the result")
+            return False
+        return True
+
+    def writing(self: Any, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+        scene, stored = read_scene(context.scene), read_gaussians(context.scene)
+        if stored is None:
+            raise SceneError("There are no Gaussians to draw; count again or import the result")
+        camera = active_camera(context.scene) if self.view == "CAMERA" else None
+        width, told = int(self.width), what(context.scene)
+
+        def write(path: Path, progress: Progress) -> None:
+            save(path, draw(scene, stored, fruit_count, told, camera, width, progress))
+
+        return write
+
+
+class FRUITLANGS_OT_export_report(ExportFile, bpy.types.Operator):
+    bl_idname = "fruitlangs.export_report"
+    bl_label = "Export Report"
+    bl_description = (
+        "Write one page (.html) to read, print and pass on: the corrected count, a numbered still, sizes, every fruit "
+        "and every decision of the review"
+    )
+
+    suffixes = (".html",)
+
+    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+        bpy_scene = context.scene
+        scene, stored = read_scene(bpy_scene), read_gaussians(bpy_scene)
+        told, scale, made = what(bpy_scene), metres_per_unit(bpy_scene), provenance(bpy_scene)
+        line = counts_line(bpy_scene) if is_reviewed(bpy_scene) else ""
+        decisions = [entry_text(entry) for entry in bpy_scene.fruitlangs.review.log]
+
+        def write(path: Path, progress: Progress) -> None:
+            from ...engine.report.page import Reviewed, write_page
+
+            drawing = part(progress, 0.0, 0.95)
+            write_page(
+                path,
+                fruit_count,
+                title=told,
+                metres_per_unit=scale,
+                still=None if stored is None else draw(scene, stored, fruit_count, told, None, WIDTH, drawing),
+                reviewed=Reviewed(line=line, interval=fruit_count.interval, decisions=decisions) if line else None,
+                provenance=made,
+            )
+
+        return write
+
+
+def draw(
+    scene: Scene,
+    stored: StoredGaussians,
+    fruit_count: FruitCount,
+    told: str,
+    camera: Camera | None,
+    width: int,
+    progress: Progress,
+) -> Image:
+    """The still from a camera, or framed and so many pixels wide without one."""
+    progress(0.0, "reading the Gaussians")
+    from ...engine.report.framing import framing
+    from ...engine.report.still import draw_still
+    from ...engine.report.words import headline
+
+    gaussians, fruits = stored.gaussians(), fruit_count.fruits
+    if camera is None:
+        progress(0.1, "looking for the best view")
+        camera = framing(scene, gaussians, fruits, width=width, height=round(0.75 * width))
+    return draw_still(
+        gaussians,
+        fruits,
+        camera,
+        metres_per_unit=scene.metres_per_unit,
+        title=headline(fruit_count, told),
+        progress=part(progress, 0.5, 1.0),
+    )
+
+
+def save(path: Path, still: Image) -> None:
+    """As PNG or JPEG, as its name says."""
+    from ...engine.report.still import save_still
+
+    if path.suffix.lower() != ".png":
+        save_still(path, still)
+        return
+    with replacing(path) as temporary:
+        still.save(temporary, "PNG", optimize=True)
+
+
+def what(bpy_scene: bpy.types.Scene) -> str:
+    """What was counted: 'apple'."""
+    shown = bpy_scene.fruitlangs.result
+    return str(shown.label or bpy_scene.fruitlangs.prompt)
+
+
+def provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
+    """How the count was made, as far as a .blend knows; the result folder has all of it.
+
+    Folders are told by name alone: a report is passed on, and where a person keeps things is nobody else's business.
+    """
+    settings, shown = bpy_scene.fruitlangs, bpy_scene.fruitlangs.result
+    told = {
+        "blend": Path(bpy.data.filepath).name,
+        "scene": PurePath(settings.source.rstrip("/\\")).name,
+        "result folder": PurePath(shown.folder.rstrip("/\\")).name,
+        "result set": bpy_scene.get(SET_ID, ""),
+        "prompts": settings.prompt,
+        "negatives": settings.negative,
+        "cameras": shown.cameras or "",
+        "Gaussians": f"{shown.gaussians:,}" if shown.gaussians else "",
+        "quality": shown.quality,
+    }
+    notices = [shown.notices] if shown.notices else []
+    if shown.count == 0 and shown.zero_reason:
+        notices.append(f"nothing was counted: {shown.zero_reason}")
+    return {"notices": notices, **{name: value for name, value in told.items() if value}}

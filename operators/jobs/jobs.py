@@ -1,0 +1,385 @@
+"""Long work from an operator: in a thread with progress and Cancel in a window, to the end at once in background mode.
+
+The thread runs engine functions only. Everything of bpy is touched on the main thread: before the work starts
+(`JobOperator.prepare`) and after it has ended (`JobOperator.finish`).
+"""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import bpy
+
+from ...engine.errors import Cancelled, FruitLangsError
+from ...engine.progress import Progress, silent
+from .active_tool import end_waiting
+from .preload import preload_libraries
+from .target_scene import Target
+
+REDRAW_SECONDS = 0.25
+"""Redrawing more often takes the time from the work."""
+
+LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
+"""How far and how long a job must have gone before the time that remains is told."""
+
+LEAVE_EDITING = "Leave Edit Mode first (Tab)"
+LINKED = "This scene is linked from another file; make it local first"
+
+Work = Callable[[Progress], Any]
+
+
+class Job:
+    """A function running in a thread, with what a panel shows of it."""
+
+    def __init__(self, title: str, work: Work) -> None:
+        self.title = title
+        self.fraction = 0.0
+        self.message = "starting"
+        self.started = time.monotonic()
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self.cancelling = False
+        self._work = work
+        self._thread = threading.Thread(target=self._run, name=f"fruitlangs {title}", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def cancel(self) -> None:
+        """Ask the work to stop; it does at its next report of progress."""
+        self.cancelling = True
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the thread's end, no longer than this."""
+        self._thread.join(seconds)
+
+    @property
+    def ended(self) -> bool:
+        return not self._thread.is_alive()
+
+    @property
+    def remaining(self) -> float | None:
+        """Seconds it will still take if it goes on as it went so far; None while that says nothing."""
+        if self.fraction < LEAST_FRACTION or self.seconds < LEAST_SECONDS:
+            return None
+        return self.seconds * (1.0 - self.fraction) / self.fraction
+
+    @property
+    def text(self) -> str:
+        """How far it is, for a person: 'step 300/1200, 41,000 Gaussians, about 2 min left'."""
+        if self.cancelling:
+            return "stopping at the next safe point"
+        return self.message if self.remaining is None else f"{self.message}, about {duration(self.remaining)} left"
+
+    @property
+    def shown(self) -> tuple[int, str, int, bool]:
+        """What a panel shows of it: a redraw is due when this changes."""
+        return int(100 * self.fraction), self.text, int(self.seconds), self.cancelling
+
+    @property
+    def seconds(self) -> float:
+        """Since the start."""
+        return time.monotonic() - self.started
+
+    def _progress(self, fraction: float, message: str) -> None:
+        if self.cancelling:
+            raise Cancelled
+        self.fraction, self.message = fraction, message
+
+    def _run(self) -> None:
+        try:
+            with without_full_collections():
+                preload_libraries()
+                self.result = self._work(self._progress)
+        except BaseException as error:  # whatever it is, the main thread reports it
+            self.error = error
+
+
+@contextmanager
+def without_full_collections() -> Iterator[None]:
+    """Let Python look for garbage among young objects alone.
+
+    A look among all of them stops the window for half a second while kernels are compiled for the first time.
+    """
+    young, middle, full = gc.get_threshold()
+    gc.set_threshold(young, middle, 1_000_000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(young, middle, full)
+
+
+# A thread cannot live in a .blend, so the one running job is the one thing kept here. It is not forgotten before its
+# thread has ended, even if its file was closed: two jobs must never work at once.
+_current: Job | None = None
+# The operator that shows it in a window, until it takes the result over.
+_shower: JobOperator | None = None
+
+
+def running() -> Job | None:
+    """The job at work, or whose result is still to be shown, if any."""
+    global _current
+    if _current is not None and _current.ended and _shower is None:
+        _current = None
+    return _current
+
+
+def busy(operator: Any) -> bool:
+    """Whether a job is at work; the operator's poll then says so."""
+    if running() is None:
+        return False
+    operator.poll_message_set("Another job is at work; wait or cancel it first")
+    return True
+
+
+def linked(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether the scene belongs to another file, where nothing can be kept; the operator's poll then says so."""
+    if context.scene is None or context.scene.library is None:
+        return False
+    operator.poll_message_set(LINKED)
+    return True
+
+
+def editing(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether a person is not in Object Mode, or there is no scene of this file; the operator's poll then says so."""
+    if linked(operator, context):
+        return True
+    if context.scene is not None and context.mode == "OBJECT":
+        return False
+    operator.poll_message_set(LEAVE_EDITING)
+    return True
+
+
+def cancel_running(wait: float = 0.0) -> None:
+    """Ask the job at work to stop and wait up to so many seconds for it."""
+    job = running()
+    if job is not None:
+        job.cancel()
+        job.wait(wait)
+
+
+def let_go(wait: float) -> None:
+    """Stop the job and take away what shows it: Blender tells no operator that its class is unregistered."""
+    cancel_running(wait)
+    if _shower is not None:
+        _shower._leave(bpy.context)
+
+
+def hands_full(context: bpy.types.Context) -> bool:
+    """Whether a person drags something or renders, and objects must stay what they are."""
+    if bpy.app.is_job_running("RENDER"):
+        return True
+    modal = [item for window in context.window_manager.windows for item in getattr(window, "modal_operators", ())]
+    return any(part.bl_idname.startswith("TRANSFORM_OT_") for item in modal for part in (item, *item.macros))
+
+
+def start(operator: Any, name: str, **properties: Any) -> set[str]:
+    """Start `fruitlangs.name` as a button does, from the `execute` of an operator that shows why it cannot start."""
+    try:
+        getattr(bpy.ops.fruitlangs, name)("INVOKE_DEFAULT", **properties)
+    except RuntimeError as error:
+        operator.report({"ERROR"}, str(error).rpartition(".poll() ")[2].removeprefix("Error: ").strip())
+        return {"CANCELLED"}
+    return {"FINISHED"}
+
+
+def describe_error(error: BaseException) -> str:
+    """One line for a person; what nobody foresaw is also printed in full to the console."""
+    if isinstance(error, FruitLangsError):
+        return str(error)
+    if isinstance(error, ImportError):
+        return f"A Python package is missing or broken: {error}. The Fruit tab says how to install what is needed"
+    if isinstance(error, MemoryError):
+        return "Out of memory; use smaller photos (downscale) or fewer Gaussians"
+    traceback.print_exception(error)
+    return f"Unexpected {type(error).__name__}: {error}. The system console has the details; please report it"
+
+
+class JobOperator:
+    """Mix into an operator whose work is long.
+
+    `execute` (scripts, background mode) runs to the end before it returns; `invoke` in a window starts a thread, and a
+    modal timer reports it. A failure is an error report, which scripts get as RuntimeError, and {'CANCELLED'}.
+    `self._target` is the Blender scene it works for, whatever happens meanwhile.
+    """
+
+    title = ""
+    _target: Target
+    _job: Any = None
+    _asked = False
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        """Read the settings and return the work; called on the main thread. May raise FruitLangsError.
+
+        The work imports what it needs of the engine by itself: that takes seconds, which are the thread's.
+        """
+        raise NotImplementedError
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        """Show the result; called on the main thread."""
+        raise NotImplementedError
+
+    def failed(self: Any, context: bpy.types.Context, message: str) -> None:
+        """Leave the message where a panel shows it; called on the main thread, '' when work starts or went well."""
+        bpy_scene = self._target.find()
+        if bpy_scene is not None:
+            bpy_scene.fruitlangs.error = message
+            bpy_scene.fruitlangs.failed = self.title if message else ""
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        """While the work goes on, a few times a second on the main thread: show what there is of it so far."""
+
+    def ended(self, context: bpy.types.Context) -> None:
+        """However the work ended, before `finish`: take away what `ticked` showed."""
+
+    def ask_where(self: Any, context: bpy.types.Context) -> set[str]:
+        """Open Blender's file dialog, which calls `execute` when a place was chosen; for an `invoke` to return."""
+        self._asked = True
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        if self._asked:  # started anew the operator works in a thread
+            name = type(self).bl_idname.partition(".")[2]
+            return start(self, name, **self.as_keywords(ignore=("check_existing", "filter_glob")))
+        self._begin(context)
+        try:
+            self.finish(context, self.prepare(context)(silent))
+        except Exception as error:
+            return self._report_failure(context, error)
+        return {"FINISHED"}
+
+    def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        global _current, _shower
+        if bpy.app.background:
+            return self.execute(context)
+        other = running()
+        if other is not None:
+            self.report({"WARNING"}, f"{other.title} is still at work; wait or cancel it first")
+            return {"CANCELLED"}
+        self._begin(context)
+        try:
+            self._job = Job(self.title, self.prepare(context))
+        except Exception as error:
+            return self._report_failure(context, error)
+        self._shown: Any = None
+        _current, _shower = self._job, self
+        self._job.start()
+        self._timer = context.window_manager.event_timer_add(REDRAW_SECONDS, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _begin(self, context: bpy.types.Context) -> None:
+        """Forget the last failure, and end the tool that waits for clicks: they would be on what the job replaces."""
+        self._target = Target(context.scene)
+        self.failed(context, "")
+        end_waiting()
+
+    def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC" and event.value == "PRESS":
+            self._job.cancel()
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if not self._job.ended:
+            if self._job.shown != self._shown:
+                self._shown = self._job.shown
+                redraw_sidebars(context)
+                show_status(context, f"{self.title} {self._job.fraction:.0%}: {self._job.text}. Esc cancels")
+            self.ticked(context)
+            return {"PASS_THROUGH"}
+        if hands_full(context):
+            return {"PASS_THROUGH"}
+        self._leave(context)
+        return self._conclude(context)
+
+    def cancel(self: Any, context: bpy.types.Context) -> None:
+        """Called by Blender when the file or the window is closed: nothing is left to show the result in.
+
+        Also when the file dialog that some open first is left without a choice: then there is no job yet.
+        """
+        if self._job is not None:
+            self._job.cancel()
+            self._leave(context)
+
+    def _leave(self: Any, context: bpy.types.Context) -> None:
+        """Take away what the running job showed."""
+        global _shower
+        _shower = None
+        redraw_sidebars(context)
+        show_status(context, None)
+        context.window_manager.event_timer_remove(self._timer)
+        self.ended(context)
+
+    def _conclude(self: Any, context: bpy.types.Context) -> set[str]:
+        job = self._job
+        if isinstance(job.error, Cancelled):
+            self.report({"INFO"}, f"{job.title} cancelled; finished stages are kept")
+            return {"CANCELLED"}
+        if job.error is not None:
+            return self._report_failure(context, job.error)
+        try:
+            self.finish(context, job.result)
+            self.failed(context, "")  # an undo meanwhile may have brought an old message back
+        except Exception as error:
+            return self._report_failure(context, error)
+        return {"FINISHED"}
+
+    def _report_failure(self: Any, context: bpy.types.Context, error: BaseException) -> set[str]:
+        message = describe_error(error)
+        self.failed(context, message)
+        self.report({"ERROR"}, message)
+        return {"CANCELLED"}
+
+
+class FRUITLANGS_OT_cancel(bpy.types.Operator):
+    bl_idname = "fruitlangs.cancel"
+    bl_label = "Cancel"
+    bl_description = "Stop the work at its next safe point; finished stages and the last checkpoint are kept"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return running() is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        cancel_running()
+        return {"FINISHED"}
+
+
+def duration(seconds: float) -> str:
+    """A time for people: '40 s', '3 min', '1 h 20 min'."""
+    if seconds < 90:
+        return f"{max(round(seconds / 5) * 5, 5)} s" if seconds > 7.5 else f"{max(round(seconds), 1)} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def show_status(context: bpy.types.Context, text: str | None) -> None:
+    """Say it in the status bar, of which there may be none while a file closes.
+
+    None brings back what Blender says there, in every workspace: a person may have gone to another one meanwhile.
+    """
+    if context.workspace is None:
+        return
+    for workspace in [context.workspace] if text is not None else bpy.data.workspaces:
+        with context.temp_override(workspace=workspace):
+            workspace.status_text_set(text)
+
+
+def redraw_sidebars(context: bpy.types.Context) -> None:
+    """Redraw the 3D viewports' sidebars and nothing else."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
+
+
+CLASSES = (FRUITLANGS_OT_cancel,)

@@ -1,0 +1,47 @@
+"""The Blender scene a job works for, found again when it ends."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...engine.errors import OutputError
+
+
+class Target:
+    """Remembers a Blender scene across undo, renaming and deletion, none of which a Python reference survives."""
+
+    def __init__(self, scene: bpy.types.Scene) -> None:
+        self._uid = scene.session_uid
+        self._name = scene.name
+
+    def scene(self, context: bpy.types.Context) -> bpy.types.Scene:
+        """The scene, with Object Mode entered where a person edits something in it.
+
+        Raises:
+            OutputError: it was deleted, or another file was opened.
+        """
+        scene = self.find()
+        if scene is None:
+            raise OutputError(
+                f"The scene {self._name} was deleted or closed meanwhile; results are in the results folder"
+            )
+        _leave_editing(context, scene)
+        return scene
+
+    def find(self) -> bpy.types.Scene | None:
+        """The scene as it is; None where it was deleted, or another file was opened."""
+        return find_scene(self._uid)
+
+
+def _leave_editing(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
+    """Enter Object Mode in the windows that show the scene; what a person edits in another one goes on."""
+    for window in context.window_manager.windows:
+        if window.scene == scene:
+            with context.temp_override(window=window, scene=scene, view_layer=window.view_layer):
+                if bpy.context.mode != "OBJECT" and bpy.ops.object.mode_set.poll():
+                    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def find_scene(session_uid: int) -> bpy.types.Scene | None:
+    """The Blender scene of that session id; None where there is none any more."""
+    return next((scene for scene in bpy.data.scenes if scene.session_uid == session_uid), None)

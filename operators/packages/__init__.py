@@ -1,0 +1,1 @@
+"""The Python packages that the engine needs, and the caches."""

@@ -1,0 +1,124 @@
+"""What is kept and can be cleared: compiled kernels, downloaded checkpoints, the work on the shown scene."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import bpy
+
+from ...engine.errors import FruitLangsError
+from ...engine.user_folders import KERNELS, checkpoints_folder, kernels_folder
+from ..jobs.jobs import busy
+from ..settings.settings import result_folder
+
+STAGES = ("photos-", "train-", "embed-", "foreign-", "segments-", "publish-")
+"""How the names of the folders begin that a run keeps in its results' cache."""
+LOST = "Training goes on from the start; what was reconstructed and not counted cannot be asked until then"
+"""What deleting the work on a scene costs."""
+
+
+def kernel_caches() -> list[Path]:
+    """The folders of compiled kernels, of this version and of earlier ones."""
+    return sorted(path for path in _entries(kernels_folder()) if path.is_dir() and path.name.startswith(KERNELS))
+
+
+def downloaded_checkpoints() -> list[Path]:
+    """The folders of CLIP and SAM checkpoints that were downloaded, or put where downloads go."""
+    return sorted(path for path in _entries(checkpoints_folder()) if path.is_dir())
+
+
+def work_folder(bpy_scene: bpy.types.Scene) -> Path | None:
+    """Where the runs on the chosen scene keep checkpoints and finished stages; None where it is not known."""
+    settings = bpy_scene.fruitlangs
+    if not settings.source and not settings.out:
+        return None
+    try:
+        return result_folder(settings) / "cache"
+    except FruitLangsError:  # relative to a .blend never saved
+        return None
+
+
+def work_caches(bpy_scene: bpy.types.Scene) -> list[Path]:
+    """The folders of finished stages and checkpoints of the chosen scene; nothing else that lies beside them."""
+    folder = work_folder(bpy_scene)
+    entries = [] if folder is None else _entries(folder)
+    return sorted(path for path in entries if path.is_dir() and path.name.startswith(STAGES))
+
+
+def _entries(folder: Path) -> list[Path]:
+    return list(folder.iterdir()) if folder.is_dir() else []
+
+
+def megabytes(folders: Iterable[Path]) -> float:
+    """What the files in these folders take up."""
+    files = [file for folder in folders for file in folder.rglob("*") if file.is_file() and not file.is_symlink()]
+    return sum(file.stat().st_size for file in files) / 1e6
+
+
+class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
+    bl_idname = "fruitlangs.clear_caches"
+    bl_label = "Clear Caches"
+    bl_description = (
+        "Say how much compiled kernels, downloaded checkpoints and the work on this scene take up, and delete what you "
+        "choose"
+    )
+
+    kernels: bpy.props.BoolProperty(
+        name="Compiled kernels",
+        default=True,
+        description="They are compiled again, in about half a minute, when they are next needed",
+    )
+    checkpoints: bpy.props.BoolProperty(
+        name="CLIP and SAM checkpoints",
+        default=False,
+        description="Those that were downloaded, and those that you put into the same folder",
+    )
+
+    work: bpy.props.BoolProperty(
+        name="Work on this scene",
+        default=False,
+        description="Checkpoints and finished stages beside the results, which stay; training goes on from the start",
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not busy(cls)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        found = kernel_caches(), downloaded_checkpoints(), work_caches(context.scene)
+        self._sizes = [megabytes(folders) for folders in found]
+        return context.window_manager.invoke_props_dialog(self, width=520, confirm_text="Delete")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        places = {"kernels": kernels_folder(), "checkpoints": checkpoints_folder(), "work": work_folder(context.scene)}
+        for (name, place), size in zip(places.items(), self._sizes, strict=True):
+            if place is None:
+                continue
+            row = self.layout.row()
+            row.prop(self, name)
+            row.label(text=f"{size:,.1f} MB in {place}")
+        if self.work:
+            self.layout.label(text=LOST, icon="INFO")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if busy(type(self)):  # begun since the dialog was opened
+            self.report({"ERROR"}, "A job is at work; wait or cancel it first")
+            return {"CANCELLED"}
+        chosen = (kernel_caches() if self.kernels else []) + (downloaded_checkpoints() if self.checkpoints else [])
+        chosen += work_caches(context.scene) if self.work else []
+        size = megabytes(chosen)
+        for folder in chosen:
+            shutil.rmtree(folder, ignore_errors=True)
+        left = [folder for folder in chosen if folder.exists()]
+        if left:
+            self.report({"WARNING"}, f"{left[0]} is in use or protected; close Blender and delete it by hand")
+        self.report({"INFO"}, f"{size - megabytes(left):,.1f} MB deleted")
+        return {"FINISHED"}
+
+
+CLASSES = (FRUITLANGS_OT_clear_caches,)

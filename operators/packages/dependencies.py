@@ -1,0 +1,196 @@
+"""Which Python packages this Blender's Python lacks, and the operators that install them."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...engine.progress import Progress, silent
+from ..jobs.jobs import JobOperator, Work, busy, start
+from ..package_folder import packages_folder, use_packages
+from ..settings.settings import online
+from .package_install import InstallError, install_packages
+from .package_versions import CPU_INDEX, REQUIRED, UNPACKED, download_megabytes
+
+OFFLINE = (
+    "Blender may not go online: switch on Allow Online Access in Preferences > System > Network (or start Blender with "
+    "--online-mode), or install from a folder of wheels"
+)
+
+
+def missing_packages() -> list[str]:
+    """pip names of what cannot be imported; looked up, not imported, so a panel may ask at every draw."""
+    return [package for module, package in REQUIRED.items() if importlib.util.find_spec(module) is None]
+
+
+def install_command(packages: list[str]) -> str:
+    """A line for a terminal that installs them; it never replaces Blender's own NumPy."""
+    if bpy.app.binary_path:
+        code = "import bpy; bpy.ops.fruitlangs.install_dependencies()"
+        return f'"{bpy.app.binary_path}" -b --online-mode --python-exit-code 1 --python-expr "{code}"'
+    return f'"{sys.executable}" -m pip install {" ".join(packages)} numpy=={np.__version__}'
+
+
+def install_missing(wheels: Path | None = None, progress: Progress = silent) -> list[str]:
+    """Install what is missing into the extension's own folder, to be used at once; returns the packages.
+
+    wheels: a folder of wheel files to take them from instead of going online.
+
+    Raises:
+        InstallError: Blender may not go online and no folder is given, or it failed; nothing was changed.
+        Cancelled: by `progress`.
+    """
+    return installing(wheels)(progress)
+
+
+def installing(wheels: Path | None = None) -> Callable[[Progress], list[str]]:
+    """What does the work of `install_missing`; any thread may call it.
+
+    Raises:
+        InstallError: Blender may not go online and no folder is given.
+    """
+    packages, folder = missing_packages(), packages_folder()
+    if packages and wheels is None and not online():
+        raise InstallError(OFFLINE)
+
+    def install(progress: Progress) -> list[str]:
+        if packages:
+            install_packages(packages, folder, wheels=wheels, progress=progress)
+            use_packages(folder)
+        return packages
+
+    return install
+
+
+def source_text(packages: list[str], wheels: str) -> str:
+    """Where these packages come from, for the dialog that asks for consent."""
+    if wheels:
+        return bpy.path.abspath(wheels)
+    extra = f"; PyTorch for the CPU from {CPU_INDEX}" if sys.platform == "linux" and "torch" in packages else ""
+    return f"pypi.org, or as pip is set up{extra}"
+
+
+class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.install_dependencies"
+    bl_label = "Install Missing Packages"
+    bl_description = "Install the Python packages that are missing into the extension's own folder"
+    bl_options = {"INTERNAL"}
+
+    title = "Install"
+
+    wheels: bpy.props.StringProperty(
+        name="From Folder",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+        description="A folder of wheel files to install from, without going online",
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not busy(cls)
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None)
+        return (lambda progress: install(printed(progress))) if bpy.app.background else install
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        self.report({"INFO"}, f"Installed {', '.join(result)}" if result else "All Python packages are there already")
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        redraw_preferences(context)
+
+    def ended(self, context: bpy.types.Context) -> None:
+        redraw_preferences(context)
+
+
+class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
+    bl_idname = "fruitlangs.confirm_install"
+    bl_label = "Install Missing Packages"
+    bl_description = "Say what is missing, how much it is and where it comes from, and install it once you agree"
+    bl_options = {"INTERNAL"}
+
+    wheels: bpy.props.StringProperty(
+        name="From Folder",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+        description="A folder of wheel files to install from, without going online; empty to download",
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not busy(cls) and bool(missing_packages())
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_props_dialog(self, width=520, confirm_text="Install")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, packages = self.layout, missing_packages()
+        megabytes = download_megabytes(packages)
+        layout.label(text=f"{len(packages)} Python packages are missing:")
+        for first in range(0, len(packages), 6):
+            layout.label(text="    " + ", ".join(packages[first : first + 6]))
+        kept = f"about {(UNPACKED - 1) * megabytes:.0f} MB are kept"
+        size = kept.capitalize() if self.wheels else f"About {megabytes} MB are downloaded, {kept}"
+        layout.label(text=size)
+        layout.label(text=f"From: {source_text(packages, self.wheels)}")
+        layout.label(text=f"Into: {packages_folder()}")
+        layout.label(text="Blender's own packages stay as they are.")
+        layout.prop(self, "wheels")
+        if not self.wheels and not online():
+            box = layout.box()
+            box.alert = True
+            box.label(text="Blender may not go online. Allow it in Preferences > System > Network,", icon="ERROR")
+            box.label(text="or choose a folder that holds the wheels.")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return start(self, "install_dependencies", wheels=self.wheels)
+
+
+class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):
+    bl_idname = "fruitlangs.copy_install_command"
+    bl_label = "Copy Install Command"
+    bl_description = "Copy the command that installs the missing Python packages from a terminal"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(missing_packages())
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.window_manager.clipboard = install_command(missing_packages())
+        self.report({"INFO"}, "Copied; run it in a terminal, then restart Blender")
+        return {"FINISHED"}
+
+
+def printed(progress: Progress = silent) -> Progress:
+    """A `Progress` that also prints every new step, for background mode, where nobody sees a bar."""
+    told = ""
+
+    def report(fraction: float, message: str) -> None:
+        nonlocal told
+        step = message.partition(",")[0]
+        if step != told:
+            print(f"{fraction:4.0%} {step}", flush=True)
+            told = step
+        progress(fraction, message)
+
+    return report
+
+
+def redraw_preferences(context: bpy.types.Context) -> None:
+    """Redraw the Preferences windows, where the install shows how far it is."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "PREFERENCES":
+                area.tag_redraw()
+
+
+CLASSES = (FRUITLANGS_OT_install_dependencies, FRUITLANGS_OT_confirm_install, FRUITLANGS_OT_copy_install_command)

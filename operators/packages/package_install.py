@@ -1,0 +1,260 @@
+"""Installing Python packages into a folder of the extension's own, by pip in a process of its own.
+
+Blender's NumPy, and whatever else its Python already has, is neither replaced nor shadowed: pip is held to Blender's
+NumPy, works out what is still missing, and installs exactly that. An install becomes visible, by one renaming,
+after every package has been imported once; until then, and if it fails or is killed, nothing has changed.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...engine.errors import FruitLangsError
+from ...engine.progress import Progress, silent
+from ..package_folder import UNFINISHED, installs, new_install
+from .package_versions import CPU_INDEX, NEVER, REQUIRED, unpacked_megabytes, versions_for
+
+POLL_SECONDS = 0.25
+FORGOTTEN_SECONDS = 24 * 3600.0
+"""An unfinished install untouched for so long was killed."""
+
+
+class InstallError(FruitLangsError):
+    """Packages cannot be installed; nothing was changed."""
+
+
+def install_packages(
+    packages: Sequence[str], folder: Path, *, wheels: Path | None = None, progress: Progress = silent
+) -> Path:
+    """Install pip packages, with what they need, as a new install in `folder`; returns its folder.
+
+    wheels: a folder of wheel files to take them from; without it pip takes them from where its own settings say.
+
+    Raises:
+        InstallError: pip cannot find, get or unpack one, one cannot be imported, or the folder cannot be written.
+        Cancelled: by `progress`.
+    """
+    if wheels is not None and not wheels.is_dir():
+        raise InstallError(f"{wheels} is no folder; name the folder that the wheels are in")
+    final = new_install(folder)
+    stage = final.with_name(f"{final.name}-{os.getpid()}{UNFINISHED}")
+    try:
+        _remove_forgotten(folder)
+        (stage / "temporary").mkdir(parents=True)
+        found = _resolve(packages, folder, stage, wheels, progress)
+        _unpack(found, folder, stage, wheels, progress)
+        _try_imports(packages, folder, stage, progress)
+        os.replace(stage / "packages", final)
+    except OSError as error:
+        raise InstallError(f"{folder} cannot be written ({error.strerror or error}); nothing was changed") from error
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    progress(1.0, "installed")
+    return final
+
+
+def _resolve(
+    packages: Sequence[str], folder: Path, stage: Path, wheels: Path | None, progress: Progress
+) -> dict[str, str]:
+    """{package: version} of what has to be installed, found out by pip without installing anything."""
+    carried = _carried()
+    fixed = {"numpy": np.__version__}
+    if wheels is None:
+        tested = versions_for(np.__version__, sys.platform)
+        fixed |= {name: version for name, version in tested.items() if name not in carried}
+    constraints, report = stage / "constraints.txt", stage / "report.json"
+    constraints.write_text("".join(f"{name}=={version}\n" for name, version in fixed.items()), encoding="utf-8")
+    command = ["--dry-run", "--report", str(report), "--constraint", str(constraints)]
+
+    def told(_: str) -> None:
+        progress(0.02, "finding out what is needed")
+
+    failure = ""
+    for source in _sources(packages, wheels):
+        failure = _pip([*command, *source, *packages], folder, stage, told)
+        if not failure:
+            break
+    else:
+        raise InstallError(f"pip cannot find what is needed ({failure}); {_advice(wheels)}")
+    document = json.loads(report.read_text(encoding="utf-8"))
+    found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
+    # What Blender has would only be shadowed by it; whether an old one there will do, the imports tell.
+    return {name: version for name, version in found.items() if _normal(name) not in {*NEVER, *carried}}
+
+
+def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | None, progress: Progress) -> None:
+    """Download and unpack exactly these packages into the stage."""
+    target = stage / "packages"
+    target.mkdir()
+    pins = [f"{name}=={version}" for name, version in found.items()]
+    if not pins:
+        return
+    command = ["--no-deps", "--no-compile", "--progress-bar", "off", "--target", str(target)]
+    expected = 1e6 * unpacked_megabytes(map(_normal, found))
+
+    furthest = 0.0
+
+    def told(output: str) -> None:
+        nonlocal furthest
+        size = _size(stage)
+        furthest = max(furthest, min(size / expected, 1.0))  # pip deletes what it has unpacked
+        progress(0.05 + 0.8 * furthest, f"{_doing(output)}, {size / 1e6:.0f} MB so far")
+
+    failure = ""
+    for source in _sources(found, wheels):
+        failure = _pip([*command, *source, *pins], folder, stage, told)
+        if not failure:
+            break
+    else:
+        raise InstallError(f"pip cannot install ({failure}); {_advice(wheels)}")
+    for path in target.iterdir():
+        if re.split(r"[-.]", path.name)[0].lower() in NEVER:
+            raise InstallError(f"pip brought {path.name}, which Blender has its own of; nothing was installed")
+
+
+def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: Progress) -> None:
+    """Import what was asked for, in a process of its own, with Blender's own packages before it."""
+    modules = [module for module, package in REQUIRED.items() if package in packages]
+    code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + ["print(numpy.__version__)"])
+
+    def told(_: str) -> None:
+        progress(0.9, "trying what was installed")
+
+    command = [sys.executable, "-s", "-c", code]
+    lines = _watch(command, _environment(folder, stage, stage / "packages"), stage / "imports.log", told)
+    if lines.code:
+        raise InstallError(f"the packages were got but do not work here ({lines.last}); nothing was installed")
+    if lines.last != np.__version__:
+        raise InstallError(f"the packages came with another NumPy ({lines.last}); nothing was installed")
+
+
+class _Lines:
+    """How a process ended and the last line it printed."""
+
+    def __init__(self, code: int, text: str) -> None:
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        errors = [line.removeprefix("ERROR: ") for line in lines if line.startswith("ERROR: ")]
+        self.code = code
+        self.last = (errors or lines or [f"it ended with code {code}"])[0 if errors else -1]
+
+
+def _pip(arguments: Sequence[str], folder: Path, stage: Path, told: Callable[[str], None]) -> str:
+    """Run `pip install` of Blender's Python; returns why it failed, '' if it did not."""
+    environment = _environment(folder, stage)
+    if importlib.util.find_spec("pip") is None:
+        environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], _bundled_pip()])
+    options = ["--only-binary=:all:", "--no-input", "--disable-pip-version-check", "--no-warn-conflicts"]
+    command = [sys.executable, "-s", "-m", "pip", "install", *options, *arguments]
+    done = _watch(command, environment, stage / "pip.log", told)
+    return done.last if done.code else ""
+
+
+def _watch(command: Sequence[str], environment: Mapping[str, str], log: Path, told: Callable[[str], None]) -> _Lines:
+    """Run a process to its end, telling what it printed now and then; whatever `told` raises ends it."""
+    with log.open("wb") as output:
+        try:
+            child = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment
+            )
+        except OSError as error:
+            raise InstallError(f"Blender's Python, {command[0]}, cannot be started ({error.strerror})") from error
+    try:
+        while child.poll() is None:
+            told(_text(log))
+            try:
+                child.wait(POLL_SECONDS)
+            except subprocess.TimeoutExpired:
+                continue
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.wait()
+    return _Lines(child.returncode, _text(log))
+
+
+def _text(log: Path) -> str:
+    return log.read_text(encoding="utf-8", errors="replace")
+
+
+def _environment(folder: Path, stage: Path, *more: Path) -> dict[str, str]:
+    """What a Python beside Blender needs to see the packages that Blender sees, and nothing else of the user's."""
+    own = [str(path) for path in installs(folder)]
+    seen = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages") or path in own]
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PIP_TARGET")}
+    temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(stage / "temporary"))
+    settings = {"PIP_USER": "0", "PIP_REQUIRE_VIRTUALENV": "0", "PYTHONUTF8": "1"}
+    return {**kept, **temporary, **settings, "PYTHONPATH": os.pathsep.join([*seen, *map(str, more)])}
+
+
+def _bundled_pip() -> str:
+    """The wheel of pip that Python itself carries, for a Python that has it not installed."""
+    spec = importlib.util.find_spec("ensurepip")
+    places = [Path(place) for place in (spec.submodule_search_locations or [])] if spec else []
+    found = [wheel for place in places for wheel in sorted(place.glob("_bundled/pip-*.whl"))]
+    if not found:
+        raise InstallError(f"Blender's Python ({sys.executable}) has no pip; use the zip that holds all packages")
+    return str(found[-1])
+
+
+def _sources(packages: Sequence[str] | Mapping[str, str], wheels: Path | None) -> list[list[str]]:
+    """Where pip looks, one after the other: by its own settings first, so that a mirror named there counts."""
+    if wheels is not None:
+        return [["--no-index", "--find-links", str(wheels)]]
+    needs_index = sys.platform == "linux" and "torch" in map(_normal, packages)
+    return [[], ["--extra-index-url", CPU_INDEX]] if needs_index else [[]]
+
+
+def _advice(wheels: Path | None) -> str:
+    if wheels is not None:
+        return f"put the wheels that are missing into {wheels}"
+    return "look at the network, or install from a folder of wheels"
+
+
+def _carried() -> set[str]:
+    """The packages that this Blender's Python has, earlier installs included."""
+    names = (distribution.metadata["Name"] for distribution in importlib.metadata.distributions())
+    return {_normal(name) for name in names if name}
+
+
+def _normal(name: str) -> str:
+    """A package's name as pip compares it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _doing(output: str) -> str:
+    """What pip is at, by what it printed."""
+    if "\nInstalling collected" in output:
+        return "unpacking"
+    begun = re.findall(r"(?m)^(?:Collecting|Processing) (?:.*/)?([A-Za-z0-9_.-]+?)(?:==|-\d|$)", output)
+    return f"downloading {begun[-1]}" if begun else "downloading"
+
+
+def _size(folder: Path) -> int:
+    """Bytes of all files below a folder that others write into."""
+    total = 0
+    for path, _, names in os.walk(folder):
+        for name in names:
+            try:
+                total += os.stat(os.path.join(path, name)).st_size
+            except OSError:
+                continue
+    return total
+
+
+def _remove_forgotten(folder: Path) -> None:
+    """Remove what killed installs left."""
+    for path in folder.glob(f"*{UNFINISHED}"):
+        if time.time() - path.stat().st_mtime > FORGOTTEN_SECONDS:
+            shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""Photos in the viewport: the best photo of a fruit, and backgrounds behind cameras."""

@@ -1,0 +1,142 @@
+"""Look at a fruit in the photos: through the camera that sees it best, the next best, and back to the free view."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..blender_data import gaussian_attributes, in_scene_frame, owned_object, owned_objects
+from ..data.photo_files import PHOTO, SIZE
+from ..data.read_cameras import read_camera
+from ..jobs.jobs import describe_error, editing
+from .photo_backgrounds import PROBLEM, keep_only, show_photo
+from .photo_choice import Sight, Surface, best_sights
+from .photo_view import look_through, remembers, restore_view, view_area
+
+
+def active_fruit(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The fruit that is active, in the list and in the viewport."""
+    item = context.view_layer.objects.active if context.view_layer else None
+    return item if item is not None and item.get("fruitlangs") == "fruit" else None
+
+
+def photo_cameras(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The cameras of the photos, those whose photos are gone too."""
+    return [item for item in owned_objects(bpy_scene, "camera") if SIZE in item]
+
+
+def fruit_sights(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tuple[bpy.types.Object, Sight]]:
+    """The cameras that see a fruit, best first."""
+    root = owned_object(bpy_scene, "root")
+    cameras = photo_cameras(bpy_scene)
+    if root is None or not cameras:
+        return []
+    placed = np.array(in_scene_frame(item, root), np.float64)
+    # The mesh is a ball of diameter 1.
+    radius = 0.5 * float(np.linalg.norm(placed[:3, :3], axis=0).mean())
+    views = [read_camera(camera, root) for camera in cameras]
+    sights = best_sights(views, placed[:3, 3], radius, _surface(bpy_scene))
+    return [(cameras[sight.index], sight) for sight in sights]
+
+
+def _surface(bpy_scene: bpy.types.Scene) -> Surface | None:
+    found = gaussian_attributes(bpy_scene, "position", "scale", "quaternion", "opacity")
+    return None if found is None else Surface(*found)
+
+
+class _Look:
+    """Mix into an operator that looks at the active fruit through a photo's camera."""
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if editing(cls, context):
+            return False
+        if active_fruit(context) is None:
+            cls.poll_message_set("Choose a fruit in the list or in the viewport")
+            return False
+        if not photo_cameras(context.scene):
+            cls.poll_message_set("There are no photos' cameras: import the scene again")
+            return False
+        return True
+
+    def look(self: Any, context: bpy.types.Context, step: int | None) -> set[str]:
+        """Look through the best camera (None), or the one that many places after the present one."""
+        item = active_fruit(context)
+        assert item is not None
+        sights = fruit_sights(context.scene, item)
+        if not sights:
+            self.report({"WARNING"}, f"No photo sees {item.name}: it is hidden in all of them")
+            return {"CANCELLED"}
+        cameras = [camera for camera, _ in sights]
+        place = 0
+        if step is not None and context.scene.camera in cameras:
+            place = (cameras.index(context.scene.camera) + step) % len(cameras)
+        camera, sight = sights[place]
+        if not item.hide_viewport:
+            item.select_set(True)
+        look_through(context, camera, sight.place, sight.pixels)
+        keep_only([camera])
+        try:
+            show_photo(camera)
+        except Exception as error:
+            camera[PROBLEM] = describe_error(error)
+            self.report({"WARNING"}, camera[PROBLEM])
+            return {"FINISHED"}
+        name = camera[PHOTO] or camera.name
+        self.report(
+            {"INFO"},
+            f"{item.name} in {name}, photo {place + 1} of {len(cameras)} that see it: {sight.pixels:.0f} pixels wide, "
+            f"{sight.share:.0%} of it open",
+        )
+        return {"FINISHED"}
+
+
+class FRUITLANGS_OT_best_photo(_Look, bpy.types.Operator):
+    bl_idname = "fruitlangs.best_photo"
+    bl_label = "Best Photo"
+    bl_description = "Look at the active fruit through the camera of the photo that sees it best"
+    bl_options = {"UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.look(context, None)
+
+
+class FRUITLANGS_OT_next_photo(_Look, bpy.types.Operator):
+    bl_idname = "fruitlangs.next_photo"
+    bl_label = "Next Photo"
+    bl_description = "Look at the active fruit in the next best photo of it, or in the one before"
+    bl_options = {"UNDO"}
+
+    step: bpy.props.IntProperty(name="Step", default=1, options={"SKIP_SAVE"}, description="-1: the one before")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.look(context, self.step)
+
+
+class FRUITLANGS_OT_free_view(bpy.types.Operator):
+    bl_idname = "fruitlangs.free_view"
+    bl_label = "Back to Free View"
+    bl_description = "Leave the photo and look from where you looked before it"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        area = view_area(context)
+        through = area is not None and area.spaces.active.region_3d.view_perspective == "CAMERA"
+        if context.scene is None or not (through or remembers(context.scene)):
+            cls.poll_message_set("You look through no photo")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        restore_view(context)
+        keep_only([])
+        return {"FINISHED"}
+
+
+CLASSES = (FRUITLANGS_OT_best_photo, FRUITLANGS_OT_next_photo, FRUITLANGS_OT_free_view)

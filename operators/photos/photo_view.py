@@ -1,0 +1,104 @@
+"""A viewport that looks through a photo's camera, and the way back to where it looked before."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.photo_files import ASPECT, SIZE
+from ..data.write_cameras import show_through
+from ..viewport.viewport import shown_screens
+
+SHOWN = 0.12
+"""How wide a fruit becomes at least, in heights of the viewport."""
+
+
+def view_area(context: bpy.types.Context) -> bpy.types.Area | None:
+    """The 3D viewport that a button of which was pressed, else the first of the screen; None in background mode."""
+    if bpy.app.background:
+        return None
+    if context.area is not None and context.area.type == "VIEW_3D":
+        return context.area
+    areas = (area for screen in shown_screens(context, context.scene) for area in screen.areas)
+    return next((area for area in areas if area.type == "VIEW_3D"), None)
+
+
+def remembers(bpy_scene: bpy.types.Scene) -> bool:
+    """Whether there is a view to go back to."""
+    return bool(bpy_scene.fruitlangs.photos.perspective)
+
+
+def look_through(
+    context: bpy.types.Context, camera: bpy.types.Object, place: NDArray[np.float64], pixels: float
+) -> None:
+    """Turn the viewport to a camera of ours, to the thing at pixel `place` (2,) of its photo that is `pixels` wide.
+
+    How the viewport looked is kept in the .blend until `restore_view`.
+    """
+    area, bpy_scene = view_area(context), context.scene
+    view = None if area is None else area.spaces.active.region_3d
+    if not remembers(bpy_scene) or (view is not None and view.view_perspective != "CAMERA"):
+        _remember(bpy_scene, view)
+    show_through(bpy_scene, camera)
+    if area is None or view is None:
+        return
+    area.spaces.active.use_local_camera = False
+    view.view_perspective = "CAMERA"
+    _frame(area, camera, place, pixels)
+
+
+def _frame(area: bpy.types.Area, camera: bpy.types.Object, place: NDArray[np.float64], pixels: float) -> None:
+    """Move and zoom the photo so that a thing in it is in the middle of what the sidebar leaves free.
+
+    Blender draws the frame `zoom` times as wide as the region, and shifts it by twice the offset times `zoom` regions.
+    """
+    regions = {region.type: region for region in area.regions}
+    window, view = regions["WINDOW"], area.spaces.active.region_3d
+    covered = regions["UI"].width if area.spaces.active.show_region_ui else 0
+    width, height, (columns, rows), ratio = window.width, window.height, camera[SIZE], camera[ASPECT]
+    shape = rows * ratio / columns  # the frame's height by its width
+    whole = min((width - covered) / width, height / (width * shape))
+    zoom = max(whole, SHOWN * min(width, height) / (width * pixels / columns))
+    view.view_camera_zoom = float(np.clip(50.0 * (2.0 * np.sqrt(zoom) - np.sqrt(2.0)), -30.0, 600.0))
+    across, upward = place[0] / columns - 0.5, 0.5 - place[1] / rows
+    view.view_camera_offset = (
+        float(np.clip(0.5 * across + 0.25 * covered / (width * zoom), -1.0, 1.0)),
+        float(np.clip(0.5 * upward * shape * width / height, -1.0, 1.0)),
+    )
+
+
+def restore_view(context: bpy.types.Context) -> None:
+    """Look from where the viewport looked before the first photo; the scene's own camera and size come back too."""
+    area, photos = view_area(context), context.scene.fruitlangs.photos
+    if not remembers(context.scene):
+        if area is not None:
+            area.spaces.active.region_3d.view_perspective = "PERSP"
+        return
+    if area is not None:
+        view = area.spaces.active.region_3d
+        view.view_perspective = photos.perspective
+        if photos.perspective != "CAMERA":
+            view.view_location, view.view_rotation = photos.location, photos.rotation
+            view.view_distance = photos.distance
+    render = context.scene.render
+    if photos.camera is not None:  # a count meanwhile replaces the cameras of photos
+        context.scene.camera = photos.camera
+    render.resolution_x, render.resolution_y, render.resolution_percentage = photos.resolution
+    render.pixel_aspect_x, render.pixel_aspect_y = photos.aspect
+    photos.perspective = ""
+
+
+def _remember(bpy_scene: bpy.types.Scene, view: Any) -> None:
+    """Keep how a viewport looks, and the scene's camera and size, which a photo replaces."""
+    photos, render = bpy_scene.fruitlangs.photos, bpy_scene.render
+    if not remembers(bpy_scene):  # else a photo's camera is there already, and what it replaced is kept
+        photos.camera = bpy_scene.camera
+        photos.resolution = (render.resolution_x, render.resolution_y, render.resolution_percentage)
+        photos.aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
+    photos.perspective = "PERSP" if view is None else view.view_perspective
+    if view is not None:
+        photos.location, photos.rotation = view.view_location, view.view_rotation
+        photos.distance = view.view_distance

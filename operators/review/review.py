@@ -1,0 +1,359 @@
+"""Review: a person confirms, rejects, merges, splits, adds and relabels fruit; all undoable, all in the log."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import bpy
+import numpy as np
+from mathutils import Vector
+from numpy.typing import NDArray
+
+from ...engine.errors import CountingError
+from ..blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
+from ..data.fruit_objects import (
+    ADDED,
+    CONFIRMED,
+    REJECTED,
+    REVIEW,
+    fruit_collection,
+    give_members,
+    judge,
+    make_fruit,
+    members,
+    metres_per_unit,
+    next_ids,
+    now,
+    spot_of,
+    standing,
+    write_log,
+)
+from ..data.manual_edits import remember_fruit
+from ..data.stored_review import keep_corrections
+from ..data.write_fruits import label_fruit
+from ..jobs.jobs import busy, describe_error, editing
+from ..tools.pick_tool import PickTool
+from ..viewport.viewport import look_at_point, shown_screens
+
+if TYPE_CHECKING:
+    from ...engine.counting.accounts.review import Action, Spot
+
+CLOSE = 8.0
+"""Diameters from which a fruit is looked at."""
+NO_SIZE = "There is no fruit whose size the new one could have; type its diameter below Add first"
+
+
+def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected fruit, the active one first."""
+    own = [item for item in context.selected_objects if item.get(OWNER) == "fruit"]
+    active = context.view_layer.objects.active
+    return sorted(own, key=lambda item: (item != active, item.get("id", 0)))
+
+
+def has_root(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether the scene's root is there; the operator's poll says so where it is not."""
+    if owned_object(context.scene, "root") is not None:
+        return True
+    operator.poll_message_set("The empty that holds the scene is gone; undo that, or import or count again")
+    return False
+
+
+class Judgement:
+    """Mix into an operator that changes the fruit that are selected."""
+
+    needs: ClassVar[int] = 1
+    """Fruit that must be selected at least."""
+
+    reason: bpy.props.StringProperty(
+        name="Reason", options={"SKIP_SAVE"}, description="Why, for the log; empty takes what stands in the panel"
+    )
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if busy(cls) or editing(cls, context) or not has_root(cls, context):
+            return False
+        if len(chosen(context)) < cls.needs:
+            many = "a fruit" if cls.needs == 1 else f"{cls.needs} fruit or more (Shift and click)"
+            cls.poll_message_set(f"Select {many} in the list or in the viewport")
+            return False
+        return True
+
+    def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        try:
+            for line in keep_corrections(context.scene):
+                self.report({"INFO"}, line)
+            self.decide(context)
+            remember_fruit(context.scene)
+        except Exception as error:
+            self.report({"ERROR"}, describe_error(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def decide(self, context: bpy.types.Context) -> None:
+        """Do it; whatever is raised is told in words, so it must come before anything changes.
+
+        Raises:
+            FruitLangsError: it cannot be done.
+        """
+        raise NotImplementedError
+
+    def log(
+        self: Any, context: bpy.types.Context, action: Action, before: Sequence[Spot] = (), after: Sequence[Spot] = ()
+    ) -> None:
+        """Write what was done, with the reason in the panel, which is then empty again."""
+        from ...engine.counting.accounts.review import Decision
+
+        review = context.scene.fruitlangs.review
+        reason, review.reason = self.reason or review.reason, ""
+        write_log(context.scene, Decision(action, now(), reason.strip(), tuple(before), tuple(after)))
+
+
+def _spots(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> list[Spot]:
+    root = owned_object(context.scene, "root")
+    assert root is not None
+    return [spot_of(item, root) for item in items]
+
+
+class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.confirm_fruit"
+    bl_label = "Confirm"
+    bl_description = "Say that the selected fruit are fruit; rejected ones come back"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def decide(self, context: bpy.types.Context) -> None:
+        items = chosen(context)
+        self.log(context, "confirm", _spots(context, items))
+        for item in items:
+            judge(item, CONFIRMED if item.get(REVIEW) != ADDED else ADDED)
+
+
+class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.reject_fruit"
+    bl_label = "Reject"
+    bl_description = "Say that the selected things are no fruit: they are hidden and no longer counted"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def decide(self, context: bpy.types.Context) -> None:
+        items = chosen(context)
+        self.log(context, "reject", _spots(context, items))
+        for item in items:
+            judge(item, REJECTED)
+
+
+class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.reopen_fruit"
+    bl_label = "Reopen"
+    bl_description = "Take back what was said of the active fruit in the list, also of a rejected one"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or not has_root(cls, context):
+            return False
+        item = context.view_layer.objects.active
+        if item is None or item.get(OWNER) != "fruit" or item.get(REVIEW) not in (CONFIRMED, REJECTED):
+            cls.poll_message_set("Choose a confirmed or rejected fruit in the list")
+            return False
+        return True
+
+    def decide(self, context: bpy.types.Context) -> None:
+        item = context.view_layer.objects.active
+        self.log(context, "reopen", _spots(context, [item]))
+        judge(item, "")
+        select_only(context, [item])
+
+
+class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.merge_fruit"
+    bl_label = "Merge"
+    bl_description = "Make one fruit of those selected"
+    bl_options = {"REGISTER", "UNDO"}
+
+    needs = 2
+
+    def decide(self, context: bpy.types.Context) -> None:
+        from ...engine.counting.accounts.review import merged
+
+        items = chosen(context)
+        before = _spots(context, items)
+        whole = merged(before, next_ids(context.scene, 1)[0])
+        own = np.concatenate([members(context.scene, item)[0] for item in items])
+        give_members(context.scene, own, whole.id)
+        made = make_fruit(context.scene, whole, items[0])
+        self.log(context, "merge", before, [whole])
+        remove_objects(items)
+        select_only(context, [made])
+
+
+class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.split_fruit"
+    bl_label = "Split"
+    bl_description = "Make several fruit of the active one, as its Gaussians lie"
+    bl_options = {"REGISTER", "UNDO"}
+
+    parts: bpy.props.IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit it is")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.parts = context.scene.fruitlangs.review.parts
+        return self.execute(context)
+
+    def decide(self, context: bpy.types.Context) -> None:
+        from ...engine.counting.accounts.review import split
+
+        item = chosen(context)[0]
+        before = _spots(context, [item])[0]
+        own, places = members(context.scene, item)
+        spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts))
+        made = [make_fruit(context.scene, spot, item) for spot in spots]
+        give_members(context.scene, own, np.array([spot.id for spot in spots])[owners] if len(own) else 0)
+        self.log(context, "split", [before], spots)
+        remove_objects([item])
+        select_only(context, made)
+
+
+class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.relabel_fruit"
+    bl_label = "Move to Label"
+    bl_description = "Give the selected fruit the label in the panel, for example ripe apple"
+    bl_options = {"REGISTER", "UNDO"}
+
+    label: bpy.props.StringProperty(name="Label", options={"SKIP_SAVE"}, description="Empty takes the panel's")
+
+    def decide(self, context: bpy.types.Context) -> None:
+        label = " ".join((self.label or context.scene.fruitlangs.review.label).split())
+        if not label:
+            raise CountingError("Type the label first")
+        self.reason = self.reason or context.scene.fruitlangs.review.reason
+        for item in chosen(context):
+            before = _spots(context, [item])
+            label_fruit(item, label, context.scene)
+            if item.get(REVIEW) != ADDED:
+                judge(item, CONFIRMED)
+            self.log(context, "relabel", before, _spots(context, [item]))
+
+
+class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
+    bl_idname = "fruitlangs.add_fruit"
+    bl_label = "Add"
+    bl_description = "Click on a fruit that was missed"
+    bl_options = {"REGISTER", "UNDO"}
+
+    asks = ("click on a fruit that was missed",)
+
+    center: bpy.props.FloatVectorProperty(
+        name="Centre", size=3, precision=4, options={"SKIP_SAVE"}, description="x y z in the scene's frame"
+    )
+    diameter: bpy.props.FloatProperty(
+        name="Diameter", min=0.0, precision=4, options={"SKIP_SAVE"}, description="Scene units; 0: as the others are"
+    )
+
+    def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not new_diameter(context.scene) > 0.0:
+            self.report({"ERROR"}, NO_SIZE)
+            return {"CANCELLED"}
+        return super().invoke(context, event)
+
+    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+        # The click is on the skin: the middle lies half a diameter behind it, away from the viewer.
+        direction = self._target3d.direction
+        self.center = (points[0] + 0.5 * new_diameter(context.scene) * direction).tolist()
+        return self.execute(context)
+
+    def decide(self, context: bpy.types.Context) -> None:
+        from ...engine.counting.accounts.review import ball
+
+        label = context.scene.fruitlangs.result.label or context.scene.fruitlangs.prompt
+        size = self.diameter or new_diameter(context.scene)
+        if not size > 0.0:
+            raise CountingError(NO_SIZE)
+        spot = ball(next_ids(context.scene, 1)[0], label, np.array(self.center), size)
+        made = make_fruit(context.scene, spot, None)
+        self.log(context, "add", after=[spot])
+        select_only(context, [made])
+
+
+def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
+    """Median diameter of the fruit that stand, else of the rejected ones, scene units; 0 without any."""
+    unit = metres_per_unit(bpy_scene) or 1.0
+    items = standing(bpy_scene) or owned_objects(bpy_scene, "fruit")
+    sizes = [float(item["diameter"]) / unit for item in items if "diameter" in item]
+    return float(np.median(sizes)) if sizes else 0.0
+
+
+def new_diameter(bpy_scene: bpy.types.Scene) -> float:
+    """What an added fruit gets, scene units: the usual diameter, else the one typed in the panel; 0 of neither.
+
+    The panel has a field for each unit: a length measured meanwhile must not make another size of the same number.
+    """
+    review, metres = bpy_scene.fruitlangs.review, metres_per_unit(bpy_scene)
+    typed = review.diameter if metres is None else review.diameter_mm / (1000.0 * metres)
+    return usual_diameter(bpy_scene) or float(typed)
+
+
+class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
+    bl_idname = "fruitlangs.next_doubtful"
+    bl_label = "Next Doubtful"
+    bl_description = "Go to the least likely fruit that nobody has looked at yet"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or editing(cls, context):
+            return False
+        if not any(REVIEW not in item for item in owned_objects(context.scene, "fruit")):
+            cls.poll_message_set("Every fruit has been looked at")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        item = next_doubtful(context)
+        select_only(context, [item])
+        if context.view_layer.objects.active != item:
+            self.report({"WARNING"}, f"{item.name} is in no collection of this view layer; tick it in the Outliner")
+            return {"CANCELLED"}
+        root = owned_object(context.scene, "root")
+        if root is not None:
+            place = root.matrix_world @ Vector(item.location)
+            size = CLOSE * float(item.get("diameter", 0.1))
+            look_at_point(shown_screens(context, context.scene), place, size)
+        self.report({"INFO"}, f"{item.name}: probability {item.get('probability', 1.0):.2f}")
+        return {"FINISHED"}
+
+
+def next_doubtful(context: bpy.types.Context) -> bpy.types.Object:
+    """The least likely fruit not looked at; from one that is not, the next after it."""
+    open_ones = [item for item in owned_objects(context.scene, "fruit") if REVIEW not in item]
+    ranked = sorted(open_ones, key=lambda item: (item.get("probability", 1.0), item.get("id", 0)))
+    active = context.view_layer.objects.active
+    return ranked[(ranked.index(active) + 1) % len(ranked)] if active in ranked else ranked[0]
+
+
+def get_active_fruit(review: Any) -> int:
+    """Index of the active object among the fruit; -1 where another one is active."""
+    collection = fruit_collection(review.id_data)
+    active = bpy.context.view_layer.objects.active if bpy.context.view_layer else None
+    return -1 if collection is None or active is None else collection.objects.find(active.name)
+
+
+def set_active_fruit(review: Any, index: int) -> None:
+    """Select the fruit of that index alone."""
+    collection = fruit_collection(review.id_data)
+    if collection is None or bpy.context.mode != "OBJECT" or not 0 <= index < len(collection.objects):
+        return
+    select_only(bpy.context, [collection.objects[index]])
+
+
+CLASSES = (
+    FRUITLANGS_OT_confirm_fruit,
+    FRUITLANGS_OT_reject_fruit,
+    FRUITLANGS_OT_reopen_fruit,
+    FRUITLANGS_OT_merge_fruit,
+    FRUITLANGS_OT_split_fruit,
+    FRUITLANGS_OT_relabel_fruit,
+    FRUITLANGS_OT_add_fruit,
+    FRUITLANGS_OT_next_doubtful,
+)

@@ -1,0 +1,53 @@
+"""Look at a cluster of the audit, for example one that was dropped."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+import bpy
+from mathutils import Vector
+
+from ...engine.report.words import place
+from ..blender_data import owned_object
+from ..data.fruit_objects import metres_per_unit
+from ..data.stored_audit import read_audit
+from ..viewport.viewport import look_at_point, shown_screens
+from .review import CLOSE, has_root, usual_diameter
+
+
+class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
+    bl_idname = "fruitlangs.look_at_cluster"
+    bl_label = "Look"
+    bl_description = "Turn the viewport to the middle of this cluster of points"
+
+    cluster: bpy.props.IntProperty(name="Cluster", options={"SKIP_SAVE"}, description="Its number in the audit")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene is not None and has_root(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        center = cluster_center(context.scene, self.cluster)
+        if center is None:
+            self.report({"WARNING"}, f"The audit of this count knows no place of a cluster {self.cluster}")
+            return {"CANCELLED"}
+        look_at_point(shown_screens(context, context.scene), center, CLOSE * usual_size(context.scene))
+        return {"FINISHED"}
+
+
+def cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
+    """Where in the world the cluster of that number is; None where the audit gives no place."""
+    root = owned_object(bpy_scene, "root")
+    centers = [place(entry) for entry in read_audit(bpy_scene) if entry.cluster == cluster]
+    return None if root is None or not centers or centers[0] is None else root.matrix_world @ Vector(centers[0])
+
+
+def usual_size(bpy_scene: bpy.types.Scene) -> float:
+    """How large fruit are in the world; where there are none, a guess from how large the scene is."""
+    root = owned_object(bpy_scene, "root")
+    guess = 1.0 if root is None else 0.5 * root.empty_display_size
+    return (usual_diameter(bpy_scene) or guess) * (metres_per_unit(bpy_scene) or 1.0)
+
+
+CLASSES = (FRUITLANGS_OT_look_at_cluster,)

@@ -1,0 +1,1 @@
+"""Settings of the panel and the preferences as engine values."""

@@ -1,0 +1,126 @@
+"""The region of interest: a box in the viewport, upright, that a count is held to.
+
+The box is an object like any other, moved, turned about Z and scaled by the person; it is the truth, and the settings
+of counting are read from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ...engine.errors import ConfigError
+from ..blender_data import (
+    in_scene_frame,
+    new_object,
+    owned_collection,
+    owned_object,
+    owned_objects,
+    remove_objects,
+    select_only,
+)
+from ..jobs.jobs import busy, linked
+
+if TYPE_CHECKING:
+    from ...engine.config import CountConfig
+
+UPRIGHT = 0.9998
+"""Least cosine between the box's own axis and up, about one degree."""
+CORNERS = ((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0))
+
+
+def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
+    """`config` held to this Blender scene's box, as an outline with heights in the scene's frame; as it is without a
+    box.
+
+    Raises:
+        ConfigError: the box is tilted or flat.
+    """
+    box, root = owned_object(bpy_scene, "region"), owned_object(bpy_scene, "root")
+    if box is None or root is None:
+        return config
+    up = np.array(root.matrix_basis.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0)))
+    up /= np.linalg.norm(up)
+    placed = in_scene_frame(box, root)
+    axis = np.array(placed.to_3x3().col[2])
+    size = min(column.length for column in placed.to_3x3().col)
+    if size < 1e-9:
+        raise ConfigError("The region box is flat; scale it up, or remove it to count everywhere")
+    if abs(axis @ up) < UPRIGHT * np.linalg.norm(axis):
+        raise ConfigError(
+            "The region box is tilted; clear its rotation about X and Y, or remove it to count everywhere"
+        )
+    outline = tuple(float(value) for corner in CORNERS for value in placed @ Vector(corner))
+    ends = sorted(float(up @ np.array(placed @ Vector((0, 0, end)))) for end in (-1, 1))
+    return replace(config, box=None, polygon=outline, heights=(ends[0], ends[1]))
+
+
+class FRUITLANGS_OT_add_region(bpy.types.Operator):
+    bl_idname = "fruitlangs.add_region"
+    bl_label = "Add Region Box"
+    bl_description = "Add a box that counts are held to; move it (G), turn it about Z (R Z) and scale it (S)"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or linked(cls, context):
+            return False
+        if context.scene is None or owned_object(context.scene, "root") is None:
+            cls.poll_message_set("Import a scene first")
+            return False
+        if owned_object(context.scene, "region") is not None:
+            cls.poll_message_set("There is a region box already")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy_scene, root = context.scene, owned_object(context.scene, "root")
+        assert root is not None
+        middle, half = around(bpy_scene, root)
+        box = new_object("Region", None, "region", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
+        box.empty_display_type = "CUBE"
+        stand_upright(box, root, middle, half)
+        if context.mode == "OBJECT":
+            select_only(context, [box])
+        self.report({"INFO"}, "Counts are held to the box: move it with G, scale it with S, turn it with R Z")
+        return {"FINISHED"}
+
+
+def stand_upright(box: bpy.types.Object, root: bpy.types.Object, middle: Vector, half: Vector) -> None:
+    """Put the box upright there, in the world, its sides in Blender's sidebar as they are seen."""
+    box.matrix_parent_inverse = root.matrix_basis.inverted()
+    box.matrix_basis = Matrix.LocRotScale(middle, box.matrix_basis.to_quaternion(), half)
+
+
+def around(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[Vector, Vector]:
+    """Middle and half sides, in the world, of a box around the fruit there are, else around what cameras look at."""
+    # As set, not as evaluated: what was just made has no matrix_world yet.
+    fruit = [root.matrix_basis @ item.matrix_basis.translation for item in owned_objects(bpy_scene, "fruit")]
+    if len(fruit) > 1:
+        low, high = (Vector(side(place[axis] for place in fruit) for axis in range(3)) for side in (min, max))
+        return (low + high) / 2.0, (high - low) * 0.55 + Vector((1e-3, 1e-3, 1e-3)) * (high - low).length
+    cameras = [root.matrix_basis @ item.matrix_basis.translation for item in owned_objects(bpy_scene, "camera")]
+    reach = max((place.xy.length for place in cameras), default=2.0) / 2.0
+    return Vector((0.0, 0.0, reach)), Vector((reach, reach, reach))
+
+
+class FRUITLANGS_OT_remove_region(bpy.types.Operator):
+    bl_idname = "fruitlangs.remove_region"
+    bl_label = "Remove Region Box"
+    bl_description = "Count everywhere again"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene is not None and owned_object(context.scene, "region") is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        remove_objects(owned_objects(context.scene, "region"))
+        return {"FINISHED"}
+
+
+CLASSES = (FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region)

@@ -1,0 +1,336 @@
+"""The panel's settings as engine values: Blender properties from a config dataclass, and the way back.
+
+A setting is declared once, in `engine/config.py`; the string below its field is the tooltip here and the help text of
+the command line's flag.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import itertools
+import textwrap
+import types
+import typing
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ...engine.config import LARGEST, path_kind, range_of
+from ...engine.errors import FruitLangsError, SceneError, VocabularyError
+from .preference_values import with_preferred_folders
+from .region import in_region
+from .source_mark import has_mark
+
+if TYPE_CHECKING:
+    from ...engine.config import Config
+
+
+# Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+SUBTYPES = {"file": "FILE_PATH", "folder": "DIR_PATH"}
+"""Of the property of a setting that is a path."""
+PLY = ".ply"
+"""How the name of a file of Gaussians or coloured points ends."""
+MEASURES = {
+    "scene": ("up",),
+    "units": ("length", "points", "cameras", "object", "metres_per_unit"),
+    "count": ("diameter", "box", "polygon", "heights", "tree_places"),
+}
+"""{stage: settings} that say something of one source's frame only."""
+
+
+def field_docs(config_class: type) -> dict[str, str]:
+    """{field: the string below it} of a dataclass, from its source, in one line each."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(config_class))).body[0].body  # type: ignore[attr-defined]
+    docs = {}
+    for statement, following in itertools.pairwise(body):
+        if (
+            isinstance(statement, ast.AnnAssign)
+            and isinstance(statement.target, ast.Name)
+            and isinstance(following, ast.Expr)
+            and isinstance(following.value, ast.Constant)
+        ):
+            docs[statement.target.id] = " ".join(str(following.value.value).split())
+    return docs
+
+
+def config_properties(config_class: type, updates: Mapping[str, Callable[..., None]] = {}) -> dict[str, Any]:
+    """{field: Blender property} of a config dataclass, in its order; updates: {field: what an edit of it calls}.
+
+    Where None is allowed, 0 stands for it, or an empty text; several texts are one, with commas, and a list of numbers
+    of any length is typed as text.
+    """
+    docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
+    return {
+        field.name: _property(kinds[field.name], field, docs.get(field.name, ""), updates.get(field.name))
+        for field in dataclasses.fields(config_class)
+    }
+
+
+def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
+    """The config that a group made by `config_properties` holds.
+
+    Raises:
+        ConfigError: a value makes no sense.
+        SceneError: a path is relative to a .blend never saved.
+    """
+    kinds = typing.get_type_hints(config_class)
+    values = {field.name: getattr(group, field.name) for field in dataclasses.fields(config_class)}
+    for name in values:
+        if _is_texts(kinds[name]):
+            values[name] = tuple(read_words(values[name]))
+    for name in path_names(config_class):
+        if values[name].startswith("//"):
+            values[name] = str(_absolute(values[name]))
+    missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
+    typed = {name: value.replace(",", " ").split() for name, value in values.items() if _is_list(kinds[name])}
+    plain = {name: _plain(value) for name, value in values.items()}
+    return config_class(**{**plain, **typed, **dict.fromkeys(missing)})
+
+
+def path_names(config_class: type) -> list[str]:
+    """The settings of a config dataclass that are paths."""
+    return [field.name for field in dataclasses.fields(config_class) if path_kind(field)]
+
+
+def _is_zero(value: Any) -> bool:
+    """Whether the property of an optional setting holds what means "not given"."""
+    return not any(value) if isinstance(value, bpy.types.bpy_prop_array) else not value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bpy.types.bpy_prop_array):
+        return tuple(map(_plain, value))
+    # A property holds float32; the shortest text of it is what was typed, so 0.2 stays 0.2 as on the command line.
+    return float(f"{value:.7g}") if isinstance(value, float) else value
+
+
+def _optional(kind: Any) -> bool:
+    return typing.get_origin(kind) in (types.UnionType, typing.Union) and type(None) in typing.get_args(kind)
+
+
+def _given(kind: Any) -> Any:
+    """The kind of an optional setting that is given."""
+    return next(choice for choice in typing.get_args(kind) if choice is not type(None)) if _optional(kind) else kind
+
+
+def _is_texts(kind: Any) -> bool:
+    """Whether a setting is several texts, given or not."""
+    given = _given(kind)
+    return typing.get_origin(given) is tuple and set(typing.get_args(given)) == {str}
+
+
+def _is_list(kind: Any) -> bool:
+    """Whether a field holds numbers of any length."""
+    return any(Ellipsis in typing.get_args(choice) for choice in (kind, *typing.get_args(kind)))
+
+
+def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callable[..., None] | None = None) -> Any:
+    """The Blender property for one field."""
+    words = field.name.replace("_", " ").title()
+    named: dict[str, Any] = {
+        "name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "),
+        "description": doc.rstrip("."),
+        "update": update,
+    }
+    if _optional(kind):
+        kind = _given(kind)
+        typed = kind is str or _is_texts(kind) or _is_list(kind)
+        named["description"] += " (empty: not given)" if typed else " (0: not given)"
+        default: Any = field.default or kind()
+    else:
+        default = field.default
+    if typing.get_origin(kind) is typing.Literal:
+        items = [(choice, choice.replace("-", " ").capitalize(), "") for choice in typing.get_args(kind)]
+        return bpy.props.EnumProperty(items=items, default=default, **named)
+    if _is_texts(kind):
+        return bpy.props.StringProperty(default=", ".join(default), **named)
+    if _is_list(kind):
+        return bpy.props.StringProperty(default=" ".join(map(str, default)), **named)
+    if typing.get_origin(kind) is tuple:
+        size = len(typing.get_args(kind))
+        return bpy.props.FloatVectorProperty(size=size, default=default or (0.0,) * size, precision=3, **named)
+    if kind is bool:
+        return bpy.props.BoolProperty(default=default, **named)
+    if kind in (int, float):
+        allowed = range_of(field)
+        bounds = {} if allowed is None else {"min": kind(allowed.low), "max": kind(min(allowed.high, LARGEST))}
+        if kind is int:
+            return bpy.props.IntProperty(default=default, **bounds, **named)
+        return bpy.props.FloatProperty(default=default, precision=3, **bounds, **named)
+    path = path_kind(field)
+    if path is not None:
+        return bpy.props.StringProperty(default=default, subtype=SUBTYPES[path], options=RELATIVE, **named)
+    if kind is str or kind is Path:
+        return bpy.props.StringProperty(default=str(default), **named)
+    raise TypeError(f"{field.name}: no Blender property for {kind}")
+
+
+def read_config(settings: Any, source: Path | None = None) -> Config:
+    """Every stage's config from `scene.fruitlangs`, counting held to the scene's region box where it has one; nothing
+    is downloaded where Blender may not go online. For a run on `source` what was measured of another one is left out.
+
+    Raises:
+        ConfigError: a value makes no sense.
+    """
+    from ...engine.config import Config
+
+    config = Config(
+        **{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()}
+    )
+    embed = with_preferred_folders(config.embed)
+    consent = embed.allow_download and online()
+    config = dataclasses.replace(config, embed=dataclasses.replace(embed, allow_download=consent))
+    if source is not None and is_of_another(settings, source):
+        return _unmeasured(config)
+    return dataclasses.replace(config, count=in_region(settings.id_data, config.count))
+
+
+def _unmeasured(config: Config) -> Config:
+    """The config without `MEASURES`."""
+    usual = type(config)()
+    stages = {}
+    for stage, names in MEASURES.items():
+        values = {name: getattr(getattr(usual, stage), name) for name in names}
+        stages[stage] = dataclasses.replace(getattr(config, stage), **values)
+    return dataclasses.replace(config, **stages)
+
+
+def online() -> bool:
+    """Whether the person at Blender allows it to go online."""
+    return bpy.app.online_access
+
+
+def apply_preset(settings: Any, _context: Any = None) -> None:
+    """Set training's properties of `scene.fruitlangs` to those of its preset."""
+    from ...engine.config import PRESETS
+
+    for field in dataclasses.fields(PRESETS["standard"]):
+        setattr(settings.config.train, field.name, getattr(PRESETS[settings.preset], field.name))
+
+
+def stage_classes() -> dict[str, type]:
+    """{stage: config class} in the order of the chain."""
+    from ...engine.config import Config
+
+    kinds = typing.get_type_hints(Config)
+    return {field.name: kinds[field.name] for field in dataclasses.fields(Config)}
+
+
+def read_words(text: str) -> list[str]:
+    """'apple, red apple' → ['apple', 'red apple']."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def read_prompts(settings: Any) -> list[str]:
+    """The words to count.
+
+    Raises:
+        VocabularyError: none was given.
+    """
+    prompts = read_words(settings.prompt)
+    if not prompts:
+        raise VocabularyError("The prompt is empty: type what to count, for example apple")
+    return prompts
+
+
+def source_folder(settings: Any) -> Path:
+    """The scene's folder, or a .ply to count in, absolute.
+
+    Raises:
+        SceneError: none was chosen, it is relative to a .blend never saved, or it is not there (any more).
+    """
+    if not settings.source:
+        raise SceneError("No scene is chosen: set Scene to the folder of the photos, with a COLMAP model or alone")
+    folder = _absolute(settings.source)
+    if not folder.is_dir() and not (folder.suffix.lower() == PLY and folder.is_file()):
+        raise SceneError(f"The scene folder {folder} is not there; choose it again")
+    return folder
+
+
+def foreign_file(settings: Any) -> Path | None:
+    """The .ply that is counted in instead of training, absolute; None where none is given.
+
+    Raises:
+        SceneError: it is not there (any more).
+    """
+    if not settings.gaussians:
+        return None
+    file = _absolute(settings.gaussians)
+    if not file.is_file():
+        raise SceneError(f"The Gaussians {file} are not there; choose the file again, or empty the field to train")
+    return file
+
+
+def result_folder(settings: Any) -> Path:
+    """Where results go: as set, else where an earlier run on this source put them, else a folder beside the .blend,
+    else, for a .blend never saved, beside the scene's."""
+    if settings.out:
+        return _absolute(settings.out)
+    source = _absolute(settings.source) if settings.source else Path("scene")
+    earlier = known_path(settings.result.work)
+    if earlier is not None and earlier.is_dir() and not is_of_another(settings, source):
+        return earlier
+    beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
+    return beside / f"{source.stem if source.suffix.lower() == PLY else source.name}_fruit"
+
+
+def true_source(source: Path) -> Path:
+    """What the scene at `source` was made from in the first place: of an earlier result its photos, else itself."""
+    from ...engine.report.results import FRUITS_JSON, read_results
+
+    if (source / FRUITS_JSON).is_file():
+        with suppress(FruitLangsError, KeyError):
+            return Path(read_results(source, verify=False)["provenance"]["source"])
+    return source
+
+
+def is_of_another(settings: Any, source: Path) -> bool:
+    """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
+    known = known_path(settings.result.source)
+    return known is not None and not is_same_source(known, settings.result.mark, source)
+
+
+def is_same_source(known: Path, mark: str, source: Path) -> bool:
+    """Whether the scene at `source` is what was at `known`: made from it, or its folder, which was moved, kept its name
+    and holds what its mark tells."""
+    true = true_source(source)
+    return known == true or (known.name == true.name and not known.exists() and has_mark(true, mark))
+
+
+def known_path(text: str) -> Path | None:
+    """A path that `stored_path` kept, absolute; None where none was, or a .blend never saved does not tell it."""
+    return None if not text or (text.startswith("//") and not bpy.data.filepath) else _absolute(text)
+
+
+def stored_file(text: str) -> Path:
+    """A path that `stored_path` kept, absolute.
+
+    Raises:
+        SceneError: it is relative to a .blend never saved.
+    """
+    return _absolute(text)
+
+
+def _absolute(text: str) -> Path:
+    if text.startswith("//") and not bpy.data.filepath:
+        raise SceneError(f"The folder {text} is relative to this .blend, which was never saved; choose it again")
+    return Path(bpy.path.abspath(text)).resolve()
+
+
+def stored_path(path: Path) -> str:
+    """How a path is kept in the .blend: relative to it where it has a file and they share a drive."""
+    return relative_path(path, Path(bpy.data.filepath).parent) if bpy.data.filepath else str(path)
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """`path` as a .blend in `folder` says it; absolute on another drive."""
+    try:
+        return bpy.path.relpath(str(path), start=str(folder))
+    except ValueError:
+        return str(path)

@@ -1,0 +1,54 @@
+"""How a source whose folder was moved is known again, and told from another in a folder of the same name.
+
+Folders are called `photos` or `images` as a rule, so the name says little: a mark is one file of the source with a hash
+of its size and beginning, which no two photos share.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+from pathlib import Path
+
+BEGINNING = 1 << 20
+"""Bytes that are hashed: more than a photo's header and enough of its pixels, little of a large cloud."""
+MODELS = ("transforms.json", "images.bin", "images.txt")
+"""What tells a model from others where its photos lie elsewhere."""
+
+
+def source_mark(source: Path) -> str:
+    """'images/IMG_1.jpg 5f3a…' of the source there; empty where it is gone or has nothing to tell it by."""
+    with suppress(OSError):
+        file = _telling_file(source)
+        if file is not None:
+            return f"{file.relative_to(source).as_posix()} {_hash(file)}"
+    return ""
+
+
+def has_mark(source: Path, mark: str) -> bool:
+    """Whether the source there is the one that a mark was made of; False of an empty mark."""
+    name, _, content = mark.rpartition(" ")
+    with suppress(OSError):
+        return _hash(source / name) == content
+    return False
+
+
+def _telling_file(source: Path) -> Path | None:
+    """The source itself where it is a file, else its first photo, else its model."""
+    from ...engine.scene.sfm.find_cameras import PHOTO_SUFFIXES, list_photos
+
+    if source.is_file():
+        return source
+    photos = list_photos(source / "images") or list_photos(source)
+    if not photos:  # the photos of several cameras lie in folders of their own
+        below = (source / "images").rglob("*")
+        photos = sorted(file for file in below if file.suffix.lower() in PHOTO_SUFFIXES)
+    models = (source / name for name in MODELS)
+    return next((file for file in (*photos, *models) if file.is_file()), None)
+
+
+def _hash(file: Path) -> str:
+    """Of a file's size and beginning."""
+    with file.open("rb") as opened:
+        beginning = opened.read(BEGINNING)
+    return hashlib.sha256(f"{file.stat().st_size} ".encode() + beginning).hexdigest()

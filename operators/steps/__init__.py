@@ -1,0 +1,1 @@
+"""The steps from photos to a counted result."""

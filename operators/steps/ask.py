@@ -1,0 +1,363 @@
+"""Ask the Gaussians for words: their probability follows the prompt as it is edited.
+
+The answer is computed in a thread, from the features that the reconstruction left on disk, and written on the main
+thread. The mesh remembers which words its probabilities answer (`ASKED`), so that undo, redo and another file are
+noticed and asked anew.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from numpy.typing import NDArray
+
+from ...engine.errors import FruitLangsError, OutputError, SceneError
+from ..blender_data import array, gaussian_attributes, owned_object, set_attribute
+from ..data.write_gaussians import ASKED, asked_words
+from ..jobs.jobs import describe_error, linked, redraw_sidebars
+from ..jobs.preload import preload_libraries
+from ..jobs.target_scene import find_scene
+from ..settings.settings import read_config, read_prompts, read_words, stored_file
+from ..viewport.appearance import apply_look, look_changed
+from ..viewport.viewport import in_window, redraw_viewports
+
+if TYPE_CHECKING:
+    from ...engine.config import CountConfig, EmbedConfig
+    from ...engine.language.features.embedder import Embedder
+    from ...engine.language.features.features import Features
+
+PAUSE = 0.15
+"""Seconds after the last edit before the question is asked."""
+LOOK_AGAIN = 0.05
+"""Seconds between two looks whether the answer is there."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of which features; of plain values, so that a thread may have it.
+
+    scene: Blender's session uid; select: how Gaussians are selected, all else of counting as by default.
+    """
+
+    scene: int
+    prompts: tuple[str, ...]
+    negatives: tuple[str, ...]
+    features: Path
+    embed: EmbedConfig
+    select: CountConfig
+
+    @property
+    def words(self) -> str:
+        """What the mesh remembers of it."""
+        return asked_words(self.prompts, self.negatives)
+
+
+class Worker(threading.Thread):
+    """A thread that answers one question; `answer` (N,) or `error` is there when it has ended."""
+
+    def __init__(self, question: Question, means: NDArray[np.float32]) -> None:
+        super().__init__(name="fruitlangs ask", daemon=True)
+        self.question = question
+        self.answer: NDArray[np.float32] | None = None
+        self.error: BaseException | None = None
+        self._means = means
+
+    def run(self) -> None:
+        try:
+            preload_libraries()
+            self.answer = answer(self.question, self._means)
+        except BaseException as error:  # whatever it is, the main thread reports it
+            self.error = error
+
+
+# Threads cannot live in a .blend: the one at work, and the Blender scenes that wait for an answer.
+_worker: Worker | None = None
+_waiting: set[int] = set()
+
+
+def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N,) probability of the question for Gaussians at means (N, 3).
+
+    Raises:
+        OutputError: the features are gone, or of other Gaussians.
+        FruitLangsError: the words or the encoder cannot be used.
+    """
+    import torch
+
+    from ...engine.language.prompts.selection import select
+
+    encoder = _embedder(question.embed).encoder
+    try:
+        features = _features(question.features, os.stat(question.features).st_mtime_ns)
+    except OSError as error:
+        raise OutputError(
+            f"The features in {question.features} are gone; press Reconstruct, which makes them anew"
+        ) from error
+    places = torch.from_numpy(np.array(means))
+    if not features.are_of(places):
+        raise OutputError(
+            f"{question.features} has features of other Gaussians than those shown: a later run replaced it, or these "
+            "were edited; press Reconstruct or count again"
+        )
+    return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
+
+
+@lru_cache(maxsize=1)
+def _embedder(config: EmbedConfig) -> Embedder:
+    from ...engine.language.features.embedder import Embedder
+
+    return Embedder.open(config)
+
+
+@lru_cache(maxsize=1)
+def _features(path: Path, _changed: int) -> Features:
+    from ...engine.language.features.features import load_features
+
+    return load_features(path)
+
+
+def question_of(bpy_scene: bpy.types.Scene) -> Question:
+    """What the panel asks of this Blender scene.
+
+    Raises:
+        SceneError: nothing is reconstructed yet, or its Gaussians are being edited.
+        FruitLangsError: no prompt, or a setting makes no sense.
+    """
+    settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
+    if item is None or not settings.result.features:
+        raise SceneError("There are no Gaussians to ask yet: press Reconstruct, or import a result")
+    if item.mode == "EDIT":
+        raise SceneError("The Gaussians are in Edit Mode; leave it (Tab) and ask again")
+    from ...engine.config import CountConfig
+
+    config = read_config(settings)
+    chosen = {name: getattr(config.count, name) for name in ("select", "tau_pos", "tau_neg", "neighbours")}
+    return Question(
+        scene=bpy_scene.session_uid,
+        prompts=tuple(read_prompts(settings)),
+        negatives=tuple(read_words(settings.negative)),
+        features=stored_file(settings.result.features),
+        embed=config.embed,
+        select=CountConfig(**chosen),
+    )
+
+
+def words_changed(settings: Any, _context: Any = None) -> None:
+    """Called when the prompt or what it is not was edited: ask soon, and say at once what is wrong with a word."""
+    if settings.id_data.library is None and in_window():
+        ask_soon(settings.id_data)
+
+
+def ask_soon(bpy_scene: bpy.types.Scene) -> None:
+    """Ask when the person pauses; in a window only, where timers run."""
+    _waiting.add(bpy_scene.session_uid)
+    if bpy.app.timers.is_registered(_attend):
+        bpy.app.timers.unregister(_attend)
+    bpy.app.timers.register(_attend, first_interval=PAUSE)
+
+
+def stop_asking() -> None:
+    """Forget every question, and what answers need; called when the extension is disabled."""
+    _waiting.clear()
+    _embedder.cache_clear()
+    _features.cache_clear()
+    if bpy.app.timers.is_registered(_attend):
+        bpy.app.timers.unregister(_attend)
+
+
+def _attend() -> float | None:
+    """The timer: take an answer that is there, ask the next question; None when all is answered."""
+    global _worker
+    if _worker is not None:
+        if _worker.is_alive():
+            return LOOK_AGAIN
+        ended, _worker = _worker, None
+        _show(ended)
+    for bpy_scene in _waiting_scenes():
+        _worker = _ask(bpy_scene)
+        if _worker is not None:
+            return LOOK_AGAIN
+    return None
+
+
+def _waiting_scenes() -> Iterator[bpy.types.Scene]:
+    """Every Blender scene that waits, each once."""
+    for bpy_scene in bpy.data.scenes:
+        if bpy_scene.session_uid in _waiting:
+            _waiting.discard(bpy_scene.session_uid)
+            yield bpy_scene
+    _waiting.clear()
+
+
+def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
+    """Begin to answer; None where there is nothing to ask, which is no error while a person still sets things up, and
+    where the words are answered already."""
+    item, settings = owned_object(bpy_scene, "gaussians"), bpy_scene.fruitlangs
+    if item is None:
+        return None
+    try:
+        if item.data.get(ASKED) == asked_words(read_prompts(settings), read_words(settings.negative)):
+            tell_answer(bpy_scene)
+            return None
+        worker = Worker(question_of(bpy_scene), _means(bpy_scene))
+    except FruitLangsError as error:
+        _tell(bpy_scene, str(error))
+        return None
+    worker.start()
+    return worker
+
+
+def _means(bpy_scene: bpy.types.Scene) -> NDArray[np.float32]:
+    item = owned_object(bpy_scene, "gaussians")
+    assert item is not None
+    means = np.empty(3 * len(item.data.vertices), np.float32)
+    item.data.attributes["position"].data.foreach_get("vector", means)
+    return means.reshape(-1, 3)
+
+
+def _show(worker: Worker) -> None:
+    """Write an answer into the scene that asked, unless the words, the scene or its Gaussians are others by now."""
+    bpy_scene = find_scene(worker.question.scene)
+    if bpy_scene is None:
+        return
+    if worker.answer is None:
+        _tell(bpy_scene, describe_error(worker.error or RuntimeError("no answer")))
+        return
+    try:
+        current = question_of(bpy_scene)
+    except FruitLangsError as error:
+        _tell(bpy_scene, str(error))
+        return
+    if current != worker.question:
+        _waiting.add(bpy_scene.session_uid)
+        return
+    show_answer(bpy_scene, worker.answer, worker.question.words)
+
+
+def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], words: str) -> None:
+    """Write probabilities (N,) of the words into the Gaussians and say how many fit."""
+    item = owned_object(bpy_scene, "gaussians")
+    if item is None or len(item.data.vertices) != len(probability):
+        return
+    set_attribute(item.data, "probability", "FLOAT", probability)
+    item.data.update()
+    item.data[ASKED] = words
+    apply_look(bpy_scene)
+    tell_answer(bpy_scene)
+    redraw_viewports()
+
+
+def tell_answer(bpy_scene: bpy.types.Scene) -> None:
+    """Say in the panel how many Gaussians reach the threshold; nothing where none was asked yet."""
+    settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
+    found = gaussian_attributes(bpy_scene, "probability")
+    if item is None or found is None or not item.data.get(ASKED):
+        return
+    probability = found[0]
+    fit, highest = int((probability >= settings.config.count.threshold).sum()), float(probability.max(initial=0.0))
+    settings.answer.problem = ""
+    settings.answer.text = f"{fit:,} of {len(probability):,} Gaussians fit; highest probability {highest:.2f}"
+
+
+def threshold_changed(settings: Any, _context: Any = None) -> None:
+    """Called when the threshold was edited."""
+    tell_answer(settings.id_data)
+    look_changed(settings)
+
+
+def _tell(bpy_scene: bpy.types.Scene, problem: str) -> None:
+    """Say in the panel why there is no answer; the highlight stays as it was."""
+    bpy_scene.fruitlangs.answer.problem = problem
+    redraw_sidebars(bpy.context)
+
+
+@persistent
+def ask_where_words_differ(_file: Any = None, _unused: Any = None) -> None:
+    """After undo, redo and loading: ask every scene whose highlight answers other words than its panel shows."""
+    for bpy_scene in bpy.data.scenes:
+        item = owned_object(bpy_scene, "gaussians")
+        if item is None or not in_window():
+            continue
+        try:
+            if item.data.get(ASKED) != question_of(bpy_scene).words:
+                ask_soon(bpy_scene)
+        except FruitLangsError:
+            continue
+
+
+HANDLERS = ("undo_post", "redo_post", "load_post")
+
+
+def register_handlers() -> None:
+    """Notice undo, redo and loading."""
+    for name in HANDLERS:
+        getattr(bpy.app.handlers, name).append(ask_where_words_differ)
+
+
+def unregister_handlers() -> None:
+    """Take back what `register_handlers` added."""
+    stop_asking()
+    for name in HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if ask_where_words_differ in handlers:
+            handlers.remove(ask_where_words_differ)
+
+
+def suggestions(_settings: Any, _context: Any, typed: str) -> list[str]:
+    """What a prompt may go on with: the vocabulary's things, and colours and ripeness before fruit."""
+    from ...engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, GENERAL
+
+    before, _, last = typed.rpartition(",")
+    begun = last.strip().casefold()
+    kept = f"{before.strip()}, " if before.strip() else ""
+    things = ["fruit", *CONCEPTS, *(word for word in GENERAL if word != "fruit")]
+    described = [f"{word} {fruit}" for fruit in ("fruit", *FRUITS) for word in ("ripe", "unripe", *FRUIT_COLOURS)]
+    fitting = [word for word in [*things, *described] if begun in word]
+    return [kept + word for word in sorted(fitting, key=lambda word: not word.startswith(begun))]
+
+
+class FRUITLANGS_OT_ask(bpy.types.Operator):
+    bl_idname = "fruitlangs.ask"
+    bl_label = "Ask"
+    bl_description = "Tell each Gaussian how likely it is what the prompt says; happens by itself when words are edited"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if linked(cls, context):
+            return False
+        if context.scene is None or owned_object(context.scene, "gaussians") is None:
+            cls.poll_message_set("There are no Gaussians to ask yet: press Reconstruct, or import a result")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if in_window():  # loading what answers need would stop it
+            item = owned_object(context.scene, "gaussians")
+            assert item is not None
+            item.data[ASKED] = ""
+            ask_soon(context.scene)
+            return {"FINISHED"}
+        try:
+            question = question_of(context.scene)
+            show_answer(context.scene, answer(question, _means(context.scene)), question.words)
+        except Exception as error:
+            message = describe_error(error)
+            _tell(context.scene, message)
+            self.report({"ERROR"}, message)
+            return {"CANCELLED"}
+        problem = context.scene.fruitlangs.answer.problem
+        self.report({"WARNING"} if problem else {"INFO"}, problem or context.scene.fruitlangs.answer.text)
+        return {"FINISHED"}
+
+
+CLASSES = (FRUITLANGS_OT_ask,)

@@ -1,0 +1,131 @@
+"""Open what a person has: photos with cameras or alone, another program's Gaussians, or an earlier result."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ...engine.progress import part
+from ..jobs.jobs import JobOperator, Work, busy, linked
+from ..settings.settings import PLY, read_config, result_folder, source_folder, stored_path
+from .show_result import count_text, show_reconstruction, show_result, show_scene
+
+if TYPE_CHECKING:
+    from ...engine.config import Config
+    from ...engine.progress import Progress
+    from ...engine.publishing import Result
+    from ...engine.scene.camera import Scene
+
+
+class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.import_scene"
+    bl_label = "Import Scene"
+    bl_description = (
+        "Show photos' cameras and sparse points (with a COLMAP model or alone), the Gaussians of a .ply, or all of an "
+        "earlier result"
+    )
+    bl_options = {"UNDO"}
+
+    title = "Import"
+    _show: Callable[..., None]
+
+    # The dialog gives both: the folder that is open in it, and the file chosen there, if any.
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=f"*{PLY}", options={"SKIP_SAVE", "HIDDEN"})
+    ask: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"}, description="Ask even where a scene is set already")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not busy(cls) and not linked(cls, context) and context.scene is not None
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not bpy.app.background and self.must_ask(context.scene.fruitlangs):
+            return self.ask_where(context)
+        return super().invoke(context, event)
+
+    def must_ask(self, settings: Any) -> bool:
+        """Whether a person is still to choose what to import."""
+        return not self.chosen and (self.ask or not settings.source)
+
+    @property
+    def chosen(self) -> str:
+        """A .ply, or a folder, also where another file in it was chosen; empty before anything was."""
+        return self.filepath if self.filepath.lower().endswith(PLY) else self.directory or self.filepath
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        settings = context.scene.fruitlangs
+        if self.chosen:
+            settings.source = stored_path(Path(bpy.path.abspath(self.chosen)))
+        source = source_folder(settings)
+        if (source / "fruits.json").is_file():
+            self._show = self._show_result
+            return lambda progress: open_folder(source)
+        config, out = read_config(settings, source), result_folder(settings)
+        if source.suffix.lower() == PLY:
+            self._show = self._show_reconstruction
+            return lambda progress: read_cloud(source, out, config, progress)
+        self._show = self._show_scene
+        return lambda progress: read_posed(source, out / "cache", config, progress)
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        self._show(context, self._target.scene(context), result)
+
+    def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Any) -> None:
+        told = show_scene(context, bpy_scene, scene)
+        shown = f"{len(scene.cameras)} cameras and {len(scene.points)} points imported"
+        self.report({"INFO"}, "; ".join([shown, *told]))
+
+    def _show_reconstruction(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
+        told = show_reconstruction(context, bpy_scene, *result)
+        self.report({"INFO"}, "; ".join([f"{len(result[0].gaussians):,} Gaussians imported", *told]))
+
+    def _show_result(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
+        settings = bpy_scene.fruitlangs
+        settings.prompt = ", ".join(result.origin["prompts"])
+        settings.negative = ", ".join(result.origin.get("negatives", ()))
+        settings.config.count.threshold = result.config.count.threshold
+        show_result(context, bpy_scene, result)
+        self.report({"INFO"}, f"{count_text(settings.result)}; opened as it was counted")
+
+
+def open_folder(folder: Path) -> Result:
+    """The earlier result in `folder`."""
+    from ...engine.open_result import open_result
+
+    return open_result(folder)
+
+
+def read_cloud(file: Path, out: Path, config: Config, progress: Progress) -> Any:
+    """The Gaussians or coloured points of `file` with cameras placed around them, and the log of the run."""
+    from ...engine.pipeline import reconstruct_scene
+
+    return reconstruct_scene(file, out, config=config, progress=progress)
+
+
+def read_posed(source: Path, cache: Path, config: Config, progress: Progress) -> Scene:
+    """The photos at `source` with their cameras.
+
+    For photos alone cameras are found first; they are kept in `cache`, where a count finds them again.
+    """
+    from ...engine.scene.source import Source, photos_alone, pose_photos
+
+    photos = photos_alone(source)
+    if photos is None:
+        return Source(path=source).read(config.scene, progress)
+    found = pose_photos(photos, cache, config.photos, progress=part(progress, 0.0, 0.9))
+    return found.read(config.scene, part(progress, 0.9, 1.0))
+
+
+def menu_entry(self: Any, context: bpy.types.Context) -> None:
+    """File > Import."""
+    self.layout.operator(FRUITLANGS_OT_import_scene.bl_idname, text="Fruit Scene or Result (FruitLangs)").ask = True
+
+
+CLASSES = (FRUITLANGS_OT_import_scene,)

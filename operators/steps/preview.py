@@ -1,0 +1,102 @@
+"""What training has made so far, drawn in the viewport without touching anything of the .blend."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+from mathutils import Matrix, Vector
+
+from ..blender_data import array, owned_object
+from ..data.write_gaussians import REACH
+from ..data.write_root import GROUND, looked_at, root_matrix
+from ..drawing import splat_drawing
+from ..jobs.jobs import JobOperator, busy, linked
+from ..jobs.target_scene import find_scene
+from ..settings.settings import is_of_another
+from ..viewport.splats import Splats, splats_in_training
+from ..viewport.viewport import look_from_around, shown_screens
+
+if TYPE_CHECKING:
+    from ...engine.scene.camera import Scene
+    from ...engine.splatting.gaussians import Gaussians
+
+SHOW_SECONDS = 4.0
+"""Between two pictures: drawing takes its time from the training."""
+
+
+class Preview:
+    """Takes Gaussians in a thread, shows them on the main thread, in one Blender scene, upright as they will stand when
+    `source` is trained.
+
+    What is shown there may be of another source, or nothing: then the scene that is trained says how its root would
+    stand, and the viewports are turned to it.
+    """
+
+    def __init__(self, bpy_scene: bpy.types.Scene, source: Path) -> None:
+        root = owned_object(bpy_scene, "root")
+        other = is_of_another(bpy_scene.fruitlangs, source)
+        self._scene = bpy_scene.session_uid
+        self._root: Any = None if root is None or other else root.matrix_world.copy()
+        self._ground = None if other or GROUND not in bpy_scene else list(bpy_scene[GROUND])
+        self._latest: tuple[Splats, Scene] | None = None
+        self._shown: Splats | None = None
+        self._last = time.monotonic()
+
+    def watch(self, gaussians: Gaussians, scene: Scene) -> None:
+        """Keep a copy of the Gaussians; called by the training's thread."""
+        splats = splats_in_training(
+            array(gaussians.means),
+            array(gaussians.scales),
+            array(gaussians.quats),
+            array(gaussians.base_colors),
+            array(gaussians.opacities),
+            gaussians.antialiased,
+        )
+        self._latest = splats, scene
+
+    def show(self, context: bpy.types.Context) -> None:
+        """Draw what was kept last, if it is new and the last picture is old enough; on the main thread."""
+        if self._latest is None or self._latest[0] is self._shown or time.monotonic() - self._last < SHOW_SECONDS:
+            return
+        splats, scene = self._latest
+        matrix = root_matrix(scene, self._ground) if self._root is None else self._root
+        if self._shown is None and self._root is None:
+            self._turn_to(context, scene, matrix)
+        self._shown, self._last = splats, time.monotonic()
+        centre = tuple(looked_at(scene).tolist())
+        splat_drawing.show_preview(self._scene, splat_drawing.Interim(splats, matrix, centre, REACH * scene.extent))
+
+    def _turn_to(self, context: bpy.types.Context, scene: Scene, matrix: Matrix) -> None:
+        bpy_scene = find_scene(self._scene)
+        if bpy_scene is not None:
+            places = [matrix @ Vector(camera.center.tolist()) for camera in scene.cameras]
+            look_from_around(shown_screens(context, bpy_scene), places)
+
+    def remove(self) -> None:
+        """Draw what the .blend holds again."""
+        splat_drawing.show_preview(self._scene, None)
+
+
+class SceneJob(JobOperator):
+    """Mix into an operator that works on the chosen scene and shows what it trains meanwhile; `prepare` sets
+    `_preview`."""
+
+    _preview: Preview
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if busy(cls) or linked(cls, context):
+            return False
+        if context.scene is None or not context.scene.fruitlangs.source:
+            cls.poll_message_set("Choose a scene first")
+            return False
+        return True
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        self._preview.show(context)
+
+    def ended(self, context: bpy.types.Context) -> None:
+        self._preview.remove()

@@ -1,0 +1,51 @@
+"""Make Gaussians of the chosen scene's photos, or read those of another program, and show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ...engine.progress import Progress
+from ..jobs.jobs import Work
+from ..settings.settings import foreign_file, read_config, result_folder, source_folder, stored_path
+from .preview import Preview, SceneJob
+from .show_result import show_reconstruction
+
+
+class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
+    bl_idname = "fruitlangs.reconstruct"
+    bl_label = "Reconstruct"
+    bl_description = "Train Gaussians from the photos and give them what words can ask; stages already done are reused"
+    bl_options = {"UNDO"}
+
+    title = "Reconstruct"
+
+    _out: Path
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        settings = context.scene.fruitlangs
+        source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
+        config = read_config(settings, source)
+        self._out = out
+        self._preview = Preview(context.scene, source)
+        watch = self._preview.watch
+
+        def work(progress: Progress) -> Any:
+            from ...engine.pipeline import reconstruct_scene
+
+            return reconstruct_scene(source, out, config=config, foreign=foreign, watch=watch, progress=progress)
+
+        return work
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        made, stages = result
+        bpy_scene = self._target.scene(context)
+        told = show_reconstruction(context, bpy_scene, made, stages)
+        bpy_scene.fruitlangs.result.work = stored_path(self._out)
+        again = f", reused: {', '.join(stages.reused)}" if stages.reused else ""
+        self.report({"INFO"}, "; ".join([f"{len(made.gaussians):,} Gaussians{again}", *told]))
+
+
+CLASSES = (FRUITLANGS_OT_reconstruct,)

@@ -1,0 +1,164 @@
+"""What a person sees of the engine's values: in the viewport, and in the text that the panel keeps in the .blend."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.report.words import length_unit, nothing_found, sureness, three_digits, whereabouts
+from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
+from ..data.fruit_objects import metres_per_unit
+from ..data.read_fruits import counted
+from ..data.stored_review import keep_corrections, keep_decisions
+from ..data.write import SET_ID, write_result
+from ..data.write_cameras import write_cameras
+from ..data.write_gaussians import asked_words, write_gaussians
+from ..data.write_points import hide_points, write_points
+from ..data.write_root import write_root
+from ..settings.settings import source_folder, stored_path
+from ..viewport.appearance import apply_look, look_of
+from ..viewport.viewport import look_at_scene, show_colors, shown_screens
+from .ask import ask_soon, tell_answer
+from .shown_source import enter_source, forget_count
+
+if TYPE_CHECKING:
+    from ...engine.publishing import Result
+    from ...engine.reconstruction import Reconstruction, Stages
+    from ...engine.scene.camera import Scene
+
+
+def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene) -> list[str]:
+    """The cameras and the sparse points of a scene that is not reconstructed yet; returns what went, in words.
+
+    Where fruit are shown their scale stays.
+    """
+    settings = bpy_scene.fruitlangs
+    told = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
+    if scene.metres_per_unit is None and owned_objects(bpy_scene, "fruit"):
+        scene = dataclasses.replace(scene, metres_per_unit=metres_per_unit(bpy_scene))
+    root = write_root(bpy_scene, scene)
+    if len(scene.points):
+        write_points(bpy_scene, scene, root)
+    apply_look(bpy_scene)
+    write_cameras(bpy_scene, scene, root)
+    _keep_scene(settings.result, scene)
+    if told:  # else what an earlier import or the shown count told still holds
+        settings.result.notices = "; ".join(told)
+    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+    return told
+
+
+def show_reconstruction(
+    context: bpy.types.Context, bpy_scene: bpy.types.Scene, made: Reconstruction, stages: Stages
+) -> list[str]:
+    """Gaussians and cameras of a reconstruction that was asked nothing yet; the panel's prompt is asked next.
+    Returns what went, in words.
+
+    A count of the same Gaussians at the same scale stays; one of others goes, its decisions hold at the next.
+    """
+    told = _enter(bpy_scene, made.origin)
+    owners = _owners(bpy_scene, made)
+    if owners is None and counted(bpy_scene):
+        forget_count(bpy_scene)
+        told.append("the count of other Gaussians, or at another scale, was removed; count again")
+    first = owned_object(bpy_scene, "root") is None
+    root = write_root(bpy_scene, made.scene)
+    item = write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
+    if owners is not None:
+        set_attribute(item.data, "fruit_id", "INT", owners)
+    hide_points(bpy_scene)
+    apply_look(bpy_scene)
+    write_cameras(bpy_scene, made.scene, root)
+    shown = bpy_scene.fruitlangs.result
+    _keep_scene(shown, made.scene)
+    _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
+    shown.notices = "; ".join([*stages.notices, *told])
+    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    if first:
+        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+    if not bpy.app.background:
+        ask_soon(bpy_scene)
+    return told
+
+
+def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
+    """Everything of a count."""
+    told = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
+    first = owned_object(bpy_scene, "root") is None
+    asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
+    write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
+    hide_points(bpy_scene)
+    apply_look(bpy_scene)
+    bpy_scene[SET_ID] = result.set_id
+    keep_result(bpy_scene.fruitlangs, result)
+    told += keep_decisions(bpy_scene, result.fruit_count, result.origin["prompts"])
+    shown = bpy_scene.fruitlangs.result
+    shown.notices = "; ".join([*filter(None, [shown.notices]), *told])
+    tell_answer(bpy_scene)
+    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    if first:
+        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+
+
+def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
+    """(N,) the fruit that each Gaussian shown is of; None where others were made, or their scale is another."""
+    found = gaussian_attributes(bpy_scene, "position", "fruit_id")
+    if found is None or not np.array_equal(found[0], array(made.gaussians.means)):
+        return None
+    return found[1] if np.isclose(metres_per_unit(bpy_scene) or 0.0, made.scene.metres_per_unit or 0.0) else None
+
+
+def _enter(bpy_scene: bpy.types.Scene, origin: Mapping[str, Any]) -> list[str]:
+    """Make the Blender scene one of what a result was made from."""
+    return enter_source(bpy_scene, Path(origin["source"])) if "source" in origin else []
+
+
+def keep_result(settings: Any, result: Result) -> None:
+    """Keep in the .blend what the panel shows of a count."""
+    fruit_count, shown = result.fruit_count, settings.result
+    _keep_scene(shown, result.scene)
+    _keep_gaussians(shown, len(result.gaussians), result.origin["training"], result.out / "features.safetensors")
+    shown.count = fruit_count.count
+    shown.low, shown.high = fruit_count.interval or (-1, -1)
+    shown.total = -1.0 if fruit_count.total is None else fruit_count.total
+    shown.total_low, shown.total_high = fruit_count.total_interval or (-1, -1)
+    shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
+    shown.unit, scale = length_unit(result.scene.metres_per_unit)
+    shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
+    threshold, metres = result.config.count.threshold, result.scene.metres_per_unit
+    shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, threshold, metres)
+    shown.sureness = sureness(fruit_count) if fruit_count.fruits else ""
+    shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
+    shown.notices = "; ".join(result.notices)
+    shown.folder = stored_path(result.out)
+    shown.exported = ""
+
+
+def _keep_scene(shown: Any, scene: Scene) -> None:
+    shown.cameras, shown.points = len(scene.cameras), len(scene.points)
+
+
+def _keep_gaussians(shown: Any, count: int, training: Any, features: Path) -> None:
+    shown.gaussians = count
+    shown.features = stored_path(features)
+    psnr, ssim = training["psnr"], training["ssim"]
+    shown.quality = "" if psnr is None else f"photos kept aside: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}"
+
+
+def count_text(shown: Any) -> str:
+    """'apple: 7, mean diameter 81.2 mm'."""
+    if shown.count:
+        return f"{shown.label}: {shown.count}, {size_text(shown)}"
+    return f"{shown.label}: 0, {shown.zero_reason}"
+
+
+def size_text(shown: Any) -> str:
+    """'mean diameter 81.2 mm'."""
+    return f"mean diameter {three_digits(shown.mean_diameter)} {shown.unit}"

@@ -1,0 +1,99 @@
+"""Which source the shown scene, its review and its measures belong to; those of another source are put away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..blender_data import owned_object, owned_objects, remove_objects
+from ..data.stored_audit import AUDIT
+from ..data.stored_review import keep_corrections
+from ..data.write import SET_ID
+from ..data.write_root import GROUND
+from ..settings.settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
+from ..settings.source_mark import source_mark
+from ..tools.scale import METRES
+
+OF_SOURCE = ("source", "mark", "work")
+"""What the result keeps of its source, whether or not it was counted."""
+
+
+def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
+    """Make this Blender scene one of `source`; what it shows and knows of another is put away, which is told in words.
+
+    Decisions wait until their source is shown again; objects, count and measures go.
+    """
+    settings, told = bpy_scene.fruitlangs, []
+    if is_of_another(settings, source):
+        told = _leave_source(bpy_scene)
+    true, review = true_source(source), settings.review
+    settings.result.source = stored_path(true)
+    settings.result.mark = source_mark(true) or settings.result.mark
+    for index in reversed(range(len(review.aside))):
+        kept = review.aside[index]
+        if is_same_source(Path(kept.source), kept.mark, source):
+            _move_log(kept.log, review.log)
+            review.aside.remove(index)
+    return told
+
+
+def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
+    settings, root = bpy_scene.fruitlangs, owned_object(bpy_scene, "root")
+    source, decisions = known_path(settings.result.source), len(settings.review.log)
+    forget_count(bpy_scene)
+    if decisions:
+        kept = settings.review.aside.add()
+        kept.source, kept.mark = str(source), settings.result.mark
+        _move_log(settings.review.log, kept.log)
+    measured = _forget_measures(bpy_scene) or owned_object(bpy_scene, "region") is not None
+    for role in ("gaussians", "points", "region"):
+        remove_objects(owned_objects(bpy_scene, role))
+    if root is not None:
+        root[METRES] = 0.0
+    for name in OF_SOURCE:
+        settings.result.property_unset(name)
+    told = [f"your decisions on {source} ({decisions}) wait until it is shown again"] if decisions else []
+    if measured:
+        told.append(f"scale, ground and region of {source} do not hold here and were removed")
+    return told
+
+
+def forget_count(bpy_scene: bpy.types.Scene) -> None:
+    """Take the fruit and the answer away, and what the panel says of them; decisions stay in the log."""
+    keep_corrections(bpy_scene)
+    remove_objects(owned_objects(bpy_scene, "fruit"))
+    settings = bpy_scene.fruitlangs
+    settings.review.known.clear()
+    for group in (settings.result, settings.answer):
+        for each in group.bl_rna.properties:
+            if each.identifier not in {"rna_type", "name", *OF_SOURCE}:
+                group.property_unset(each.identifier)
+    bpy_scene.pop(SET_ID, None)
+    bpy_scene.pop(AUDIT, None)
+
+
+def _forget_measures(bpy_scene: bpy.types.Scene) -> bool:
+    """Take back what was measured; False where nothing was."""
+    config, measured = bpy_scene.fruitlangs.config, GROUND in bpy_scene
+    bpy_scene.pop(GROUND, None)
+    for stage, names in MEASURES.items():
+        group = getattr(config, stage)
+        for name in names:
+            measured |= group.is_property_set(name)
+            group.property_unset(name)
+    return measured
+
+
+def _move_log(old: Any, new: Any) -> None:
+    """Move the entries of one log to the end of another."""
+    for entry in old:
+        copy = new.add()
+        copy.action, copy.time, copy.reason = entry.action, entry.time, entry.reason
+        for spots, kept in ((entry.before, copy.before), (entry.after, copy.after)):
+            for spot in spots:
+                row = kept.add()
+                row.number, row.label = spot.number, spot.label
+                row.center, row.axes = tuple(spot.center), tuple(spot.axes)
+    old.clear()

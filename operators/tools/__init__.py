@@ -1,0 +1,1 @@
+"""Interactive tools that pick points on the tree."""

@@ -1,0 +1,84 @@
+"""Ground and up by picking: three points on the ground make it level."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from numpy.typing import NDArray
+
+from ..blender_data import in_scene_frame, owned_object, owned_objects
+from ..data.write_root import GROUND
+from ..settings.region import stand_upright
+from ..viewport.viewport import look_at_scene, shown_screens
+from .pick_tool import PickTool
+
+LEAST_SINE = 0.02
+"""Of the angle between two sides of the picked triangle, below which it tells no plane."""
+
+
+def plane_up(points: NDArray[np.float64], above: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(3,) unit normal of the plane through points (3, 3), on the side where `above` (3,) lies; None of a line."""
+    first, second = points[1] - points[0], points[2] - points[0]
+    normal = np.cross(first, second)
+    size = np.linalg.norm(first) * np.linalg.norm(second)
+    if size == 0.0 or np.linalg.norm(normal) < LEAST_SINE * size:
+        return None
+    normal /= np.linalg.norm(normal)
+    return normal if normal @ (above - points[0]) >= 0.0 else -normal
+
+
+class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
+    bl_idname = "fruitlangs.set_ground"
+    bl_label = "Set the Ground"
+    bl_description = "Click on three places on the ground, far apart: they become level, at height 0"
+    bl_options = {"REGISTER", "UNDO"}
+
+    asks = (
+        "click on the ground",
+        "click on the ground farther away",
+        "click on the ground, not in line with both",
+    )
+
+    points: bpy.props.FloatVectorProperty(
+        name="Points", size=9, precision=4, options={"SKIP_SAVE"}, description="x y z of three places on the ground"
+    )
+
+    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+        self.points = points.ravel().tolist()
+        return self.execute(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy_scene, root = context.scene, owned_object(context.scene, "root")
+        assert root is not None
+        points = np.array(self.points, np.float64).reshape(3, 3)
+        cameras = owned_objects(bpy_scene, "camera")
+        above = np.mean([item.matrix_basis.translation for item in cameras], axis=0) if cameras else points[0]
+        up = plane_up(points, above)
+        if up is None:
+            self.report({"ERROR"}, "The three places lie in one line; click on three that make a triangle")
+            return {"CANCELLED"}
+        bpy_scene.fruitlangs.config.scene.up = up.tolist()
+        bpy_scene[GROUND] = points.mean(axis=0).tolist()
+        box = owned_object(bpy_scene, "region")
+        place = None if box is None else in_scene_frame(box, root).translation
+        level(root, up, points.mean(axis=0))
+        if box is not None and place is not None:
+            stand_upright(box, root, root.matrix_basis @ place, box.matrix_basis.to_scale())
+        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+        self.report({"INFO"}, "The ground is level, at height 0; the next count uses it")
+        return {"FINISHED"}
+
+
+def level(root: bpy.types.Object, up: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
+    """Turn the root so that `up` (3,) points to +Z and the place `ground` (3,) of the scene lies at height 0."""
+    turned = root.matrix_basis.to_3x3() @ Vector(up.tolist())
+    root.matrix_basis = turned.rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4() @ root.matrix_basis
+    height = (root.matrix_basis @ Vector(ground.tolist())).z
+    root.matrix_basis = Matrix.Translation((0.0, 0.0, -height)) @ root.matrix_basis
+
+
+CLASSES = (FRUITLANGS_OT_set_ground,)

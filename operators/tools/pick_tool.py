@@ -1,0 +1,197 @@
+"""Points picked on the tree by clicks: what the tools that measure, level and add have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy_extras import view3d_utils
+from mathutils import Vector
+from numpy.typing import NDArray
+
+from ..blender_data import get_attribute, owned_object
+from ..jobs.active_tool import begin_waiting, end_waiting, is_waiting
+from ..jobs.jobs import LEAVE_EDITING, busy, linked, show_status
+from ..viewport.ray_hits import pick_point, pick_surface
+from ..viewport.viewport import Drawing, redraw_viewports
+
+REACH_PIXELS = 12
+"""How near to a sparse point a click must be to take it."""
+MARK_COLOR, MARK_SIZE = (1.0, 0.85, 0.1, 1.0), 9.0
+MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFORM_COLOR"
+"""Metal and Vulkan draw points by a shader of their own for them alone, which Blender has from 4.5 on."""
+
+
+class Target3D:
+    """What can be clicked on in a Blender scene, in the scene's frame: the Gaussians, or the sparse points before
+    there are any."""
+
+    def __init__(self, bpy_scene: bpy.types.Scene) -> None:
+        root = owned_object(bpy_scene, "root")
+        item = owned_object(bpy_scene, "gaussians")
+        self.surface = item is not None
+        item = item or owned_object(bpy_scene, "points")
+        assert root is not None
+        assert item is not None
+        self.to_world = root.matrix_world.copy()
+        names = ("scale", "quaternion", "opacity") if self.surface else ()
+        self._means = get_attribute(item.data, "position")
+        self._rest = [get_attribute(item.data, name) for name in names]
+
+    def hit(self, region: Any, view: Any, place: Sequence[float]) -> NDArray[np.float64] | None:
+        """(3,) what a click at `place`, pixels of the region, points at; None where there is nothing."""
+        back = self.to_world.inverted()
+        self.direction = np.zeros(3)
+        start = view3d_utils.region_2d_to_origin_3d(region, view, place)
+        along = view3d_utils.region_2d_to_vector_3d(region, view, place)
+        origin = np.array(back @ start)
+        direction = np.array(back.to_3x3() @ along)
+        direction /= np.linalg.norm(direction)
+        self.direction = direction
+        if self.surface:
+            return pick_surface(origin, direction, self._means, *self._rest)
+        beside = view3d_utils.region_2d_to_vector_3d(region, view, (place[0] + REACH_PIXELS, place[1]))
+        slope = 0.0 if not view.is_perspective else float(along.angle(beside))
+        shift = view3d_utils.region_2d_to_origin_3d(region, view, (place[0] + REACH_PIXELS, place[1])) - start
+        reach = float((back.to_3x3() @ shift).length)
+        return pick_point(origin, direction, self._means, slope=slope, reach=reach)
+
+
+class PickTool:
+    """Mix into an operator that a person gives points by clicks.
+
+    The view can be turned and zoomed meanwhile; Backspace takes the last point back, Esc or the right button ends it,
+    and so does another tool, a job, another Blender scene in the window, or the loss of its viewport to another
+    editor, workspace or area.
+    """
+
+    asks: Sequence[str] = ()
+    """What the person is asked to click on, one text a point."""
+
+    @classmethod
+    def poll(cls: Any, context: bpy.types.Context) -> bool:
+        if busy(cls) or linked(cls, context):
+            return False
+        if context.scene is None or owned_object(context.scene, "root") is None:
+            cls.poll_message_set("There is nothing to click on yet: import a scene first")
+            return False
+        if not any(owned_object(context.scene, role) for role in ("gaussians", "points")):
+            cls.poll_message_set("There is nothing to click on yet: press Reconstruct")
+            return False
+        return True
+
+    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+        """All points were clicked, (P, 3) in the scene's frame."""
+        raise NotImplementedError
+
+    def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if context.area is None or context.area.type != "VIEW_3D":
+            self.report({"ERROR"}, "Start this from a 3D viewport")
+            return {"CANCELLED"}
+        if context.mode != "OBJECT":
+            self.report({"ERROR"}, LEAVE_EDITING)
+            return {"CANCELLED"}
+        self._target3d = Target3D(context.scene)
+        self._points: list[NDArray[np.float64]] = []
+        self._area_pointer = context.area.as_pointer()
+        self._scene = context.scene.session_uid
+        self._marks = Drawing(self._draw, "POST_VIEW")
+        begin_waiting(self)
+        self._marks.start()
+        self._ask(context)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        area = self._area(context)
+        if area is None or context.scene is None or context.scene.session_uid != self._scene:
+            self._leave()
+        if not is_waiting(self):
+            return {"CANCELLED", "PASS_THROUGH"}
+        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+            self._leave()
+            return {"CANCELLED"}
+        if event.type == "BACK_SPACE" and event.value == "PRESS" and self._points:
+            self._points.pop()
+            self._ask(context)
+            return {"RUNNING_MODAL"}
+        window = window_region(area, event)
+        if event.type != "LEFTMOUSE" or event.value != "PRESS" or window is None:
+            return {"PASS_THROUGH"}
+        place = (event.mouse_x - window.x, event.mouse_y - window.y)
+        point = self._target3d.hit(window, window.data, place)
+        if point is None:
+            self.report({"WARNING"}, "There is nothing under the mouse; click on the tree or the ground")
+            return {"RUNNING_MODAL"}
+        self._points.append(point)
+        if len(self._points) < len(self.asks):
+            self._ask(context)
+            return {"RUNNING_MODAL"}
+        self._leave()
+        if not self.poll(context):
+            self.report({"WARNING"}, "What was clicked on is gone meanwhile; nothing was done")
+            return {"CANCELLED"}
+        return self.picked(context, np.array(self._points, np.float64))
+
+    def cancel(self: Any, context: bpy.types.Context) -> None:
+        """Called by Blender when the file or the window is closed."""
+        self._leave()
+
+    def _area(self: Any, context: bpy.types.Context) -> bpy.types.Area | None:
+        """The viewport that it was started in; None where that is closed, out of sight or another editor by now."""
+        found = (area for area in context.screen.areas if area.as_pointer() == self._area_pointer)
+        return next((area for area in found if area.type == "VIEW_3D"), None)
+
+    def _ask(self: Any, context: bpy.types.Context) -> None:
+        number = len(self._points)
+        text = (
+            f"{self.bl_label}: {self.asks[number]} ({number + 1} of {len(self.asks)}). Backspace: one back, Esc: cancel"
+        )
+        show_status(context, text)
+        redraw_viewports()
+
+    def _leave(self) -> None:
+        """Wait no longer; nothing where another tool waits by now."""
+        if is_waiting(self):
+            end_waiting()
+
+    def stop_showing(self: Any) -> None:
+        """Take away what it showed: it waits no longer."""
+        self._marks.stop()
+        show_status(bpy.context, None)
+
+    def _draw(self: Any) -> None:
+        """The points so far, over everything."""
+        import gpu
+        from gpu_extras.batch import batch_for_shader
+
+        if not self._points:
+            return
+        places = [tuple(self._target3d.to_world @ Vector(point)) for point in self._points]
+        marks, lines = (gpu.shader.from_builtin(name) for name in (MARK_SHADER, "UNIFORM_COLOR"))
+        gpu.state.depth_test_set("NONE")
+        gpu.state.point_size_set(MARK_SIZE)
+        marks.bind()
+        marks.uniform_float("color", MARK_COLOR)
+        if MARK_SHADER != "UNIFORM_COLOR":
+            marks.uniform_float("size", MARK_SIZE)
+        batch_for_shader(marks, "POINTS", {"pos": places}).draw(marks)
+        gpu.state.point_size_set(1.0)
+        if len(places) > 1:
+            lines.bind()
+            lines.uniform_float("color", MARK_COLOR)
+            batch_for_shader(lines, "LINE_STRIP", {"pos": places}).draw(lines)
+
+
+def window_region(area: bpy.types.Area, event: bpy.types.Event) -> Any:
+    """The part of a viewport under the mouse where the tree is drawn, which its sidebar may overlap."""
+    inside = [
+        region
+        for region in area.regions
+        if 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
+    ]
+    if any(region.type != "WINDOW" for region in inside):
+        return None
+    return inside[0] if inside else None

@@ -1,0 +1,129 @@
+"""The scale tool: two points on something of known length make metres of scene units."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ...engine.errors import FruitLangsError
+from ...engine.report.words import length_unit, three_digits
+from ..blender_data import owned_object, owned_objects
+from ..data.write_fruits import MEASURED, tell_unit
+from ..jobs.jobs import busy, linked
+from ..settings.settings import read_config
+from .pick_tool import PickTool
+
+METRES = "metres_per_unit"
+"""Custom property of the root: metres in a scene unit, 0 where they are not known."""
+
+
+def scale_text(bpy_scene: bpy.types.Scene) -> str:
+    """'1 scene unit is 0.998 m'; empty where the scale is not known."""
+    root = owned_object(bpy_scene, "root")
+    return f"1 scene unit is {three_digits(root[METRES])} m" if root is not None and root.get(METRES) else ""
+
+
+def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
+    """Show everything of this Blender scene at that scale: the root, the fruit's lengths, cameras' clipping, the panel.
+
+    The next count finds the same by the settings.
+    """
+    root = owned_object(bpy_scene, "root")
+    if root is None:
+        return
+    before = float(root.get(METRES) or 0.0)
+    ratio = metres_per_unit / (before or 1.0)
+    root.matrix_basis = Matrix.Scale(ratio, 4) @ root.matrix_basis
+    root[METRES] = metres_per_unit
+    for item in owned_objects(bpy_scene, "fruit"):
+        for key in (key for key in MEASURED if key in item):
+            item[key] = item[key] * ratio
+        tell_unit(item, metres_per_unit)
+    for item in owned_objects(bpy_scene, "camera"):
+        item.data.clip_start *= ratio
+        item.data.clip_end *= ratio
+    shown = bpy_scene.fruitlangs.result
+    if shown.count >= 0:
+        old = length_unit(before or None)[1]
+        shown.unit, new = length_unit(metres_per_unit)
+        shown.mean_diameter *= new / old
+
+
+def set_length(settings: Any, points: NDArray[np.float64], length: float) -> None:
+    """Make a length in metres between two points (2, 3) the one measure of the settings."""
+    units = settings.config.units
+    for name in ("cameras", "object"):
+        units.property_unset(name)
+    units.metres_per_unit = 0.0
+    units.points = points.ravel().tolist()
+    units.length = length
+
+
+class FRUITLANGS_OT_measure(PickTool, bpy.types.Operator):
+    bl_idname = "fruitlangs.measure"
+    bl_label = "Measure a Length"
+    bl_description = "Click on the two ends of something of known length, then type it: sizes become millimetres"
+
+    asks = ("click on one end of a known length", "click on its other end")
+
+    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+        bpy.ops.fruitlangs.set_length("INVOKE_DEFAULT", points=points.ravel().tolist())
+        return {"FINISHED"}
+
+
+class FRUITLANGS_OT_set_length(bpy.types.Operator):
+    bl_idname = "fruitlangs.set_length"
+    bl_label = "Set the Length"
+    bl_description = "Say how many metres lie between two points of the scene"
+    bl_options = {"REGISTER", "UNDO"}
+
+    points: bpy.props.FloatVectorProperty(
+        name="Points", size=6, precision=4, description="x y z of one end and of the other, in the scene's frame"
+    )
+    length: bpy.props.FloatProperty(
+        name="Length in metres", default=1.0, min=1e-4, soft_max=100.0, precision=3, description="Of what was measured"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or linked(cls, context):
+            return False
+        if context.scene is None or owned_object(context.scene, "root") is None:
+            cls.poll_message_set("Import a scene first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_props_dialog(self)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.prop(self, "length")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ...engine.scene.scale import scale_by_length
+
+        settings = context.scene.fruitlangs
+        ends = np.array(self.points, np.float64).reshape(2, 3)
+        if np.allclose(ends[0], ends[1]):
+            self.report({"ERROR"}, "Both points are in one place; pick two ends of something")
+            return {"CANCELLED"}
+        set_length(settings, ends, self.length)
+        try:
+            scale = scale_by_length(read_config(settings).units, [], [])
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        assert scale is not None
+        rescale(context.scene, scale.metres_per_unit)
+        self.report({"INFO"}, scale_text(context.scene))
+        return {"FINISHED"}
+
+
+CLASSES = (FRUITLANGS_OT_measure, FRUITLANGS_OT_set_length)

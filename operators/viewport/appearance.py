@@ -1,0 +1,141 @@
+"""How Gaussians and sparse points look: one set of choices a Blender scene, for the splats and for the Geometry Nodes.
+
+While the extension is loaded in a window, the look decides what the viewport shows; a file on disk shows ellipsoids, so
+that it can be looked at without the extension. Renders always show ellipsoids.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..blender_data import get_attribute, owned_objects
+from .gaussian_nodes import DIMMING, THRESHOLD, get_input, renew_nodes, set_input, shown_by
+from .viewport import in_window, redraw_viewports
+
+Style = Literal["SPLATS", "ELLIPSOIDS", "NONE"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """style: how viewports show Gaussians; highlight: whether those that fit the prompt are lit and others dimmed;
+    threshold: probability from which one fits; dimming: share of its brightness that another loses."""
+
+    style: Style = "SPLATS"
+    highlight: bool = True
+    threshold: float = THRESHOLD
+    dimming: float = DIMMING
+
+
+def look_of(bpy_scene: bpy.types.Scene) -> Look:
+    """What the panel says of this Blender scene; the defaults where the extension is not registered."""
+    settings = getattr(bpy_scene, "fruitlangs", None)
+    if settings is None:
+        return Look()
+    chosen = settings.look
+    return Look(
+        style=chosen.style,
+        highlight=chosen.highlight,
+        threshold=settings.config.count.threshold,
+        dimming=chosen.dimming,
+    )
+
+
+def apply_look(bpy_scene: bpy.types.Scene) -> None:
+    """Give this Blender scene's modifiers its look; those of an older version get the present nodes."""
+    look = look_of(bpy_scene)
+    as_splats = look.style == "SPLATS" and in_window()
+    for item in owned_objects(bpy_scene, "points"):
+        for modifier in shown_by(item):
+            renew_nodes(modifier)
+            _set_inputs(item, modifier, {"In Viewport": not as_splats})
+    for item in owned_objects(bpy_scene, "gaussians"):
+        values = {
+            "Highlight": look.highlight and is_answered(item.data),
+            "Threshold": look.threshold,
+            "Dimming": look.dimming,
+            "In Viewport": look.style != "NONE" and not as_splats,
+        }
+        for modifier in shown_by(item):
+            renew_nodes(modifier)
+            _set_inputs(item, modifier, values)
+
+
+def set_threshold(bpy_scene: bpy.types.Scene, threshold: float) -> None:
+    """Light Gaussians from this probability on, in a file that is written without the extension's panel."""
+    for item in owned_objects(bpy_scene, "gaussians"):
+        for modifier in shown_by(item):
+            _set_inputs(item, modifier, {"Threshold": threshold})
+
+
+def is_answered(mesh: bpy.types.Mesh) -> bool:
+    """Whether the Gaussians of this mesh hold probabilities of a prompt."""
+    return not mesh.is_editmode and "probability" in mesh.attributes and bool(get_attribute(mesh, "probability").any())
+
+
+def look_changed(settings: Any, _context: Any = None) -> None:
+    """Called when the look or the threshold was edited."""
+    if settings.id_data.library is None:
+        apply_look(settings.id_data)
+        redraw_viewports()
+
+
+def _set_inputs(item: bpy.types.Object, modifier: Any, values: dict[str, Any]) -> None:
+    """Set what differs; what is set has the object evaluated anew."""
+    changed = {name: value for name, value in values.items() if get_input(modifier, name) != value}
+    for name, value in changed.items():
+        set_input(modifier, name, value)
+    if changed:
+        item.update_tag()
+
+
+@persistent
+def apply_looks(_file: Any = None, _unused: Any = None) -> None:
+    """After loading, saving, undo and redo: the look decides what viewports show."""
+    for bpy_scene in bpy.data.scenes:
+        if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
+            apply_look(bpy_scene)
+
+
+@persistent
+def show_ellipsoids(_file: Any = None, _unused: Any = None) -> None:
+    """Before saving, and when the extension goes: without it nothing else would show Gaussians and points."""
+    for bpy_scene in bpy.data.scenes:
+        if look_of(bpy_scene).style != "SPLATS" or not in_window():
+            continue
+        for item in [*owned_objects(bpy_scene, "gaussians"), *owned_objects(bpy_scene, "points")]:
+            for modifier in shown_by(item):
+                _set_inputs(item, modifier, {"In Viewport": True})
+
+
+HANDLERS = {
+    "load_post": apply_looks,
+    "undo_post": apply_looks,
+    "redo_post": apply_looks,
+    "save_pre": show_ellipsoids,
+    "save_post": apply_looks,
+    "save_post_fail": apply_looks,
+}
+
+
+def register_handlers() -> None:
+    """Let the look decide what viewports show, but for files on disk."""
+    for name, function in HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(function)
+    if in_window():  # while an extension is registered nothing of the .blend may be changed
+        bpy.app.timers.register(apply_looks, first_interval=0.0)
+
+
+def unregister_handlers() -> None:
+    """Take back what `register_handlers` added; the viewports show ellipsoids again."""
+    if bpy.app.timers.is_registered(apply_looks):
+        bpy.app.timers.unregister(apply_looks)
+    for name, function in HANDLERS.items():
+        handlers = getattr(bpy.app.handlers, name)
+        if function in handlers:
+            handlers.remove(function)
+    if hasattr(bpy.types.Scene, "fruitlangs"):
+        show_ellipsoids()

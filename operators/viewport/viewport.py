@@ -1,0 +1,107 @@
+"""What a 3D viewport needs so that results can be seen in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Literal
+
+import bpy
+from mathutils import Vector
+
+from ..blender_data import owned_object, owned_objects
+
+
+class Drawing:
+    """A function that is called whenever a 3D viewport is drawn, from `start` to `stop`; never in background mode.
+
+    stage: POST_VIEW for what is drawn in the world, POST_PIXEL for the region's pixels. What is drawn cannot live in a
+    .blend.
+    """
+
+    def __init__(self, draw: Callable[[], None], stage: Literal["POST_VIEW", "POST_PIXEL"]) -> None:
+        self._draw, self._stage = draw, stage
+        self._handle: Any = None
+
+    def start(self) -> None:
+        if in_window() and self._handle is None:
+            self._handle = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", self._stage)
+            redraw_viewports()
+
+    def stop(self) -> None:
+        if self._handle is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
+            redraw_viewports()
+
+
+def in_window() -> bool:
+    """Whether there are viewports, as there are not in background mode."""
+    return not bpy.app.background
+
+
+def shown_screens(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> list[bpy.types.Screen]:
+    """The screen a person looks at this Blender scene on; none in background mode, and while another scene is shown."""
+    looked_at = in_window() and context.screen is not None and context.scene == bpy_scene
+    return [context.screen] if looked_at else []
+
+
+def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
+    """Let viewports show Gaussians in colour: splats do in every shading mode, ellipsoids and points in Material alone.
+
+    Solid shows fruit in their own colour too, which is their object's. The dashed lines from every camera and fruit to
+    the root are switched off.
+    """
+    for space in _viewports(screens):
+        if not splats and space.shading.type in {"SOLID", "WIREFRAME"}:
+            space.shading.type = "MATERIAL"
+        if space.shading.color_type == "MATERIAL":
+            space.shading.color_type = "OBJECT"
+        space.overlay.show_relationship_lines = False
+
+
+def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scene) -> None:
+    """Turn viewports to what the photos' cameras look at, from as far as they stand."""
+    root = owned_object(bpy_scene, "root")
+    if root is not None:
+        cameras = owned_objects(bpy_scene, "camera")
+        look_from_around(screens, [root.matrix_basis @ item.matrix_basis.translation for item in cameras])
+
+
+def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vector]) -> None:
+    """Turn viewports to what lies between these places of cameras in the world, from as far as they stand."""
+    if not places:
+        return
+    middle = sum(places, Vector()) / len(places)
+    distance = max(place.xy.length for place in places)
+    for space in _viewports(screens):
+        view = space.region_3d
+        if view.view_perspective == "CAMERA":
+            view.view_perspective = "PERSP"
+        view.view_location = (0.0, 0.0, 0.8 * middle.z)
+        view.view_distance = 1.3 * distance
+        space.clip_end = max(space.clip_end, 20.0 * distance)
+
+
+def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: float) -> None:
+    """Move viewports to a place in the world, no farther away than `distance`; they keep their direction."""
+    for space in _viewports(screens):
+        view = space.region_3d
+        if view.view_perspective == "CAMERA":
+            view.view_perspective = "PERSP"
+        view.view_location = place
+        view.view_distance = distance
+
+
+def redraw_viewports() -> None:
+    """Redraw every 3D viewport, sidebar included; for what changed without an operator."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _viewports(screens: Iterable[bpy.types.Screen]) -> Iterator[Any]:
+    for screen in screens:
+        for area in screen.areas:
+            if area.type == "VIEW_3D":
+                yield area.spaces.active

@@ -1,0 +1,1 @@
+"""The scene in Blender: objects, materials, rendering."""

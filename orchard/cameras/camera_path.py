@@ -1,0 +1,152 @@
+"""The way of the camera: around the trees, half around them, along their row, or around a part of a crown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import OrchardConfig
+from ..species import Species
+from .aim import Part
+from .viewpoint import Viewpoint, look_at
+
+FloatArray = NDArray[np.float64]
+NEAREST = 2.3
+"""Least distance of the way from the row's line, in heights of the tree ÷ 2: far enough to keep clear of the crown."""
+CLEARANCE = 1.75
+"""The same in half widths of the crown."""
+ARCS = {"ring": 75.0, "wave": 75.0, "half-ring": 40.0}
+"""How far to each side the camera goes around a part of a crown, degrees."""
+WAVES = 3
+"""How often a wave rises and falls: neighbouring pictures stay alike, which finding the cameras from them needs."""
+LEVELS = -0.25, 0.55
+"""Lowest and highest place of the camera, in crown heights above its middle."""
+RISES = -8.0, 26.0
+"""The same before a part of a crown, degrees."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """What a walk leads around."""
+
+    crown: FloatArray
+    """(2, 3) low and high corner of all crowns of the row."""
+    half_row: float
+    """Half the distance from the first trunk of the row to the last, metres."""
+    part: Part | None
+    """The part of the crown to look at; None: all of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stand:
+    """Where a picture is taken from and towards, before the hand shakes."""
+
+    place: FloatArray
+    target: FloatArray
+
+
+def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
+    """The views of the configured path, jittered in place and aim; one focal length for all."""
+    size = species.tree_height / 2.3
+    if place.part is not None:
+        distance = 0.6 * species.tree_height
+        stands = [_before_part(rng, config, place.part, distance, i) for i in range(config.views)]
+        shake = 0.25 * place.part.reach
+    else:
+        distance = distance_from_row(species, place) + (place.half_row if config.path != "row" else 0.0)
+        step = _along_row if config.path == "row" else _around
+        stands = [step(rng, config, place, distance, i) for i in range(config.views)]
+        shake = 0.05 * size
+    focal = config.fruit_pixels * distance / species.diameter
+    views = []
+    for i, stand in enumerate(stands):
+        position = stand.place + rng.normal(0.0, 0.05, 3) * [0, 0, size]
+        target = stand.target + rng.normal(0.0, 1.0, 3) * shake
+        views.append(
+            Viewpoint(
+                name=f"{i + 1:03d}.jpg",
+                focal=focal,
+                width=config.width,
+                height=config.height,
+                world_to_camera=look_at(position, target, rng.normal(0.0, 0.01)),
+            )
+        )
+    return views
+
+
+def distance_from_row(species: Species, place: Place) -> float:
+    """How far from the row's line the camera keeps, metres."""
+    low, high = place.crown
+    half_width = max((high - low)[1], (high - low)[0] - 2 * place.half_row) / 2
+    return max(NEAREST * species.tree_height / 2, CLEARANCE * half_width)
+
+
+def _middle(place: Place) -> FloatArray:
+    low, high = place.crown
+    middle: FloatArray = (low + high) / 2 + [0.0, 0.0, 0.05 * (high[2] - low[2])]
+    return middle
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """Where on its way a picture is taken: share of the way, and of the climb from the lowest place to the highest."""
+
+    share: float
+    climb: float
+
+
+def _step(rng: np.random.Generator, config: OrchardConfig, i: int) -> _Step:
+    """The i-th picture of the way: heights take turns, those of a wave follow each other."""
+    if config.path == "wave":
+        share = (i + 0.5 + rng.uniform(-0.15, 0.15)) / config.views
+        return _Step(share=share, climb=0.5 - 0.5 * np.cos(2 * np.pi * WAVES * share))
+    ring, place = divmod(i, _per_ring(config)) if config.path == "row" else (i % config.rings, i // config.rings)
+    share = (place + 0.5 + rng.uniform(-0.15, 0.15)) / _per_ring(config)
+    if config.path != "row":  # those of one ring stand between those of another
+        share += (ring / config.rings - 0.5) / _per_ring(config)
+    return _Step(share=share, climb=float(np.linspace(0.0, 1.0, config.rings)[ring]))
+
+
+def _per_ring(config: OrchardConfig) -> int:
+    return -(-config.views // config.rings)
+
+
+def _level(place: Place, climb: float) -> float:
+    """Height of the camera."""
+    tall = place.crown[1, 2] - place.crown[0, 2]
+    return float(_middle(place)[2] + tall * np.interp(climb, [0.0, 1.0], LEVELS))
+
+
+def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> Stand:
+    """The i-th picture of a way around the trees or half around them."""
+    step = _step(rng, config, i)
+    turn = np.pi + np.pi * step.share if config.path == "half-ring" else 2 * np.pi * step.share
+    away = distance * rng.uniform(0.95, 1.05)
+    middle = _middle(place)
+    x, y = middle[:2] + away * np.array([np.cos(turn), np.sin(turn)])
+    return Stand(place=np.array([x, y, _level(place, step.climb)]), target=middle)
+
+
+def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> Stand:
+    """The i-th picture of a walk past the row, to at the first height, back at the second, and so on."""
+    step = _step(rng, config, i)
+    back = i // _per_ring(config) % 2 == 1
+    low, high = place.crown[:, 0]
+    middle = _middle(place)
+    x = low + (high - low) * (1 - step.share if back else step.share)
+    yaw = np.radians(rng.uniform(-12, 12))
+    away = distance * rng.uniform(0.97, 1.03)
+    target = np.array([x + away * np.tan(yaw), middle[1], middle[2]])
+    return Stand(place=np.array([x, middle[1] - away, _level(place, step.climb)]), target=target)
+
+
+def _before_part(rng: np.random.Generator, config: OrchardConfig, part: Part, distance: float, i: int) -> Stand:
+    """The i-th picture of arcs before a part of the crown."""
+    step = _step(rng, config, i)
+    turn = np.radians(ARCS[config.path] * (2 * step.share - 1))
+    rise = np.radians(np.interp(step.climb, [0.0, 1.0], RISES))
+    away = distance * rng.uniform(0.95, 1.05)
+    direction = np.array([np.sin(turn) * np.cos(rise), -np.cos(turn) * np.cos(rise), np.sin(rise)])
+    return Stand(place=part.center + away * direction, target=part.center)

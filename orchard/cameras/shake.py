@@ -1,0 +1,37 @@
+"""A camera that shakes while it takes a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..srgb import from_linear, to_linear
+
+FloatArray = NDArray[np.float64]
+
+
+def shake_of(rng: np.random.Generator, mean_length: float) -> FloatArray:
+    """(2,) how far a picture moves while it is taken, in pixels of x and y; `mean_length` is the mean over pictures."""
+    length, turn = mean_length * rng.uniform(0.4, 1.6), rng.uniform(0, 2 * np.pi)
+    return length * np.array([np.cos(turn), np.sin(turn)])
+
+
+def shaken(pixels: NDArray[np.uint8], shake: FloatArray) -> NDArray[np.uint8]:
+    """The picture (H, W, 3), sRGB, averaged in linear light along the shake, which the sharp picture lies amid."""
+    light = to_linear(pixels / 255.0)
+    steps = 2 * int(np.ceil(np.linalg.norm(shake))) + 1
+    places = np.linspace(-0.5, 0.5, steps)
+    mean = np.asarray(sum(_shifted(light, shake * s) for s in places)) / steps
+    return np.rint(255 * np.clip(from_linear(mean), 0, 1)).astype(np.uint8)
+
+
+def _shifted(light: FloatArray, shift: FloatArray) -> FloatArray:
+    """The picture moved by (x, y) pixels, bilinear, its rim repeated."""
+    for axis, amount in ((1, shift[0]), (0, shift[1])):
+        whole = int(np.floor(amount))
+        part = amount - whole
+        n = light.shape[axis]
+        near = np.take(light, np.clip(np.arange(n) - whole, 0, n - 1), axis=axis)
+        far = np.take(light, np.clip(np.arange(n) - whole - 1, 0, n - 1), axis=axis)
+        light = (1 - part) * near + part * far
+    return light

@@ -1,0 +1,1 @@
+"""Files of a finished scene: COLMAP model, transforms.json, PNG masks, truth."""

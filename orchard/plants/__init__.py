@@ -1,0 +1,1 @@
+"""Trees: skeleton, leaves and fruit."""

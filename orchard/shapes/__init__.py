@@ -1,0 +1,1 @@
+"""Plain geometry: wood, fruit bodies, meshes and the ground."""

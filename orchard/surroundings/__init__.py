@@ -1,0 +1,1 @@
+"""What surrounds the tree: distractors, objects and neighbouring trees."""

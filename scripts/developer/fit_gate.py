@@ -1,0 +1,151 @@
+"""Fit the gate that tells which spheres are fruit, and write engine/counting/evidence/gate.json.
+
+    python scripts/developer/fit_gate.py --renders RENDERS
+
+Candidates are taken from simulated crowns of all settings and, with RENDERS, from its rendered walks: from Gaussians
+trained on them, once with true masks and once with the embedded encoder's probabilities of the walk's fruit, and from
+their true surfaces with true masks. A candidate is a fruit when it is matched one to one with a true one within half a
+mean diameter. Crowns and walks weigh alike. Prints how well each kind of scene is told by a gate that was fitted
+without that scene.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import _checkout  # noqa: F401  puts the checkout on the path
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.linear_model import LogisticRegression
+from sklearn.preprocessing import StandardScaler
+
+from _terminal import import_tyro, run
+from fruitlangs.benchmarks.counting.simulated import SETTINGS
+from fruitlangs.benchmarks.markdown import markdown
+from fruitlangs.engine.counting.evidence.cluster import LIKELY
+from fruitlangs.engine.counting.evidence.gate import STORED, WEIGHED, Gate, weighed
+from fruitlangs.engine.evaluation.judgement import judge
+from fruitlangs.engine.files import write_text
+from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, searched, surface_cases, walk_cases
+from fruitlangs.orchard.config import FIRST_TRAINING_SEED
+
+tyro = import_tyro()
+FloatArray = NDArray[np.float64]
+
+EDGE = 0.01
+"""Share of the candidates at either end of a feature whose values are cut."""
+REGULARISATION = 0.1
+"""Inverse strength of the penalty on the regression's weights."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to fit on."""
+
+    crowns: int = 13
+    """Simulated crowns of each setting."""
+    first: int = FIRST_TRAINING_SEED
+    """Seed of the first one; seeds below 1000 are for tests and tables."""
+    renders: Path | None = None
+    """Folder of rendered walks, as `make_orchard.py --scenes` writes them."""
+    out: Path = STORED
+    """File to write."""
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """The candidates of one scene. features: (C, n) those WEIGHED; fruit, surest: (C,); visible: fruit that are to be
+    found; kind: of scene; family: scenes of which none is judged by a gate fitted to another."""
+
+    kind: str
+    family: str
+    features: FloatArray
+    fruit: NDArray[np.bool_]
+    surest: FloatArray
+    visible: int
+
+
+def main(options: Options) -> None:
+    check_seed(options.first)
+    crowns = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
+    rendered = (walk_cases(options.renders), surface_cases(options.renders)) if options.renders else ()
+    cases = itertools.chain(crowns, *rendered)
+    examples = [found for case in cases for found in example(case)]
+    print(table(examples))
+    document = {**fit(examples).document(), "fitted on": sorted({example.family for example in examples})}
+    write_text(options.out, json.dumps(document, indent=1) + "\n")
+
+
+def example(case: Case) -> Iterator[Example]:
+    """The candidates of a scene; none where nothing in it looks round."""
+    result = searched(case)
+    if result is None:
+        return
+    found, _ = result
+    judged = judge(found.found.spheres.centers, 2.0 * found.found.spheres.radii, case.truth)
+    told = np.setdiff1d(np.arange(len(found.chances)), judged.ignored)  # on fruit that is not to be counted
+    fruit, surest = np.isin(told, judged.pairs.predicted), found.features["surest"][told]
+    visible = int(case.truth.visible.sum())
+    yield Example(case.kind, case.family, weighed(found.features)[told], fruit, surest, visible)
+
+
+def fit(examples: Sequence[Example]) -> Gate:
+    """The logistic regression of all candidates on their features and the products of these.
+
+    Crowns and walks weigh alike, and of each the kinds of scene.
+    """
+    features = np.concatenate([example.features for example in examples])
+    fruit = np.concatenate([example.fruit for example in examples])
+    low, high = np.quantile(features, [EDGE, 1.0 - EDGE], axis=0)
+    cut = np.clip(features, low, high)
+    scaler, n = StandardScaler().fit(cut), features.shape[1]
+    rows, columns = np.triu_indices(n)
+    x = scaler.transform(cut)
+    products = np.concatenate([x, x[:, rows] * x[:, columns]], axis=1)
+    model = LogisticRegression(C=REGULARISATION, max_iter=5000).fit(products, fruit, sample_weight=_shares(examples))
+    quadratic = np.zeros((n, n))
+    quadratic[rows, columns] = model.coef_[0, n:]
+    return Gate(low, high, scaler.mean_, scaler.scale_, model.coef_[0, :n], quadratic, float(model.intercept_[0]))
+
+
+def _shares(examples: Sequence[Example]) -> FloatArray:
+    """(C,) weights of all candidates, 1 on the mean."""
+    sizes, families = dict[str, int](), dict[bool, set[str]]()
+    for example in examples:
+        sizes[example.kind] = sizes.get(example.kind, 0) + len(example.fruit)
+        families.setdefault(example.kind.startswith("walk"), set()).add(example.kind)
+    shares = [np.full(len(e.fruit), 1.0 / sizes[e.kind] / len(families[e.kind.startswith("walk")])) for e in examples]
+    together = np.concatenate(shares)
+    return together / together.mean()
+
+
+def table(examples: Sequence[Example]) -> str:
+    """Markdown: means by kind of scene, each judged by a gate fitted without the scenes of its family."""
+    families = {example.family for example in examples}
+    gates = {family: fit([example for example in examples if example.family != family]) for family in families}
+    lines = [["scene", "scenes", "precision", "recall", "F1", "sum of probabilities / fruit"]]
+    for kind in dict.fromkeys(example.kind for example in examples):
+        rows = [judged(example, gates[example.family]) for example in examples if example.kind == kind]
+        lines.append([kind, str(len(rows)), *(f"{value:.3f}" for value in np.mean(rows, axis=0))])
+    return markdown(lines)
+
+
+def judged(example: Example, gate: Gate) -> tuple[float, float, float, float]:
+    """Precision, recall, F1, and how many fruit the probabilities promise for each one among the candidates."""
+    chances = gate.chances({**dict(zip(WEIGHED, example.features.T, strict=True)), "surest": example.surest})
+    kept = chances > LIKELY
+    right = int((kept & example.fruit).sum())
+    precision, recall = right / max(int(kept.sum()), 1), right / example.visible
+    return precision, recall, 2.0 * right / (int(kept.sum()) + example.visible), chances.sum() / example.fruit.sum()
+
+
+if __name__ == "__main__":
+    run(lambda: main(tyro.cli(Options, description=__doc__)))

@@ -1,0 +1,261 @@
+"""An agronomist's day in the window, from import to export, by clicks and keys; a picture after every step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from guide.hand import LEFT, MOMENT, Hand, Steps
+
+WAIT = 0.3
+"""Seconds between two looks whether a job has ended."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Day:
+    """What the day is about. pictures: their folder, None for none; check: told what is true after each step."""
+
+    scene: Path
+    work: Path
+    prompt: str
+    other: str
+    steps: int | None
+    downscale: float | None
+    threshold: float | None
+    pictures: Path | None
+    check: Callable[[str, bool], None]
+
+
+def live(hand: Hand, day: Day) -> Steps:
+    """Live through the day."""
+    yield from import_scene(hand, day)
+    yield from measure(hand, day)
+    yield from reconstruct(hand, day)
+    yield from ask(hand, day)
+    yield from count(hand, day)
+    yield from review(hand, day)
+    yield from export(hand, day)
+
+
+def settings() -> Any:
+    """`scene.fruitlangs`; asked anew each time, for undo makes old references stale."""
+    return bpy.context.window_manager.windows[0].scene.fruitlangs
+
+
+def owned(role: str) -> list[bpy.types.Object]:
+    scene = bpy.context.window_manager.windows[0].scene
+    return [item for item in scene.objects if item.get("fruitlangs") == role]
+
+
+def import_scene(hand: Hand, day: Day) -> Steps:
+    """Choose the folder and press Import."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(day.work / "orchard.blend"))
+    settings().source = f"//{day.scene.name}"  # as the file browser stores it
+    if day.steps:
+        settings().config.train.steps = day.steps
+    if day.downscale:
+        settings().config.scene.downscale = day.downscale
+    if day.threshold:
+        settings().config.count.threshold = day.threshold
+    bpy.ops.ed.undo_push(message="Choose the scene")
+    yield 0.5
+    yield from hand.top()
+    yield from hand.push("fruitlangs.import_scene")
+    yield from work_done(hand)
+    day.check("the cameras are shown", len(owned("camera")) > 0)
+    yield from picture(hand, day, "scene")
+
+
+def measure(hand: Hand, day: Day) -> Steps:
+    """Click on the two ends of a length and type it."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.measure")
+    day.check("no scale yet", not owned("root")[0].get("metres_per_unit"))
+    for end in ends(hand):
+        yield from hand.click(*end)
+        yield 0.5
+    yield from picture(hand, day, "measure", rest=False)
+    yield from hand.press("RET", *hand.mouse)
+    yield 0.5
+    day.check("the scale is known", bool(owned("root")[0].get("metres_per_unit")))
+    yield from hand.press("Z", *hand.aside, ctrl=True)
+    yield 0.5
+    day.check("undo takes the scale back", not owned("root")[0].get("metres_per_unit"))
+
+
+def ends(hand: Hand) -> list[tuple[float, float]]:
+    """Where two sparse points near the middle of the view are drawn, far apart."""
+    points = owned("points")[0]
+    places = [hand.place_of(points.matrix_world @ vertex.co) for vertex in list(points.data.vertices)[:4000:7]]
+    window = hand.region("WINDOW")
+    inside = [
+        place
+        for place in places
+        if 0.2 < (place[0] - window.x) / window.width < 0.6 and 0.2 < (place[1] - window.y) / window.height < 0.7
+    ]
+    return [min(inside), max(inside)]
+
+
+def reconstruct(hand: Hand, day: Day) -> Steps:
+    """Train, watching the splats; Esc once, then on from there; a picture on the way."""
+    yield from start_training(hand, until=0.2)
+    yield from hand.press("ESC", *hand.aside)
+    yield from work_done(hand)
+    day.check("Esc ends the job and nothing is shown", not owned("gaussians") and not settings().error)
+    yield from start_training(hand, until=0.45)
+    yield from picture(hand, day, "reconstruct")
+    yield from work_done(hand)
+    day.check("the Gaussians are shown", len(owned("gaussians")) == 1)
+    day.check("no error", not settings().error)
+
+
+def start_training(hand: Hand, *, until: float) -> Steps:
+    """Press Reconstruct and wait until this share of the job is done."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.reconstruct")
+    yield from hand.rest()
+    job = running()
+    while job is not None and job.fraction < until and running() is not None:
+        yield WAIT
+
+
+def ask(hand: Hand, day: Day) -> Steps:
+    """Edit the prompt; the highlight follows."""
+    for words in (day.other, day.prompt):
+        yield from hand.top()
+        x, y = yield from hand.find("fruitlangs.prompt")
+        yield from hand.click(x, y)
+        yield from hand.write(words, x, y)
+        yield from hand.rest()
+        waited = 0.0
+        while asked() != f"{words} | " and waited < 20.0:
+            yield 0.1
+            waited += 0.1
+        day.check(f"the Gaussians answer to {words}", asked() == f"{words} | ")
+    yield from picture(hand, day, "ask")
+
+
+def asked() -> str:
+    return str(owned("gaussians")[0].data.get("fruitlangs_asked", ""))
+
+
+def count(hand: Hand, day: Day) -> Steps:
+    """Press Count."""
+    yield from hand.top()
+    yield from hand.push("fruitlangs.count")
+    yield from hand.rest()
+    yield from work_done(hand)
+    day.check("fruit are counted", settings().result.count == len(owned("fruit")) > 0)
+    yield from picture(hand, day, "count")
+
+
+def review(hand: Hand, day: Day) -> Steps:
+    """Go to the doubtful fruit, look at it in a photo, reject it, undo that, do it again; then the other tools."""
+    before = settings().result.count
+    view = hand.area.spaces.active.region_3d
+    tree = view.view_location.copy(), view.view_distance
+    settings().review.labels = "NUMBER"
+    yield from hand.push("fruitlangs.next_doubtful")
+    view.view_distance *= 2.5
+    yield from picture(hand, day, "review")
+    settings().review.labels = "NONE"
+    yield from hand.push("fruitlangs.best_photo")
+    yield from hand.rest()
+    day.check("the viewport looks through a photo's camera", view_of(hand) == "CAMERA")
+    yield from picture(hand, day, "photo")
+    yield from hand.push("fruitlangs.free_view")
+    day.check("the view is free again", view_of(hand) != "CAMERA")
+    yield from hand.top()
+    yield from hand.push("fruitlangs.reject_fruit")
+    day.check("the fruit is rejected", counted() == before - 1)
+    yield from hand.press("Z", *hand.aside, ctrl=True)
+    yield 0.5
+    day.check("undo brings it back", counted() == before)
+    yield from hand.press("Z", *hand.aside, ctrl=True, shift=True)
+    yield 0.5
+    day.check("redo rejects it again", counted() == before - 1)
+    day.check("the log has it", len(settings().review.log) == 1)
+    yield from other_tools(hand, day)
+    view = hand.area.spaces.active.region_3d
+    view.view_location, view.view_distance = tree
+
+
+def other_tools(hand: Hand, day: Day) -> Steps:
+    """Confirm a fruit, split it, merge the parts again, and add one by a click on the tree."""
+    before = counted()
+    yield from hand.push("fruitlangs.next_doubtful")
+    yield from hand.push("fruitlangs.confirm_fruit", LEFT)
+    day.check("the fruit is confirmed", settings().review.log[-1].action == "confirm")
+    yield from hand.push("fruitlangs.split_fruit", LEFT)
+    day.check("it is split in two, which are selected", counted() == before + 1)
+    yield from hand.push("fruitlangs.merge_fruit", LEFT)
+    day.check("they are one again", counted() == before)
+    yield from hand.push("fruitlangs.add_fruit")
+    yield from hand.click(*nearest_fruit(hand))
+    yield 0.5
+    day.check("a click on the tree adds a fruit", counted() == before + 1)
+    yield from hand.press("Z", *hand.aside, ctrl=True)
+    yield 0.5
+    day.check("undo takes it away", counted() == before)
+
+
+def nearest_fruit(hand: Hand) -> tuple[float, float]:
+    """Where the fruit nearest to the middle of the view is drawn."""
+    window = hand.region("WINDOW")
+    middle = window.x + 0.4 * window.width, window.y + 0.5 * window.height
+    places = [hand.place_of(item.matrix_world.translation) for item in owned("fruit")]
+    return min(places, key=partial(math.dist, middle))
+
+
+def view_of(hand: Hand) -> str:
+    return str(hand.area.spaces.active.region_3d.view_perspective)
+
+
+def counted() -> int:
+    return sum(item.get("review") != "rejected" for item in owned("fruit"))
+
+
+def export(hand: Hand, day: Day) -> Steps:
+    """Write a table of what stands after the review, through its file dialog."""
+    yield from hand.find("fruitlangs.export_ply")  # the last one: all are in sight
+    yield from picture(hand, day, "export")
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # in this window, where the hand is
+    yield from hand.push("fruitlangs.export_csv")
+    yield 1.0
+    browser = next(area for area in hand.window.screen.areas if area.type == "FILE_BROWSER")
+    chosen = browser.spaces.active.params
+    chosen.directory, chosen.filename = str(day.work).encode(), "fruit.csv"
+    yield 0.5
+    yield from hand.press("RET", browser.x + browser.width / 2, browser.y + browser.height / 2)
+    yield from work_done(hand)
+    rows = (day.work / "fruit.csv").read_text(encoding="utf-8").splitlines()
+    day.check("the table has the corrected count", len(rows) - 1 == counted())
+
+
+def running() -> Any:
+    from fruitlangs.operators.jobs import jobs
+
+    return jobs.running()
+
+
+def work_done(hand: Hand) -> Steps:
+    """Wait until no job is at work and its result is shown."""
+    yield from hand.rest()
+    while running() is not None:
+        yield WAIT
+    yield 4 * WAIT
+
+
+def picture(hand: Hand, day: Day, name: str, *, rest: bool = True) -> Steps:
+    """Keep a picture, with the mouse out of the way unless a dialog would close."""
+    if day.pictures is not None:
+        if rest:
+            yield from hand.rest()
+        yield from hand.shot(day.pictures / f"{name}.jpg")
+    yield MOMENT

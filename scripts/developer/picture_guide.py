@@ -1,0 +1,70 @@
+"""Live through a day in Blender's window by clicks and keys, for the user guide's pictures; run it inside Blender.
+
+    "$FRUITLANGS_BLENDER" --enable-event-simulate -P scripts/developer/picture_guide.py -- --pictures docs/images/guide
+
+It needs a display; a virtual one (xvfb-run) will do. What is untrue on the way is printed, and the exit code is then 1.
+With --folder the copy of the scene and the results are kept there, and a second run reuses them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+from collections.abc import Generator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import _checkout  # noqa: F401
+
+from guide.day import Day, live
+from guide.hand import Hand
+
+from _window import arguments_of, open_panel, play, viewport
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="picture_guide")
+    parser.add_argument("--scene", type=Path, default=Path("examples/orchard_tree"))
+    parser.add_argument("--prompt", default="apple")
+    parser.add_argument("--other", default="leaf", help="what is asked first")
+    parser.add_argument("--steps", type=int, help="training steps (default: the panel's)")
+    parser.add_argument("--downscale", type=float, help="divide the photos' size (default: the panel's)")
+    parser.add_argument("--threshold", type=float, help="of the probability (default: the panel's)")
+    parser.add_argument("--folder", type=Path, help="where to work (default: a temporary folder)")
+    parser.add_argument("--pictures", type=Path, help="folder of the pictures (default: none are kept)")
+    return parser.parse_args(arguments_of())
+
+
+def visit(arguments: argparse.Namespace) -> Generator[float, None, int]:
+    """The day in this window."""
+    yield from open_panel()
+    folder = (arguments.folder or Path(tempfile.mkdtemp())).resolve()
+    scene = folder / arguments.scene.name
+    shutil.copytree(arguments.scene, scene, dirs_exist_ok=True)
+    untrue: list[str] = []
+
+    def check(what: str, true: bool) -> None:
+        print(f"{'ok' if true else 'NOT TRUE'}: {what}", flush=True)
+        if not true:
+            untrue.append(what)
+
+    day = Day(
+        scene=scene,
+        work=folder,
+        prompt=arguments.prompt,
+        other=arguments.other,
+        steps=arguments.steps,
+        downscale=arguments.downscale,
+        threshold=arguments.threshold,
+        pictures=arguments.pictures and arguments.pictures.resolve(),
+        check=check,
+    )
+    yield from live(Hand(*viewport()), day)
+    return 1 if untrue else 0
+
+
+if __name__ == "__main__":
+    play(visit(parse()))

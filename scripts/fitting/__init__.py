@@ -1,1 +1,0 @@
-"""What fits the numbers that counting weighs with."""

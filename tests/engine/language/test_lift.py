@@ -1,0 +1,121 @@
+"""Features of pixels reach the Gaussians that drew them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fruitlangs.engine.errors import SceneError
+from fruitlangs.engine.language.features.lift import at_size, encode_photos, lift_features
+from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
+from fruitlangs.engine.splatting.gaussians import Gaussians
+
+SIDE = 32
+
+
+def _camera() -> Camera:
+    K = np.array([[SIDE, 0.0, SIDE / 2], [0.0, SIDE, SIDE / 2], [0.0, 0.0, 1.0]])
+    return Camera(K, np.eye(4), SIDE, SIDE)
+
+
+def _gaussians(*means: tuple[float, float, float]) -> Gaussians:
+    n = len(means)
+    return Gaussians(
+        means=torch.tensor(means),
+        log_scales=torch.full((n, 3), 0.06).log(),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1),
+        opacity_logits=torch.full((n,), 4.0),
+        sh=torch.zeros(n, 1, 3),
+    )
+
+
+def _halves() -> Tensor:
+    """Left half (1, 0), right half (0, 1)."""
+    target = torch.zeros(SIDE, SIDE, 2)
+    target[:, : SIDE // 2, 0] = 1.0
+    target[:, SIDE // 2 :, 1] = 1.0
+    return target
+
+
+LEFT, RIGHT, BEHIND = (-0.25, 0.0, 1.0), (0.25, 0.0, 1.0), (0.0, 0.0, -1.0)
+
+
+def test_each_gaussian_gets_the_feature_of_its_pixels():
+    features = lift_features(_gaussians(LEFT, RIGHT), [_camera()], [_halves()], encoder_id="x")
+    assert torch.allclose(features.unit(0), torch.eye(2), atol=1e-3)
+    assert (features.weights > 5.0).all()
+    assert features.encoder_id == "x"
+
+
+def test_views_are_averaged_and_normalised():
+    swapped = _halves().flip(-1)
+    features = lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves(), swapped], encoder_id="x")
+    assert torch.allclose(features.unit(0)[0], torch.full((2,), 0.5**0.5), atol=1e-3)
+
+
+def test_a_gaussian_that_no_view_sees_has_weight_and_feature_zero():
+    features = lift_features(_gaussians(LEFT, BEHIND), [_camera()], [_halves()], encoder_id="x")
+    assert float(features.weights[1]) == 0.0
+    assert not features.unit(0)[1].any()
+
+
+def test_masked_pixels_count_for_nothing():
+    masked = _halves()
+    masked[:, : SIDE // 2] = 0.0
+    features = lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves(), masked], encoder_id="x")
+    once = lift_features(_gaussians(LEFT), [_camera()], [_halves()], encoder_id="x")
+    assert torch.allclose(features.unit(0), once.unit(0), atol=1e-5)
+    assert torch.allclose(features.weights, once.weights, rtol=1e-4)
+
+
+def test_a_target_of_another_size_is_refused():
+    with pytest.raises(SceneError, match="view 0 are 16×32"):
+        lift_features(_gaussians(LEFT), [_camera()], [_halves()[:, :16]], encoder_id="x")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_as_many_targets_as_cameras_are_needed(count: int):
+    with pytest.raises(SceneError, match="views"):
+        lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves()] * count, encoder_id="x")
+
+
+class _Brightness:
+    """An encoder of half the photo's size that tells dark from bright."""
+
+    identity = "brightness"
+    dimension = 2
+
+    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
+        bright = torch.from_numpy(image[::2, ::2, 0] > 127).float()
+        return torch.stack([bright, 1.0 - bright], dim=-1)
+
+
+def test_photos_are_encoded_at_their_cameras_size_with_their_masks():
+    image = np.zeros((SIDE, SIDE, 3), np.uint8)
+    image[:, SIDE // 2 :] = 255
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[:4] = False
+    photo = ArrayPhoto("a.png", image, mask)
+    scene = Scene([_camera()], [photo], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
+    (target,) = encode_photos(scene, _Brightness())  # type: ignore[arg-type]
+    assert target.shape == (SIDE, SIDE, 2)
+    assert not target[:4].any()
+    assert torch.allclose(target[8, 2], torch.tensor([0.0, 1.0]))
+    assert torch.allclose(target[8, -2], torch.tensor([1.0, 0.0]))
+
+
+def test_resized_features_stay_unit():
+    features = torch.nn.functional.normalize(torch.rand(8, 8, 5, generator=torch.Generator().manual_seed(0)), dim=-1)
+    assert torch.allclose(at_size(features, 19, 23).norm(dim=-1), torch.ones(19, 23), atol=1e-5)
+
+
+def test_agreement_is_the_mean_cosine_of_the_views_to_the_feature():
+    swapped = _halves().flip(-1)
+    features = lift_features(_gaussians(LEFT, BEHIND), [_camera()] * 2, [_halves(), swapped], encoder_id="x")
+    assert float(features.agreement[0, 0]) == pytest.approx(0.5**0.5, abs=1e-3)
+    assert float(features.agreement[1, 0]) == 0.0
+    agreed = lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves()] * 2, encoder_id="x")
+    assert float(agreed.agreement[0, 0]) == pytest.approx(1.0, abs=1e-4)

@@ -1,0 +1,214 @@
+"""The one door: what is read, what is refused, what a scene's hash depends on."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from colmap_models import ring_of_poses, write_model, write_photo
+
+from fruitlangs.engine.errors import SceneError
+from fruitlangs.engine.files import files_hash
+from fruitlangs.engine.scene.formats.transforms import read_transforms
+from fruitlangs.engine.scene.read import read_scene, scene_files, scene_hash
+
+
+def write_transforms(folder: Path, **values: object) -> Path:
+    """A transforms.json of three 32x24 photos of the ring, with OpenGL axes; `values` go to its top level."""
+    frames = []
+    for index, pose in enumerate(ring_of_poses(3)):
+        write_photo(folder / "images" / f"{index}.png", 32, 24, seed=index)
+        camera_to_world = np.linalg.inv(pose) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        frames.append({"file_path": f"./images/{index}.png", "transform_matrix": camera_to_world.tolist()})
+    intrinsics = {"fl_x": 20.0, "fl_y": 21.0, "cx": 16.0, "cy": 12.0, "w": 32, "h": 24}
+    (folder / "transforms.json").write_text(json.dumps({**intrinsics, "frames": frames, **values}))
+    return folder / "transforms.json"
+
+
+def edit(file: Path, **values: object) -> None:
+    """Set top-level values; None takes one out."""
+    content = {**json.loads(file.read_text()), **values}
+    file.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+
+
+def edit_frame(file: Path, index: int, **values: object) -> None:
+    frames = json.loads(file.read_text())["frames"]
+    frames[index] = {key: value for key, value in {**frames[index], **values}.items() if value is not None}
+    edit(file, frames=frames)
+
+
+@pytest.mark.parametrize("by", ["folder", "file"])
+def test_transforms_are_turned_to_our_axes(tmp_path: Path, by: str) -> None:
+    file = write_transforms(tmp_path)
+    scene = read_scene(tmp_path if by == "folder" else file)
+    assert [photo.name for photo in scene.images] == ["images/0.png", "images/1.png", "images/2.png"]
+    for camera, pose in zip(scene.cameras, ring_of_poses(3), strict=True):
+        np.testing.assert_allclose(camera.world_to_camera, pose, atol=1e-12)
+        np.testing.assert_array_equal(camera.K, [[20, 0, 16], [0, 21, 12], [0, 0, 1]])
+    np.testing.assert_allclose(scene.up, [0, 0, 1], atol=1e-9)
+    assert scene.points.shape == (0, 3)
+
+
+def test_a_frame_has_its_own_intrinsics_before_the_files(tmp_path: Path) -> None:
+    edit_frame(write_transforms(tmp_path), 1, fl_x=40.0)
+    assert [camera.K[0, 0] for camera in read_scene(tmp_path).cameras] == [20, 40, 20]
+
+
+def test_intrinsics_may_be_one_angle(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path, camera_angle_x=np.pi / 2)
+    edit(file, fl_x=None, fl_y=None, cx=None, cy=None, w=None, h=None)
+    np.testing.assert_allclose(read_scene(tmp_path).cameras[0].K, [[16, 0, 16], [0, 16, 12], [0, 0, 1]])
+
+
+def test_photos_may_lack_their_extension(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path)
+    edit_frame(file, 0, file_path="images/0")
+    assert read_scene(tmp_path).images[0].pixels().shape == (24, 32, 3)
+
+
+def test_transforms_with_distortion_are_undistorted(tmp_path: Path) -> None:
+    write_transforms(tmp_path, k1=0.2, k2=0.1, p1=0.0, p2=0.0)
+    mask = read_scene(tmp_path).images[0].mask()
+    assert mask is not None
+    assert not mask[0, 0]
+
+
+def test_points_of_transforms_come_from_their_ply(tmp_path: Path) -> None:
+    write_transforms(tmp_path, ply_file_path="points.ply")
+    header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    colors = "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    (tmp_path / "points.ply").write_text(header + colors + "1 2 3 10 20 30\n4 5 6 40 50 60\n")
+    scene = read_scene(tmp_path)
+    np.testing.assert_array_equal(scene.points, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(scene.colors, [[10, 20, 30], [40, 50, 60]])
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"frames": []}, "has no frames"),
+        ({"fl_x": "wide"}, "fl_x is 'wide', not a number"),
+        ({"fl_x": None}, "neither fl_x nor camera_angle_x"),
+        ({"camera_model": "TELESCOPE"}, "camera_model 'TELESCOPE'"),
+        ({"ply_file_path": "gone.ply"}, r"gone\.ply cannot be found"),
+        ({"w": 40}, "another shape"),
+    ],
+)
+def test_bad_transforms_are_named(tmp_path: Path, values: dict[str, object], said: str) -> None:
+    edit(write_transforms(tmp_path), **values)
+    with pytest.raises(SceneError, match=said):
+        read_transforms(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"file_path": None}, "frame 1 has no file_path"),
+        ({"file_path": "images/gone.png"}, r"photo .*gone\.png .* cannot be found"),
+        ({"transform_matrix": None}, "no transform_matrix"),
+        ({"transform_matrix": [[1, 0], [0, 1]]}, "no transform_matrix"),
+        ({"transform_matrix": (np.eye(4) * 2).tolist()}, "no rigid motion"),
+        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "no rigid motion"),
+    ],
+)
+def test_a_bad_frame_is_named(tmp_path: Path, values: dict[str, object], said: str) -> None:
+    edit_frame(write_transforms(tmp_path), 1, **values)
+    with pytest.raises(SceneError, match=said):
+        read_transforms(tmp_path)
+
+
+def test_broken_json_is_named(tmp_path: Path) -> None:
+    (tmp_path / "transforms.json").write_text('{"frames": [')
+    with pytest.raises(SceneError, match=r"transforms\.json is not JSON"):
+        read_scene(tmp_path)
+
+
+def test_a_model_goes_before_transforms(tmp_path: Path) -> None:
+    write_transforms(tmp_path)
+    write_model(tmp_path, images=4)
+    assert len(read_scene(tmp_path).cameras) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("gone", "does not exist"),
+        ("walk.MP4", "is a video"),
+        ("tree.ply", "is a point cloud or splat"),
+        ("one.jpg", "is a single photo"),
+        ("notes.txt", "is a file, not a folder"),
+        ("photos", "has 2 photos but no model"),
+        ("empty", "holds no model in sparse/0"),
+    ],
+)
+def test_what_is_no_scene_is_named_with_what_is_read(tmp_path: Path, name: str, said: str) -> None:
+    for index in range(2):
+        write_photo(tmp_path / "photos" / f"{index}.png", 32, 24)
+    (tmp_path / "empty").mkdir()
+    for file in ("walk.MP4", "tree.ply", "one.jpg", "notes.txt"):
+        (tmp_path / file).touch()
+    with pytest.raises(SceneError, match=rf"{said}.*a COLMAP model's folder.*an earlier result's folder"):
+        read_scene(tmp_path / name)
+
+
+def test_the_hash_stays_when_the_folder_moves(tmp_path: Path) -> None:
+    write_model(tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    assert scene_hash(tmp_path / "a") == scene_hash(tmp_path / "b")
+
+
+@pytest.mark.parametrize("write", [write_model, write_transforms])
+def test_the_hash_is_the_same_however_the_scene_is_spelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path], object]
+) -> None:
+    write(tmp_path / "scene")
+    (tmp_path / "link").symlink_to(tmp_path / "scene")
+    monkeypatch.chdir(tmp_path)
+    spelled = (tmp_path / "scene", Path("scene"), Path("scene/../scene"), Path("link"))
+    assert len({scene_hash(path) for path in spelled}) == 1
+
+
+def test_a_transforms_file_hashes_as_its_folder(tmp_path: Path) -> None:
+    assert scene_hash(write_transforms(tmp_path)) == scene_hash(tmp_path)
+
+
+def test_photos_outside_the_scenes_folder_are_hashed_with_their_subfolder(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path / "photos")
+    hashes = []
+    for name in ("east", "west"):
+        shutil.copytree(tmp_path / "photos" / "images", tmp_path / name)
+        for index in range(3):
+            edit_frame(file, index, file_path=f"../{name}/{index}.png")
+        photos = scene_files(tmp_path / "photos")[1:]
+        hashes.append(files_hash(photos, tmp_path / "photos"))
+    assert hashes[0] != hashes[1]
+
+
+@pytest.mark.parametrize("file", ["images/photo_3.png", "sparse/0/points3D.bin", "masks/photo_0.png"])
+def test_the_hash_follows_every_file_that_is_read(tmp_path: Path, file: str) -> None:
+    write_model(tmp_path)
+    before = scene_hash(tmp_path)
+    if file.endswith(".bin"):
+        content = bytearray((tmp_path / file).read_bytes())
+        content[16] ^= 1
+        (tmp_path / file).write_bytes(bytes(content))
+    else:
+        write_photo(tmp_path / file, 32, 24, seed=99)
+    assert scene_hash(tmp_path) != before
+
+
+def test_the_hash_ignores_files_that_are_not_read(tmp_path: Path) -> None:
+    write_model(tmp_path)
+    before = scene_hash(tmp_path)
+    write_photo(tmp_path / "images" / "unposed.png", 32, 24)
+    (tmp_path / "truth.json").touch()
+    assert scene_hash(tmp_path) == before
+
+
+def test_transforms_are_hashed_with_their_photos(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path)
+    assert scene_files(tmp_path) == [file, *(tmp_path / "images" / f"{index}.png" for index in range(3))]
