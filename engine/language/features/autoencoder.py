@@ -20,6 +20,8 @@ CODE = 3
 """Numbers of a code, d in the paper."""
 ENCODER, DECODER = (256, 128, 64, 32, CODE), (16, 32, 64, 128, 256, 256)
 """Widths behind the feature's D, and between the code and the D of the result."""
+BATCH, LEARNING_RATE = 64, 7e-4
+"""Features in a step of the optimiser, and its learning rate."""
 MOST_VECTORS = 10_000
 """Features that are learnt from at most; of more, so many are drawn by the seed: a few minutes on one core."""
 
@@ -59,10 +61,10 @@ def train_autoencoder(vectors: Tensor, config: EmbedConfig, *, progress: Progres
     encode = _layers((vectors.shape[1], *ENCODER), generator)
     decode = _layers((CODE, *DECODER, vectors.shape[1]), generator)
     learnt = [tensor.requires_grad_() for half in (encode, decode) for tensor in (*half.weights, *half.biases)]
-    optimiser = torch.optim.Adam(learnt, lr=config.code_rate, fused=True)
+    optimiser = torch.optim.Adam(learnt, lr=LEARNING_RATE, fused=True)
     for epoch in range(config.code_epochs):
         progress(epoch / config.code_epochs, f"learning codes, epoch {epoch + 1} of {config.code_epochs}")
-        for chosen in torch.randperm(len(vectors), generator=generator).split(config.code_batch):
+        for chosen in torch.randperm(len(vectors), generator=generator).split(BATCH):
             given = vectors[chosen]
             optimiser.zero_grad()
             reconstruction_loss(decode(encode(given)), given).backward()

@@ -27,6 +27,10 @@ from .lift_segments import judge_features
 from .semantic_kernels import semantic_loss
 
 
+WEIGHT, LEARNING_RATE = 0.1, 0.02
+"""Weight of the semantic loss relative to the photometric one (the paper's λ_sem), and learning rate of the codes."""
+
+
 @dataclass(frozen=True, eq=False)
 class CodedView:
     """The codes that one photo's pixels should show.
@@ -67,11 +71,10 @@ class Semantics:
 
     def channels(self, config: EmbedConfig) -> ExtraChannels:
         """What `train` takes to train the codes along."""
-        weight = config.semantic_weight
         return ExtraChannels(
             count=CODE * self.levels,
-            loss=lambda view, drawn, gradient: self.loss(weight, view, drawn, gradient),
-            rate=config.semantic_rate,
+            loss=lambda view, drawn, gradient: self.loss(WEIGHT, view, drawn, gradient),
+            rate=LEARNING_RATE,
             after=config.semantic_after,
             moves_gaussians=config.semantic_moves,
             key=self.key,

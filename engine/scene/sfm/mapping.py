@@ -19,6 +19,8 @@ from ..pycolmap_import import colmap_library
 JOB, FOUND = "job.json", "poses.json"
 _BLOCK = 10
 """Pairs are matched in blocks of so many by so many photos: what a cancel loses, and a step of the progress shown."""
+_MOST_FEATURES = 8192
+"""Features kept per photo."""
 _FEW_PIXELS = 400_000
 """Copies with no more pixels than this get descriptors pooled over sizes: 4 times as long, and it joins more photos."""
 _LARGEST_PATCH = 1.0
@@ -140,7 +142,7 @@ def _find_features(job: Job) -> None:
     pycolmap = colmap_library()
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False  # another device finds other features
-    options.sift.max_num_features = job.config.max_features
+    options.sift.max_num_features = _MOST_FEATURES
     options.sift.peak_threshold = 0.002
     options.sift.edge_threshold = 15.0
     options.sift.octave_resolution = 4

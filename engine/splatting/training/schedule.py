@@ -17,6 +17,10 @@ from ..rendering.render import FAINTEST, DrawRules
 from .densify import DensifyRules
 from .parameters import Rates
 
+DENSIFY_GRADIENT = 4e-4
+"""Mean absolute gradient of a projected position, in half-images, above which a Gaussian is cloned or split."""
+PRUNE_OPACITY = 0.005
+"""Densification removes Gaussians with less opacity than this."""
 LEAST_OVERSIZE, OVERSIZE_GAUSSIANS = 0.1, 700
 """The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more where fewer than 70,000
 Gaussians share the scene, since N of them cover it when their size goes with 1 / √N."""
@@ -110,10 +114,10 @@ class Schedule:
 
     def densify_rules(self) -> DensifyRules:
         return DensifyRules(
-            gradient=self.config.densify_gradient,
+            gradient=DENSIFY_GRADIENT,
             max_gaussians=self.config.max_gaussians,
             small=self.config.split_size * self.extent,
-            opacity=self.config.prune_opacity,
+            opacity=PRUNE_OPACITY,
             oversize=max(LEAST_OVERSIZE, math.sqrt(OVERSIZE_GAUSSIANS / self.config.max_gaussians)),
             extent=self.extent,
         )

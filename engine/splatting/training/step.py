@@ -23,6 +23,8 @@ from .photos import Picture
 from .relocate import explore, relocate
 from .schedule import Schedule
 
+SSIM_WEIGHT = 0.2
+"""Weight of 1 - SSIM in the photometric loss; L1 has the rest (3DGS)."""
 HOLD_EVERY = 10
 """Steps between two looks at Gaussians that have grown too large: they grow slowly."""
 PATCH = 15
@@ -37,7 +39,7 @@ class Step:
         self.schedule = schedule
         self.extra = extra
         self.workspace = Workspace()
-        self.loss = PhotometricLoss(schedule.config.ssim_weight, self.workspace)
+        self.loss = PhotometricLoss(SSIM_WEIGHT, self.workspace)
 
     def take(self, state: TrainingState, picture: Picture) -> float:
         """Draw, compare, move; come and go when it is time. Returns the loss of the picture and of further channels."""
