@@ -376,7 +376,7 @@ REMOVED: dict[str, dict[str, float]] = {
     "train": {"ssim_weight": 0.2, "densify_gradient": 4e-4, "prune_opacity": 0.005},
     "embed": {"code_batch": 64, "code_rate": 7e-4, "semantic_rate": 0.02, "semantic_weight": 0.1},
 }
-"""{stage: {setting: value}} of settings that version 0.1 had and that are constants now; results of 0.1 still have them."""
+"""{stage: {setting: value}} of settings of version 0.1 that are constants now; its results still hold them."""
 
 
 def _without_removed(stage: str, stored: Mapping[str, Any]) -> dict[str, Any]:

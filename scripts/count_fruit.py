@@ -3,7 +3,7 @@
     python scripts/count_fruit.py SCENE --prompt apple --out DIR
     blender -b --factory-startup --python-exit-code 1 -P scripts/count_fruit.py -- SCENE --prompt apple --out DIR
 
-Exit code 0: counted (a counted 0 included); 1: could not, with one line that says why; 2: usage; 130: cancelled.
+Exit code 0: counted, also if the count is 0; 1: not counted, with one line that says why; 2: usage; 130: cancelled.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
+from _help import asked_for_help, help_text
 from _terminal import arguments_of, import_tyro, preset_of, run, spelled_out, terminal_progress
 from fruitlangs.engine.config import (
     PRESETS,
@@ -39,43 +40,48 @@ else:
     tyro = import_tyro()
 
 
+EXAMPLE = "python scripts/count_fruit.py photos/tree7 --prompt apple --out results/tree7"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
     """Count the fruit of one tree from photos, and write every fruit as a labelled object."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
-    """Folder of photos, of a COLMAP model with images, of a nerfstudio transforms.json or an earlier result; or a .ply
-    of 3DGS Gaussians or coloured points, around which cameras are placed."""
+    """Folder of photos, of a COLMAP model with images, of a nerfstudio transforms.json or of an earlier result; or a
+    .ply of 3DGS Gaussians or coloured points."""
     prompt: tuple[str, ...]
-    """What to count, for example: apple, or "red apple". Several: fitting any of them is enough."""
+    """What to count, for example apple or "red apple". With several prompts, a fruit must match one of them."""
     out: Path
-    """Folder of the results; its earlier results are replaced when the new ones are complete."""
+    """Folder for the results; earlier results in it are replaced when the new ones are complete."""
     negative: tuple[str, ...] = ()
-    """What must not be counted, beside what is contrasted by itself (leaf, branch, sky, …)."""
+    """What to exclude, in addition to leaves, branches, sky and other built-in negatives."""
     gaussians: Path | None = None
-    """A .ply of 3DGS Gaussians or coloured points in the frame of SCENE's cameras, to count in instead of training."""
+    """A .ply of 3DGS Gaussians or coloured points in the frame of SCENE's cameras; replaces training."""
     preset: Preset = "standard"
-    """Settings of training to start from: quick for a first look, standard, paper for 30,000 steps."""
+    """Training settings to start from: quick for a preview, standard, or paper with 30,000 steps."""
     blend: bool = True
-    """Write scene.blend too (needs Blender or the bpy module; without either it is left out and said so)."""
+    """Also write scene.blend; needs Blender or the bpy module."""
     scene: SceneConfig = field(default_factory=SceneConfig)
     photos: PhotosConfig = field(default_factory=PhotosConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     embed: EmbedConfig = field(default_factory=EmbedConfig)
-    """How Gaussians get features that words can query. These flags may go without their stage: --encoder clip."""
     count: CountConfig = field(default_factory=CountConfig)
     units: UnitsConfig = field(default_factory=UnitsConfig)
 
 
 def blend_writer(wanted: bool) -> dict[str, Writer]:
-    """The writer of scene.blend where bpy can be imported; that is tried at once, not at the end of a long run."""
+    """The writer of scene.blend if bpy can be imported; checked now, not at the end of a long run."""
     if not wanted:
         return {}
     try:
         from fruitlangs.operators.data.write import write_blend
         from fruitlangs.operators.data.write_gaussians import asked_words
     except ImportError as error:
-        print(f"scene.blend is left out: bpy cannot be imported ({error}); pip install bpy", file=sys.stderr)
+        print(
+            f"scene.blend is not written: bpy cannot be imported ({error}). Run: pip install bpy",
+            file=sys.stderr,
+        )
         return {}
 
     def write(path: Path, result: Result) -> None:
@@ -96,7 +102,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
 def main() -> None:
     arguments = parse()
     if not arguments.prompt:
-        raise ConfigError('no prompt is given; say what to count, for example --prompt apple or --prompt "red apple"')
+        raise ConfigError('No prompt is given. Add what to count, for example --prompt apple or --prompt "red apple".')
     from fruitlangs.engine.pipeline import count_scene
     from fruitlangs.engine.report.tables import summary
     from fruitlangs.engine.report.words import scale_text
@@ -146,6 +152,9 @@ def parse() -> Arguments:
     preset = preset_of(given)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])
+    if asked_for_help(given):
+        print(help_text("count_fruit.py", default, EXAMPLE, every="--help-all" in given))
+        sys.exit(0)
     return tyro.cli(Arguments, args=given, default=default, prog="count_fruit.py", description=Arguments.__doc__)
 
 

@@ -1,37 +1,57 @@
-"""The settings that fold out below a step, generated from the engine's configs."""
+"""The settings panels below a step, generated from the engine's configs: common, advanced and experimental settings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
 
 import bpy
 
+from ...engine.config import STAGES
+from ...engine.setting import LEVELS, Level, level_of
 from ...operators.jobs.jobs import running
-from ..properties import STAGES
 from .panel_parts import SidebarPanel, draw_settings
 
-HEADINGS = {"scene": "Photos", "photos": "Finding cameras", "embed": "Language", "count": "Counting"}
+HEADINGS = {"scene": "Photos", "photos": "Camera Search", "embed": "Features", "count": "Counting", "units": "Scale"}
+LABELS: dict[Level, str] = {"common": "Settings", "advanced": "Advanced", "experimental": "Experimental"}
 
 
-def settings_panel(parent: type, stages: Sequence[str]) -> type:
-    """A panel, closed at first, with every setting of these stages below the step `parent`."""
+def settings_panels(step: type, stages: Sequence[str]) -> tuple[type, ...]:
+    """Panels, closed at first, with the settings of some stages: common ones below `step`, the others below these."""
+    panels: list[type] = []
+    for level in LEVELS:
+        names = {stage: settings_of(stage, level) for stage in stages}
+        if any(names.values()):
+            panels.append(_panel(panels[0] if panels else step, level, names))
+    return tuple(panels)
+
+
+def settings_of(stage: str, level: Level) -> list[str]:
+    """Names of the settings of a stage and level."""
+    return [setting.name for setting in fields(STAGES[stage]) if level_of(setting) == level]
+
+
+def _panel(parent: type, level: Level, names: dict[str, list[str]]) -> type:
+    """The panel of one level below `parent`; names: {stage: its settings}."""
 
     def draw(self: bpy.types.Panel, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.enabled = running() is None
-        for stage in stages:
-            if len(stages) > 1:
-                layout.label(text=HEADINGS.get(stage, stage.capitalize()))
-            draw_settings(layout, getattr(context.scene.fruitlangs.config, stage), STAGES[stage].__annotations__)
+        shown = {stage: settings for stage, settings in names.items() if settings}
+        for stage, settings in shown.items():
+            if len(shown) > 1:
+                layout.label(text=HEADINGS[stage])
+            draw_settings(layout, getattr(context.scene.fruitlangs.config, stage), settings)
 
-    name = f"{parent.__name__}_settings"
-    content = {
-        "__doc__": settings_panel.__doc__,
+    name = f"{parent.__name__.removesuffix('_settings')}_{'settings' if level == 'common' else level}"
+    content: dict[str, Any] = {
+        "__doc__": f"{LABELS[level]} below a step.",
         "__module__": __name__,
         "bl_idname": name,
-        "bl_label": "Settings",
+        "bl_label": LABELS[level],
         "bl_parent_id": parent.__name__,
         "bl_options": {"DEFAULT_CLOSED"},
         "draw": draw,

@@ -7,7 +7,7 @@ import bpy
 from ...operators.jobs.jobs import running
 from ...operators.steps.ask import FRUITLANGS_OT_ask
 from .panel_parts import StepPanel, draw_text
-from .settings_panels import settings_panel
+from .settings_panels import settings_panels
 
 
 class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
@@ -32,6 +32,6 @@ class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
         layout.operator(FRUITLANGS_OT_ask.bl_idname, icon="QUESTION")
 
 
-FRUITLANGS_PT_ask_settings = settings_panel(FRUITLANGS_PT_ask, ("embed",))
+SETTINGS = settings_panels(FRUITLANGS_PT_ask, ("embed",))
 
-CLASSES = (FRUITLANGS_PT_ask, FRUITLANGS_PT_ask_settings)
+CLASSES = (FRUITLANGS_PT_ask, *SETTINGS)

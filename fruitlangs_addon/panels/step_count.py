@@ -9,7 +9,7 @@ import bpy
 from ...operators.steps.count import FRUITLANGS_OT_count
 from ...operators.steps.show_result import size_text
 from .panel_parts import StepPanel, draw_job, draw_text
-from .settings_panels import settings_panel
+from .settings_panels import settings_panels
 
 
 class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
@@ -49,6 +49,6 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     draw_text(box, result.folder, context)
 
 
-FRUITLANGS_PT_count_settings = settings_panel(FRUITLANGS_PT_count, ("count",))
+SETTINGS = settings_panels(FRUITLANGS_PT_count, ("count",))
 
-CLASSES = (FRUITLANGS_PT_count, FRUITLANGS_PT_count_settings)
+CLASSES = (FRUITLANGS_PT_count, *SETTINGS)

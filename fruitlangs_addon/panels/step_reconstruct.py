@@ -7,7 +7,7 @@ import bpy
 from ...operators.jobs.jobs import running
 from ...operators.steps.reconstruct import FRUITLANGS_OT_reconstruct
 from .panel_parts import StepPanel, draw_job, draw_settings, draw_splat_problem, draw_text
-from .settings_panels import settings_panel
+from .settings_panels import settings_panels
 
 MAIN = ("steps", "max_gaussians")
 """The settings most people change; the others fold out below."""
@@ -41,6 +41,6 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
                 draw_text(layout, result.notices, context)
 
 
-FRUITLANGS_PT_reconstruct_settings = settings_panel(FRUITLANGS_PT_reconstruct, ("train",))
+SETTINGS = settings_panels(FRUITLANGS_PT_reconstruct, ("train",))
 
-CLASSES = (FRUITLANGS_PT_reconstruct, FRUITLANGS_PT_reconstruct_settings)
+CLASSES = (FRUITLANGS_PT_reconstruct, *SETTINGS)

@@ -14,7 +14,7 @@ from ...operators.tools.level import FRUITLANGS_OT_set_ground
 from ...operators.tools.scale import FRUITLANGS_OT_measure, scale_text
 from .missing_packages import draw_missing_packages
 from .panel_parts import StepPanel, draw_job, draw_text
-from .settings_panels import settings_panel
+from .settings_panels import settings_panels
 
 
 class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
@@ -52,6 +52,6 @@ def draw_tools(layout: Any, context: bpy.types.Context) -> None:
     layout.label(text=scale_text(context.scene) or "Scale not known: sizes are in scene units")
 
 
-FRUITLANGS_PT_scene_settings = settings_panel(FRUITLANGS_PT_scene, ("scene", "photos", "units"))
+SETTINGS = settings_panels(FRUITLANGS_PT_scene, ("scene", "photos", "units"))
 
-CLASSES = (FRUITLANGS_PT_scene, FRUITLANGS_PT_scene_settings)
+CLASSES = (FRUITLANGS_PT_scene, *SETTINGS)

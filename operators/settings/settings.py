@@ -6,11 +6,7 @@ the command line's flag.
 
 from __future__ import annotations
 
-import ast
 import dataclasses
-import inspect
-import itertools
-import textwrap
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -20,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ...engine.config import LARGEST, path_kind, range_of
 from ...engine.errors import FruitLangsError, SceneError, VocabularyError
+from ...engine.setting import LARGEST, field_docs, path_kind, range_of
 from .preference_values import with_preferred_folders
 from .region import in_region
 from .source_mark import has_mark
@@ -42,21 +38,6 @@ MEASURES = {
     "count": ("diameter", "box", "polygon", "heights", "tree_places"),
 }
 """{stage: settings} that say something of one source's frame only."""
-
-
-def field_docs(config_class: type) -> dict[str, str]:
-    """{field: the string below it} of a dataclass, from its source, in one line each."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(config_class))).body[0].body  # type: ignore[attr-defined]
-    docs = {}
-    for statement, following in itertools.pairwise(body):
-        if (
-            isinstance(statement, ast.AnnAssign)
-            and isinstance(statement.target, ast.Name)
-            and isinstance(following, ast.Expr)
-            and isinstance(following.value, ast.Constant)
-        ):
-            docs[statement.target.id] = " ".join(str(following.value.value).split())
-    return docs
 
 
 def config_properties(config_class: type, updates: Mapping[str, Callable[..., None]] = {}) -> dict[str, Any]:

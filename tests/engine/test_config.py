@@ -7,8 +7,9 @@ import re
 import pytest
 
 from fruitlangs.engine.cache import stage_key
-from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.config import REMOVED, STAGES, Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.setting import level_of
 
 
 def test_a_config_survives_its_document() -> None:
@@ -21,6 +22,22 @@ def test_a_document_of_another_version_is_an_error() -> None:
     document["train"]["no_such_setting"] = 1
     with pytest.raises(ConfigError, match="another version"):
         Config.from_document(document)
+
+
+def test_a_document_with_settings_that_were_removed_is_read_if_they_had_their_defaults() -> None:
+    document = dataclasses.asdict(Config())
+    for stage, settings in REMOVED.items():
+        document[stage] |= settings
+    assert Config.from_document(document) == Config()
+    document["train"]["ssim_weight"] = 0.5
+    with pytest.raises(ConfigError, match=r"made with --train\.ssim-weight 0\.5, a removed setting"):
+        Config.from_document(document)
+
+
+def test_ten_settings_or_fewer_are_common() -> None:
+    levels = [level_of(field) for stage in STAGES.values() for field in dataclasses.fields(stage)]
+    assert 0 < levels.count("common") <= 10
+    assert levels.count("experimental") > 0
 
 
 @pytest.mark.parametrize(
@@ -45,7 +62,7 @@ def test_a_document_of_another_version_is_an_error() -> None:
 )
 def test_a_senseless_setting_is_an_error_that_names_it(stage: type, setting: str, value: object) -> None:
     stage_name = stage.__name__.removesuffix("Config").lower()
-    with pytest.raises(ConfigError, match=re.escape(f"--{stage_name}.{setting.replace('_', '-')} is {value}; use ")):
+    with pytest.raises(ConfigError, match=re.escape(f"--{stage_name}.{setting.replace('_', '-')} is {value}. Use ")):
         stage(**{setting: value})
 
 

@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = (
     # The engine, from the ground up.
-    ("engine/errors", "engine/progress", "engine/user_folders"),
+    ("engine/errors", "engine/progress", "engine/setting", "engine/user_folders"),
     ("engine/files", "engine/config", "engine/compiled", "engine/child_process"),
     ("engine/cache",),
     ("engine/scene/camera", "engine/scene/pycolmap_import"),

@@ -26,7 +26,6 @@ from .features import Features
 from .lift_segments import judge_features
 from .semantic_kernels import semantic_loss
 
-
 WEIGHT, LEARNING_RATE = 0.1, 0.02
 """Weight of the semantic loss relative to the photometric one (the paper's λ_sem), and learning rate of the codes."""
 

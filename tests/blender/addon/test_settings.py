@@ -6,8 +6,10 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fruitlangs.engine.config import PRESETS, Config, TrainConfig, UnitsConfig
+from fruitlangs.engine.config import PRESETS, STAGES, Config, UnitsConfig
 from fruitlangs.engine.errors import ConfigError, SceneError, VocabularyError
+from fruitlangs.engine.setting import field_docs
+from fruitlangs.fruitlangs_addon.panels.settings_panels import settings_of
 from fruitlangs.operators.settings import settings as conversions
 
 
@@ -19,7 +21,7 @@ def test_every_setting_of_every_stage_has_a_property_with_its_text(extension):
     for stage, config_class in conversions.stage_classes().items():
         properties = getattr(bpy.context.scene.fruitlangs.config, stage).bl_rna.properties
         for field in dataclasses.fields(config_class):
-            text = conversions.field_docs(config_class)[field.name]
+            text = field_docs(config_class)[field.name]
             assert properties[field.name].description.startswith(text.rstrip("."))
 
 
@@ -39,8 +41,18 @@ def test_a_path_relative_to_a_blend_never_saved_is_an_error_that_says_so(extensi
         conversions.read_config(bpy.context.scene.fruitlangs)
 
 
-def test_field_docs_are_the_strings_below_the_fields():
-    assert conversions.field_docs(TrainConfig)["steps"] == "Optimiser steps, one photo each."
+def test_every_setting_is_in_one_panel_and_the_experimental_ones_are_in_panels_of_their_own(extension):
+    shown = {
+        level: {f"{stage}.{name}" for stage in STAGES for name in settings_of(stage, level)}
+        for level in ("common", "advanced", "experimental")
+    }
+    everything = {f"{stage}.{field.name}" for stage, kind in STAGES.items() for field in dataclasses.fields(kind)}
+    assert sum(map(len, shown.values())) == len(everything)
+    assert set.union(*shown.values()) == everything
+    assert "count.threshold" in shown["common"]
+    assert "train.literal_pairs" in shown["experimental"]
+    panel = bpy.types.FRUITLANGS_PT_count_experimental
+    assert (panel.bl_parent_id, panel.bl_label) == ("FRUITLANGS_PT_count_settings", "Experimental")
 
 
 def test_changed_settings_arrive_as_typed(extension):
@@ -88,7 +100,7 @@ def test_units_without_anything_typed_are_not_given_and_typed_ones_arrive(extens
 def test_one_photo_where_two_are_asked_for_is_the_configs_own_error(extension):
     units = bpy.context.scene.fruitlangs.config.units
     units.length, units.cameras = 2.5, "IMG_1.jpg"
-    with pytest.raises(ConfigError, match="name two photos"):
+    with pytest.raises(ConfigError, match="Give the names of two photos"):
         conversions.read_config(bpy.context.scene.fruitlangs)
 
 

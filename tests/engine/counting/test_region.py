@@ -193,9 +193,9 @@ def test_an_outline_that_is_none_is_an_error(corners: list[list[float]], problem
         ({"polygon": ("0", "b", "0")}, "--count.polygon is 0 b 0; use three or more corners"),
         ({"box": (0, 0, 0, 1, 1, 1), "polygon": tuple(range(9))}, "both given"),
         ({"heights": (0, 1)}, "--count.heights is given without --count.polygon"),
-        ({"polygon": tuple(range(9)), "heights": (1, 1)}, "use two different finite numbers"),
+        ({"polygon": tuple(range(9)), "heights": (1, 1)}, "Use two different finite numbers"),
         ({"tree_places": (1, 2)}, "--count.tree-places is 1 2; use x y z of each tree"),
-        ({"tree_places": (1, 2, 3, 1, 2, 3)}, "one place twice"),
+        ({"tree_places": (1, 2, 3, 1, 2, 3)}, "the same position twice"),
         ({"tree_places": (1, 2, 3), "trees": 2}, "--count.trees is 2 and --count.tree-places has 1 trees"),
     ],
 )
