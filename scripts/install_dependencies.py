@@ -43,9 +43,9 @@ def main() -> int:
 
 
 def extension_or_checkout() -> ModuleType:
-    """`operators.dependencies` of the extension that this Blender has enabled, else of this checkout."""
+    """`operators.packages.dependencies` of the extension that this Blender has enabled, else of this checkout."""
     for name, module in list(sys.modules.items()):
-        if name.startswith("bl_ext.") and name.endswith(".fruitlangs.operators.dependencies"):
+        if name.startswith("bl_ext.") and name.endswith(".fruitlangs.operators.packages.dependencies"):
             return module
     import _checkout  # noqa: F401
 

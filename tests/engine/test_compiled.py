@@ -16,7 +16,7 @@ sys.path.insert(0, {str(ROOT / "scripts")!r})
 import _checkout
 import threading
 import numpy as np
-from fruitlangs.engine import compiled
+from fruitlangs.engine.compiled import jit as compiled
 
 def add(values):
     for k in compiled.prange(len(values)):
@@ -46,8 +46,8 @@ import hashlib
 from pathlib import Path
 from fruitlangs.engine.config import SceneConfig, TrainConfig
 from fruitlangs.engine.scene.read import read_scene
-from fruitlangs.engine.splatting.train import train
-example = Path(compiled.__file__).parents[1] / "examples" / "orchard_tree"
+from fruitlangs.engine.splatting.training.train import train
+example = Path(compiled.__file__).parents[2] / "examples" / "orchard_tree"
 gaussians = train(read_scene(example, SceneConfig(downscale=4)), TrainConfig(steps=25)).gaussians
 print(hashlib.sha256(gaussians.means.numpy().tobytes()).hexdigest())
 """

@@ -220,7 +220,7 @@ def test_clumps_of_one_size_touch():
 
 
 def test_an_unknown_setting_is_one_line():
-    command = [sys.executable, str(ROOT / "scripts" / "compare_counting.py"), "--settings", "easy"]
+    command = [sys.executable, str(ROOT / "scripts" / "developer" / "compare_counting.py"), "--settings", "easy"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: there is no setting 'easy'")

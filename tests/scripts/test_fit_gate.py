@@ -98,7 +98,7 @@ def test_rendered_walks_of_seeds_for_tests_are_refused_before_anything_is_traine
 def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
     out = tmp_path / "gate.json"
     out.write_text(json.dumps({"kept": True}))
-    command = [sys.executable, str(ROOT / "scripts" / "fit_gate.py"), "--first", "3", "--out", str(out)]
+    command = [sys.executable, str(ROOT / "scripts" / "developer" / "fit_gate.py"), "--first", "3", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: seeds below 1000 are for tests and tables")

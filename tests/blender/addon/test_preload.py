@@ -19,7 +19,7 @@ SCRIPT = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import _checkout
-from fruitlangs.operators.preload import preload_libraries
+from fruitlangs.operators.jobs.preload import preload_libraries
 before = set(sys.modules)
 preload_libraries()
 print(*(set(sys.modules) - before))

@@ -281,7 +281,7 @@ import sys
 sys.path.insert(0, {str(SCRIPTS)!r})
 import _checkout
 from pathlib import Path
-from fruitlangs.operators.write import save_blend
+from fruitlangs.operators.data.write import save_blend
 save_blend(Path({str(tmp_path)!r}) / "scene.blend")
 print("saved")
 """

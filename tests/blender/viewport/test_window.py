@@ -20,7 +20,7 @@ WINDOW = os.environ.get("FRUITLANGS_WINDOW")
 
 @pytest.mark.skipif(not WINDOW, reason="set FRUITLANGS_WINDOW to a command that opens a Blender window to run this")
 def test_a_day_in_the_window_goes_as_it_should(balls, tmp_path):
-    script = ROOT / "scripts" / "picture_guide.py"
+    script = ROOT / "scripts" / "developer" / "picture_guide.py"
     blender = [*shlex.split(str(WINDOW)), "--enable-event-simulate", "-P", str(script), "--"]
     options = ["--steps", "150", "--threshold", "0.3", "--other", "grass", "--folder", str(tmp_path)]
     done = subprocess.run(
@@ -34,7 +34,7 @@ def test_a_day_in_the_window_goes_as_it_should(balls, tmp_path):
 @pytest.mark.skipif(not WINDOW, reason="set FRUITLANGS_WINDOW to a command that opens a Blender window to run this")
 def test_splats_are_drawn_and_measured_in_a_window(tmp_path):
     out = tmp_path / "window.json"
-    script = [str(ROOT / "scripts" / "benchmark_window.py"), "--", "--gaussians", "500", "--repeats", "1"]
+    script = [str(ROOT / "scripts" / "developer" / "benchmark_window.py"), "--", "--gaussians", "500", "--repeats", "1"]
     done = subprocess.run(
         [*shlex.split(str(WINDOW)), "-P", *script, "--out", str(out)],
         capture_output=True,

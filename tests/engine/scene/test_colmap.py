@@ -277,7 +277,7 @@ def test_reading_a_model_leaves_sigterm_to_the_program() -> None:
 import os, signal, sys
 sys.path.insert(0, {str(Path(__file__).resolve().parents[3] / "scripts")!r})
 import _checkout
-from fruitlangs.engine.scene.colmap_library import colmap_library
+from fruitlangs.engine.scene.pycolmap_import import colmap_library
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))
 colmap_library()
 os.kill(os.getpid(), signal.SIGTERM)

@@ -179,7 +179,7 @@ def test_a_cancel_ends_the_child_while_it_is_busy(monkeypatch: pytest.MonkeyPatc
 def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     script = (
         "import os, sys, time; sys.path.insert(0, sys.argv[1]); import _checkout\n"
-        "from fruitlangs.engine.scene.child_process import end_with_parent\n"
+        "from fruitlangs.engine.child_process import end_with_parent\n"
         "end_with_parent(); print(os.getpid(), flush=True)\nwhile True: time.sleep(0.05)"
     )
     scripts = str(Path(__file__).resolve().parents[3] / "scripts")

@@ -160,7 +160,7 @@ import _checkout
 from pathlib import Path
 from splats import drawn_scene
 from fruitlangs.engine.config import TrainConfig
-from fruitlangs.engine.splatting.train import train
+from fruitlangs.engine.splatting.training.train import train
 config = TrainConfig(steps=100000, max_gaussians=900, sh_degree=1, checkpoint_every=1)
 train(drawn_scene(), config, checkpoint=Path(sys.argv[1]))
 """
