@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from .compile_ahead import compiled_ahead
 from .config import Config
 from .counting.accounts.ids import NOBODY, KnownFruit
 from .counting.count import count_fruit
@@ -134,15 +135,16 @@ def _made(
         check_prompts(embedder.encoder, [config.units.object])
     if foreign is not None:
         check_foreign(source, foreign, out)
-    if (source / FRUITS_JSON).is_file():
-        made = reopen(source, out, embedder, config, stages)
-        require_writable(out / "cache")
-    elif out.resolve() == (source.parent if source.is_file() else source).resolve():
-        raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
-    elif foreign is not None or source.suffix.lower() == ".ply":
-        made = adopt(source, foreign, out / "cache", embedder, config, stages, progress)
-    else:
-        made = reconstruct(source, out / "cache", embedder, config, stages, progress, watch)
+    with compiled_ahead(progress, 1.0):
+        if (source / FRUITS_JSON).is_file():
+            made = reopen(source, out, embedder, config, stages)
+            require_writable(out / "cache")
+        elif out.resolve() == (source.parent if source.is_file() else source).resolve():
+            raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
+        elif foreign is not None or source.suffix.lower() == ".ply":
+            made = adopt(source, foreign, out / "cache", embedder, config, stages, progress)
+        else:
+            made = reconstruct(source, out / "cache", embedder, config, stages, progress, watch)
     return scaled(made, embedder.encoder, config.units, stages)
 
 

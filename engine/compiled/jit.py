@@ -25,7 +25,7 @@ from numba import prange
 
 from ..user_folders import KERNELS, kernels_folder
 
-__all__ = ["CACHE_FOLDER", "compiled_before", "kernel", "njit", "prange", "threads"]
+__all__ = ["CACHE_FOLDER", "all_compiled", "kernel", "mark_compiled", "njit", "prange", "threads"]
 
 _ENGINE = Path(__file__).resolve().parents[1]
 _config: Any = numba.config  # its attributes appear at run time
@@ -54,13 +54,21 @@ def _cache_folder() -> Path | None:
     return folder
 
 
+_COMPLETE = "complete"
+"""Name of the file in the cache that records that all kernels have been compiled."""
 CACHE_FOLDER: Path | None = _cache_folder()
 """Where machine code is kept between runs; None when no place for it can be written."""
 
 
-def compiled_before() -> bool:
-    """Whether an earlier run left its machine code, so that this one need not compile for half a minute."""
-    return CACHE_FOLDER is not None and any(CACHE_FOLDER.rglob("*.nbi"))
+def all_compiled() -> bool:
+    """Whether the cache holds the machine code of all kernels, so that nothing has to be compiled."""
+    return CACHE_FOLDER is not None and (CACHE_FOLDER / _COMPLETE).is_file()
+
+
+def mark_compiled() -> None:
+    """Record that all kernels have been compiled."""
+    if CACHE_FOLDER is not None:
+        (CACHE_FOLDER / _COMPLETE).touch()
 
 
 @contextmanager

@@ -75,10 +75,16 @@ def test_machine_code_goes_to_a_folder_named_after_the_sources(tmp_path: Path) -
     assert Path(folder).name.startswith("kernels-")
 
 
-def test_the_first_run_of_a_machine_is_known_by_its_missing_machine_code(tmp_path: Path) -> None:
-    ask = "print(compiled.compiled_before())"
+def test_a_cache_is_complete_only_when_it_was_marked(tmp_path: Path) -> None:
+    ask = "print(compiled.all_compiled())"
     assert python(tmp_path, ask + CALL, NUMBA_CACHE_DIR=str(tmp_path)).startswith("False")
-    assert python(tmp_path, ask, NUMBA_CACHE_DIR=str(tmp_path)) == "True"
+    assert python(tmp_path, "compiled.mark_compiled()\n" + ask, NUMBA_CACHE_DIR=str(tmp_path)) == "True"
+
+
+def test_what_is_compiled_ahead_is_all_that_a_first_count_needs(tmp_path: Path, few_photos: Path) -> None:
+    assert python(tmp_path, AHEAD, NUMBA_CACHE_DIR=str(tmp_path)).endswith("True")
+    program = FIRST_COUNT.format(scene=str(few_photos), out=str(tmp_path / "out"))
+    assert python(tmp_path, program, NUMBA_CACHE_DIR=str(tmp_path)) == "[]"
 
 
 def test_without_a_writable_cache_kernels_still_run(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ LAYERS = (
     ("engine/counting/regions", "engine/counting/published"),
     ("engine/counting/accounts",),
     ("engine/counting/count",),
-    ("engine/report",),
+    ("engine/report", "engine/compile_ahead"),
     ("engine/evaluation/truth", "engine/evaluation/number_table"),
     ("engine/evaluation/datasets", "engine/evaluation"),
     ("engine/reconstruction",),

@@ -41,7 +41,10 @@ NAMES = ["a.jpg", "row/b.jpg", "pano.jpg@front"]
         ({"metres_per_unit": -2.0}, "--units.metres-per-unit is -2.0"),
         ({"length": 2.5}, "is 2.5 m, but what it measures is missing"),
         ({"object": "bucket"}, "--units.object has no length"),
-        ({"length": 1.0, "object": "bucket", "cameras": ("a", "b")}, "--units.cameras and --units.object are both given"),
+        (
+            {"length": 1.0, "object": "bucket", "cameras": ("a", "b")},
+            "cameras and --units.object are both given",
+        ),
         ({"length": 1.0, "metres_per_unit": 1.0}, "metres-per-unit and a known length are both given"),
         ({"object": "bucket", "metres_per_unit": 1.0}, "metres-per-unit and a known length are both given"),
         ({"length": 1.0, "cameras": ("a.jpg", "a.jpg")}, "a.jpg, a.jpg. Give the names of two photos"),

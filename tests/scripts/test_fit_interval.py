@@ -75,7 +75,14 @@ def test_settings_drawn_at_random_differ_and_span_the_named_ones():
 
 
 def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
-    command = [sys.executable, str(ROOT / "scripts" / "developer" / "fit_interval.py"), "--first", "3", "--out", str(tmp_path / "i")]
+    command = [
+        sys.executable,
+        str(ROOT / "scripts" / "developer" / "fit_interval.py"),
+        "--first",
+        "3",
+        "--out",
+        str(tmp_path / "i"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: seeds below 1000 are for tests and tables")

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...compiled.jit import compiled_before
+from ...compiled.jit import all_compiled
 from ...config import TrainConfig
 from ...errors import TrainingError
 from ...progress import Progress, silent
@@ -175,8 +175,8 @@ def _train(
 ) -> Training:
     channels = 0 if extra is None else extra.count
     state = _resume(checkpoint, key, progress) or _start(shelf, views, config, channels, progress)
-    if not compiled_before():
-        progress(0.0, "compiling for this machine, about half a minute, the first time only")
+    if not all_compiled():
+        progress(0.0, "Compiling for this computer, about 15 s (first run only)")
     schedule = Schedule(config, scene)
     step = Step(schedule, extra)
     blank = 0

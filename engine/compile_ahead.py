@@ -1,0 +1,139 @@
+"""Compiles the kernels of later stages in another process, the first time that this computer counts.
+
+All kernels take Numba most of a minute. Those of training are compiled when training starts. Meanwhile a child process
+counts, lifts and trains a small synthetic scene; this leaves the machine code in the cache of `compiled.jit`, where the
+later stages find it. If cameras have to be found first, training finds its machine code there too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Event, Thread
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .child_process import ChildError, end_with_parent, run_child, tell
+from .compiled.jit import CACHE_FOLDER, all_compiled, mark_compiled
+from .config import CountConfig, TrainConfig
+from .counting.count import count_fruit
+from .errors import Cancelled
+from .language.features.lift import lift_features
+from .progress import Progress
+from .scene.camera import ArrayPhoto, Camera, Scene, looking
+from .splatting.gaussians import Gaussians
+from .splatting.training.train import train
+
+COUNTING = 0.5
+"""Progress of the child when the kernels of counting are compiled; those of training follow."""
+POLL_SECONDS = 0.2
+FRUITS, PER_FRUIT, VIEWS = 5, 400, 12
+WIDTH, HEIGHT, FOCAL = 160, 120, 160.0
+
+
+class Compilation:
+    """The child that compiles."""
+
+    def __init__(self) -> None:
+        self._counting, self._stopped = Event(), Event()
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        def follow(fraction: float, message: str) -> None:
+            if fraction >= COUNTING:
+                self._counting.set()
+            if self._stopped.is_set():
+                raise Cancelled("compilation is not needed any more")
+
+        try:
+            with TemporaryDirectory() as folder:
+                run_child("compile_ahead", [], Path(folder) / "log.txt", follow)
+        except (ChildError, Cancelled, OSError):
+            pass  # then the kernels are compiled where they are called first
+        finally:
+            self._counting.set()
+
+    def wait_for_counting(self, progress: Progress, fraction: float) -> None:
+        """Return when the kernels of counting are compiled, reporting at `fraction` meanwhile.
+
+        Raises:
+            Cancelled: `progress` asked for it.
+        """
+        while not self._counting.wait(POLL_SECONDS):
+            progress(fraction, "Compiling for this computer (first run only)")
+
+    def stop(self) -> None:
+        """End the child."""
+        self._stopped.set()
+
+
+@contextmanager
+def compiled_ahead(progress: Progress, fraction: float) -> Iterator[None]:
+    """Compile the kernels of counting while the block runs; it ends when they are compiled, reporting at `fraction`.
+
+    Does nothing on a computer that has counted before, or that cannot keep machine code.
+
+    Raises:
+        Cancelled: `progress` asked for it.
+    """
+    if all_compiled() or CACHE_FOLDER is None:
+        yield
+        return
+    compilation = Compilation()
+    try:
+        yield
+        compilation.wait_for_counting(progress, fraction)
+    except BaseException:
+        compilation.stop()
+        raise
+
+
+def main(arguments: Sequence[str]) -> None:
+    """The child: count, lift and train a small synthetic scene. arguments: none."""
+    end_with_parent()
+    gaussians, probability, cameras = _scene()
+    count_fruit(gaussians, probability, cameras, CountConfig(threshold=0.3), label="fruit")
+    lift_features(gaussians, cameras, (torch.ones(HEIGHT, WIDTH, 4) for _ in cameras), encoder_id="none")
+    tell(COUNTING, "training")
+    photo = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
+    points = gaussians.means.double().numpy()
+    scene = Scene(
+        cameras=cameras,
+        images=[ArrayPhoto(f"{view:02d}", photo) for view in range(VIEWS)],
+        points=points,
+        colors=np.full((len(points), 3), 128, np.uint8),
+        up=np.array([0.0, 0.0, 1.0]),
+    )
+    train(scene, TrainConfig(steps=20, max_gaussians=4 * len(points), densify_every=5))
+    mark_compiled()
+    tell(1.0, "done")
+
+
+def _scene() -> tuple[Gaussians, NDArray[np.float64], list[Camera]]:
+    """A row of spheres, the second touching the first, whose surfaces are opaque Gaussians; and cameras around them."""
+    rng = np.random.default_rng(0)
+    centers = np.zeros((FRUITS, 3))
+    centers[:, 0] = [-2.2, -1.2, 0.2, 1.6, 3.0]
+    normals = rng.normal(size=(FRUITS * PER_FRUIT, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    means = np.repeat(centers, PER_FRUIT, axis=0) + 0.5 * normals
+    # The rotation that takes z to the normal: the flat side of a Gaussian lies in the surface.
+    quats = np.stack([1.0 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))], axis=1)
+    gaussians = Gaussians(
+        means=torch.tensor(means, dtype=torch.float32),
+        log_scales=torch.tensor(np.log([0.06, 0.06, 0.01]), dtype=torch.float32).repeat(len(means), 1),
+        quats=torch.tensor(quats, dtype=torch.float32),
+        opacity_logits=torch.full((len(means),), 3.0),
+        sh=torch.zeros(len(means), 9, 3),
+    )
+    K = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    cameras = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, VIEWS, endpoint=False):
+        place = np.array([7.0 * np.cos(angle), 7.0 * np.sin(angle), 2.0])
+        cameras.append(Camera(K, looking(place, -place, np.array([0.0, 0.0, 1.0])), WIDTH, HEIGHT))
+    return gaussians, np.full(len(means), 0.9), cameras
