@@ -1,8 +1,8 @@
 """Compiles the kernels of later stages in another process, the first time that this computer counts.
 
-All kernels take Numba most of a minute. Those of training are compiled when training starts. Meanwhile a child process
-counts, lifts and trains a small synthetic scene; this leaves the machine code in the cache of `compiled.jit`, where the
-later stages find it. If cameras have to be found first, training finds its machine code there too.
+All kernels take Numba about a minute. The forward pass is compiled when training starts. Meanwhile a child process
+compiles the backward pass, and then counts, lifts and trains a small synthetic scene. This leaves machine code in the
+cache of `compiled.jit`, where training and the later stages find it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ from .language.features.lift import lift_features
 from .progress import Progress
 from .scene.camera import ArrayPhoto, Camera, Scene, looking
 from .splatting.gaussians import Gaussians
+from .splatting.kernels.records import RECORD, TILE_HEIGHT, TILE_WIDTH
+from .splatting.kernels.tile import CHANNELS
+from .splatting.rendering.render import DrawRules, Tiles, pull_view
+from .splatting.rendering.workspace import Workspace
+from .splatting.training.losses import PhotometricLoss
+from .splatting.training.step import SSIM_WEIGHT
 from .splatting.training.train import train
 
 COUNTING = 0.5
@@ -97,6 +103,7 @@ def main(arguments: Sequence[str]) -> None:
     """The child: count, lift and train a small synthetic scene. arguments: none."""
     end_with_parent()
     gaussians, probability, cameras = _scene()
+    _compile_backward(cameras[0])
     count_fruit(gaussians, probability, cameras, CountConfig(threshold=0.3), label="fruit")
     lift_features(gaussians, cameras, (torch.ones(HEIGHT, WIDTH, 4) for _ in cameras), encoder_id="none")
     tell(COUNTING, "training")
@@ -112,6 +119,26 @@ def main(arguments: Sequence[str]) -> None:
     train(scene, TrainConfig(steps=20, max_gaussians=4 * len(points), densify_every=5))
     mark_compiled()
     tell(1.0, "done")
+
+
+def _compile_backward(camera: Camera) -> None:
+    """Compile what a step of training needs last: the loss and the backward pass, with no Gaussian."""
+    workspace = Workspace()
+    shapes = {"means": (0, 3), "log_scales": (0, 3), "quats": (0, 4), "opacity_logits": (0,), "sh": (0, 9, 3)}
+    parameters = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    rules, features = DrawRules(sh_degree=2), np.zeros((0, 0), np.float32)
+    columns, rows = -(-WIDTH // TILE_WIDTH), -(-HEIGHT // TILE_HEIGHT)
+    none, tile_starts = np.zeros(0, np.int32), np.zeros(columns * rows + 1, np.int64)
+    tiles = Tiles(
+        np.zeros((0, RECORD), np.float32), np.zeros(1, np.int64), none, columns, tile_starts, none, none,
+        np.arange(columns * rows),
+    )  # fmt: skip
+    planes = np.zeros((CHANNELS, HEIGHT, WIDTH), np.float32)
+    gradients = np.zeros((5, HEIGHT, WIDTH), np.float32)
+    photo = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    PhotometricLoss(SSIM_WEIGHT, workspace).pull(planes[:3], photo, None, gradients[:3])
+    background = np.zeros(3, np.float32)
+    pull_view(parameters, camera, rules, tiles, planes, gradients, workspace, features=features, background=background)
 
 
 def _scene() -> tuple[Gaussians, NDArray[np.float64], list[Camera]]:

@@ -51,6 +51,26 @@ example = Path(compiled.__file__).parents[2] / "examples" / "orchard_tree"
 gaussians = train(read_scene(example, SceneConfig(downscale=4)), TrainConfig(steps=25)).gaussians
 print(hashlib.sha256(gaussians.means.numpy().tobytes()).hexdigest())
 """
+AHEAD = """
+from fruitlangs.engine import compile_ahead
+compile_ahead.end_with_parent = lambda: None
+compile_ahead.main([])
+print(compiled.all_compiled())
+"""
+FIRST_COUNT = """
+from numba.core import event
+from pathlib import Path
+from fruitlangs.engine.config import Config, CountConfig, TrainConfig
+from fruitlangs.engine.pipeline import count_scene
+names = []
+class Listener(event.Listener):
+    def on_start(self, started): names.append(started.data["dispatcher"].py_func.__qualname__)
+    def on_end(self, ended): pass
+event.register("numba:compile", Listener())
+config = Config(train=TrainConfig(steps=150, max_gaussians=3000), count=CountConfig(threshold=0.3))
+assert count_scene(Path({scene!r}), ["apple"], Path({out!r}), config=config).fruit_count.count == 5
+print(names)
+"""
 
 
 def python(folder: Path, program: str, **environment: str) -> str:
@@ -81,9 +101,9 @@ def test_a_cache_is_complete_only_when_it_was_marked(tmp_path: Path) -> None:
     assert python(tmp_path, "compiled.mark_compiled()\n" + ask, NUMBA_CACHE_DIR=str(tmp_path)) == "True"
 
 
-def test_what_is_compiled_ahead_is_all_that_a_first_count_needs(tmp_path: Path, few_photos: Path) -> None:
+def test_what_is_compiled_ahead_is_all_that_a_first_count_needs(tmp_path: Path, balls: Path) -> None:
     assert python(tmp_path, AHEAD, NUMBA_CACHE_DIR=str(tmp_path)).endswith("True")
-    program = FIRST_COUNT.format(scene=str(few_photos), out=str(tmp_path / "out"))
+    program = FIRST_COUNT.format(scene=str(balls), out=str(tmp_path / "out"))
     assert python(tmp_path, program, NUMBA_CACHE_DIR=str(tmp_path)) == "[]"
 
 
