@@ -30,7 +30,7 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         reason = error.strerror or error
-        raise OutputError(f"{path} cannot be written ({reason}); choose another output folder") from error
+        raise OutputError(f"{path} cannot be written ({reason}). Choose another output folder") from error
     finally:
         if temporary.exists():
             temporary.unlink()
@@ -75,7 +75,7 @@ def require_writable(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(
-            f"the output folder {folder} cannot be written ({error.strerror or error}); choose another with --out"
+            f"the output folder {folder} cannot be written ({error.strerror or error}). Choose another with --out"
         ) from error
 
 

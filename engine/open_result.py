@@ -14,7 +14,7 @@ from .language.features.embedder import Embedder
 from .language.prompts.selection import select
 from .publishing import Result
 from .reconstruction import Reconstruction, Stages, reopen
-from .report.results import FRUITS_JSON, near_members, read_results, stored_count
+from .report.results import FRUITS_JSON, near_members, read_results, source_of, stored_count
 from .report.selection import SELECTION, Selection, read_selection
 
 
@@ -34,14 +34,14 @@ def open_result(folder: Path) -> Result:
         selection = _selection(folder, document, made, stored, stages)
         counted = stored_count(document, selection.fruit_ids)
     except (KeyError, TypeError, ValueError) as error:
-        raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}); count again into this folder") from error
+        raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}). Count again into this folder") from error
     return Result(
         scene=made.scene,
         gaussians=made.gaussians,
         features=made.features,
         probability=selection.probability,
         fruit_count=counted,
-        origin=document["provenance"],
+        origin={**document["provenance"], "source": str(source_of(folder, document))},
         config=stored,
         seconds={},
         reused=stages.reused,
@@ -67,6 +67,6 @@ def _selection(
         encoder = Embedder.open(stored.embed).encoder
         probability = select(made.features, encoder, prompts, negatives, stored.count, means)
     except EncoderError as error:
-        stages.notices.append(f"what the words fit is not shown: {error}")
+        stages.notices.append(f"the match of the prompt is not shown: {error}")
         probability = torch.zeros(len(means))
     return Selection(probability, near_members(document, means.double().numpy()))

@@ -95,9 +95,9 @@ def count_scene(
         notices=[*stages.notices, *fruit_count.notices],
         out=out,
     )
-    progress(0.97, "writing results")
+    progress(0.97, "Writing results")
     result = publish(result, made, writers or {}, keep, stages)
-    progress(1.0, "done")
+    progress(1.0, "Done")
     return result
 
 
@@ -116,7 +116,7 @@ def reconstruct_scene(
     """
     stages = Stages()
     made = _made(source, out, Embedder.open(config.embed), config, foreign, watch, stages, progress)
-    progress(1.0, "done")
+    progress(1.0, "Done")
     return made, stages
 
 
@@ -140,7 +140,7 @@ def _made(
             made = reopen(source, out, embedder, config, stages)
             require_writable(out / "cache")
         elif out.resolve() == (source.parent if source.is_file() else source).resolve():
-            raise OutputError(f"{out} is the folder of the scene itself; choose another folder for the results")
+            raise OutputError(f"{out} is the folder of the scene itself. Choose another folder for the results")
         elif foreign is not None or source.suffix.lower() == ".ply":
             made = adopt(source, foreign, out / "cache", embedder, config, stages, progress)
         else:

@@ -27,7 +27,7 @@ from .report.meshes import write_glb, write_points_ply
 from .report.page import write_page
 from .report.pictures import write_strips
 from .report.provenance import run_stamp, versions
-from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, read_results, set_id
+from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, keep_source, read_results, set_id
 from .report.selection import SELECTION, write_selection
 from .report.still import draw_still, save_still
 from .report.tables import fruits_csv
@@ -84,21 +84,28 @@ def publish(
             result = dataclasses.replace(result, set_id=set_id(files))
             for name, write in writers.items():
                 write(staging / name, result)
+        source = Path(result.origin["source"])
         document = fruits_document(
             result.fruit_count,
             config=dataclasses.asdict(made.config),
-            provenance={**result.origin, "versions": versions(), **run_stamp(stages.seconds)},
+            provenance={
+                **result.origin,
+                "source": source.resolve().name,
+                "versions": versions(),
+                **run_stamp(stages.seconds),
+            },
             files=files,
             unhashed_files=list(writers),
             metres_per_unit=result.scene.metres_per_unit,
             known=result.known,
         )
         write_text(staging / FRUITS_JSON, dump(document))
+        keep_source(result.out, source)
         names = [*hashed, *writers, FRUITS_JSON]
         _move_into_place(staging, result.out, names, keep)
     except OSError as error:
         reason = error.strerror or error
-        raise OutputError(f"{result.out} cannot be written ({reason}); free space or choose another --out") from error
+        raise OutputError(f"{result.out} cannot be written ({reason}). Free space or choose another --out") from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     return dataclasses.replace(result, files=[result.out / name for name in names])

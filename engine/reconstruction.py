@@ -21,7 +21,7 @@ from .language.features.embedder import Embedder, portable
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
 from .progress import Progress, part
-from .report.results import FRUITS_JSON, read_results
+from .report.results import FRUITS_JSON, read_results, source_of
 from .scene.camera import Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
 from .scene.photos.photo import FilePhoto
@@ -102,8 +102,8 @@ def reconstruct(
         quality = _train_into(gaussians_file, scene, cache, embedder, config, stages, training, watch)
         if quality["ssim"] is not None and quality["ssim"] < POOR:
             stages.notices.append(
-                f"photos kept aside are hardly reproduced (SSIM {quality['ssim']:.2f}): cameras may be wrong, "
-                "and so may the count; look at the pictures, and take more photos in smaller steps"
+                f"held-out photos are reproduced poorly (SSIM {quality['ssim']:.2f}): the cameras and the "
+                "count may be wrong. Check the pictures, and take more photos in smaller steps"
             )
         cameras_file = gaussians_file.with_name(CAMERAS)
         scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
@@ -183,7 +183,7 @@ def check_foreign(source: Path, foreign: Path, out: Path) -> None:
     if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
         raise ConfigError(f"{source} holds its own Gaussians; with --gaussians give the photos and cameras as SCENE")
     if foreign.resolve().parent == out.resolve():
-        raise OutputError(f"{out} is the folder of {foreign.name} itself; choose another folder for the results")
+        raise OutputError(f"{out} is the folder of {foreign.name} itself. Choose another folder for the results")
 
 
 def _read_photos(source: Source, config: Config, stages: Stages, progress: Progress) -> Scene:
@@ -282,20 +282,22 @@ def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, s
             asked, before, usual = (_fixed(getattr(each, name)) for each in (config, stored, Config()))
             if asked not in (before, usual):
                 raise ConfigError(
-                    f"{folder} was made with other {name} settings; to use new ones give the photos' folder as SCENE"
+                    f"{folder} was made with other {name} settings. "
+                    "To change them, give the folder of the photos as SCENE"
                 )
         gaussians_file, features_file = folder / GAUSSIANS, folder / FEATURES
         features = load_features(features_file)
         if embedder is not None and features.encoder_id != embedder.encoder.identity:
             raise ConfigError(
-                f"{features_file} is of encoder {features.encoder_id}, not {embedder.encoder.identity}; "
-                "ask with the same --encoder, or give the folder of the photos as SCENE to embed it anew"
+                f"{features_file} is of encoder {features.encoder_id}, not {embedder.encoder.identity}. "
+                "Use the same --encoder, or give the folder of the photos as SCENE"
             )
         scene = _turned(read_cameras(folder / CAMERAS), config)
         kept = ("source", "inputs_sha256", "encoder", "training", "foreign", "scale")
         origin = {key: document["provenance"][key] for key in kept if key in document["provenance"]}
         gaussians = read_ply(gaussians_file)
-        source = Path(origin["source"])
+        source = source_of(folder, document)
+        origin["source"] = str(source)
         # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
         with suppress(FruitLangsError):
             if origin.get("foreign", {}).get("cameras") == PLACED:
@@ -310,7 +312,7 @@ def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, s
                         photos_read, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit
                     )
         if not scene.images:
-            stages.notices.append(f"the photos at {source} are gone or have changed: no pictures were made")
+            stages.notices.append(f"the photos at {source} are missing or have changed, so no pictures were made")
     stages.reused += ["train", "embed"]
     return Reconstruction(
         scene=scene,

@@ -25,7 +25,7 @@ class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
         name="Show Photo",
         default=True,
         update=opacity_changed,
-        description="Show the photo when looking through its camera",
+        description="Show the photo in the view through its camera",
     )
     opacity: FloatProperty(
         name="Photo",
@@ -34,12 +34,12 @@ class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
         max=1.0,
         subtype="FACTOR",
         update=opacity_changed,
-        description="How strongly the photo covers what is reconstructed",
+        description="Opacity of the photo over the reconstruction",
     )
-    perspective: StringProperty(name="View", description="Of the free view; empty where no photo is looked through")
-    location: FloatVectorProperty(name="Location", size=3, description="Of the free view")
-    rotation: FloatVectorProperty(name="Rotation", size=4, description="Of the free view")
-    distance: FloatProperty(name="Distance", description="Of the free view")
-    camera: PointerProperty(type=bpy.types.Object, name="Camera", description="The scene's before photos")
-    resolution: IntVectorProperty(name="Resolution", size=3, description="The scene's before photos")
-    aspect: FloatVectorProperty(name="Aspect", size=2, description="The scene's pixel aspect before photos")
+    perspective: StringProperty(name="View", description="Mode of the free view; empty if no photo is shown")
+    location: FloatVectorProperty(name="Location", size=3, description="Location of the free view")
+    rotation: FloatVectorProperty(name="Rotation", size=4, description="Rotation of the free view")
+    distance: FloatProperty(name="Distance", description="Distance of the free view")
+    camera: PointerProperty(type=bpy.types.Object, name="Camera", description="Active camera before a photo was shown")
+    resolution: IntVectorProperty(name="Resolution", size=3, description="Render resolution before a photo was shown")
+    aspect: FloatVectorProperty(name="Aspect", size=2, description="Pixel aspect before a photo was shown")

@@ -23,12 +23,12 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
     clip: bpy.props.StringProperty(
         name="CLIP Checkpoint",
         subtype="DIR_PATH",
-        description="Folder of a CLIP or SigLIP checkpoint, for scenes whose own setting is left at its default",
+        description="Folder of a CLIP or SigLIP checkpoint, for scenes that keep the default setting",
     )
     sam: bpy.props.StringProperty(
         name="SAM Checkpoint",
         subtype="DIR_PATH",
-        description="Folder of a SAM checkpoint, for scenes whose own setting is left at its default",
+        description="Folder of a SAM checkpoint, for scenes that keep the default setting",
     )
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -36,9 +36,9 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
         layout.use_property_split = True
         layout.use_property_decorate = False
         if not draw_missing_packages(layout, context):
-            layout.label(text="All Python packages are there", icon="CHECKMARK")
+            layout.label(text="All Python packages are installed", icon="CHECKMARK")
             if installs(packages_folder()):
-                layout.label(text=f"Installed here: {packages_folder()}", icon="BLANK1")
+                layout.label(text=f"Installed in {packages_folder()}", icon="BLANK1")
         layout.label(text=device_text(), icon="DESKTOP")
         column = layout.column()
         column.prop(self, "clip")
@@ -62,12 +62,12 @@ def device_text() -> str:
 def draw_online(layout: Any) -> None:
     """Whether Blender lets extensions go online, which is all that decides it, and where to change it."""
     if online():
-        layout.label(text="May go online, for packages and checkpoints that you ask for", icon="INTERNET")
+        layout.label(text="Online: downloads packages and checkpoints when you ask for them", icon="INTERNET")
         return
-    layout.label(text="Never goes online, because Blender may not", icon="INTERNET_OFFLINE")
+    layout.label(text="Offline: online access is disabled in Preferences > System", icon="INTERNET_OFFLINE")
     row = layout.row()
     row.alignment = "LEFT"
-    row.operator("screen.userpref_show", text="Online Access is under System…", icon="PREFERENCES").section = "SYSTEM"
+    row.operator("screen.userpref_show", text="Open System Preferences", icon="PREFERENCES").section = "SYSTEM"
 
 
 CLASSES = (FRUITLANGS_AP_preferences,)

@@ -50,42 +50,59 @@ class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
     cameras: IntProperty(name="Cameras", min=0)
     points: IntProperty(name="Points", min=0)
     gaussians: IntProperty(name="Gaussians", min=0)
-    quality: StringProperty(name="Quality", description="How well photos kept aside from training are drawn")
-    features: StringProperty(name="Features", subtype="FILE_PATH", options=RELATIVE, description="Of the Gaussians")
-    count: IntProperty(name="Count", default=-1, min=-1, description="Fruit counted; -1 before there was a count")
-    low: IntProperty(name="Low", default=-1, min=-1, description="Of the 90 % interval; -1 where none is told")
-    high: IntProperty(name="High", default=-1, min=-1, description="Of the 90 % interval; -1 where none is told")
-    total: FloatProperty(name="Total", default=-1.0, min=-1.0, description="Likeliest number of all; -1 where not told")
-    total_low: IntProperty(name="Total Low", default=-1, min=-1, description="Of the 90 % interval of all")
-    total_high: IntProperty(name="Total High", default=-1, min=-1, description="Of the 90 % interval of all")
+    quality: StringProperty(name="Quality", description="PSNR and SSIM of the held-out photos")
+    features: StringProperty(
+        name="Features", subtype="FILE_PATH", options=RELATIVE, description="File with the features of the Gaussians"
+    )
+    count: IntProperty(
+        name="Count", default=-1, min=-1, description="Number of fruit counted; -1 before the first count"
+    )
+    low: IntProperty(name="Low", default=-1, min=-1, description="Lower end of the 90 % interval; -1 if there is none")
+    high: IntProperty(
+        name="High", default=-1, min=-1, description="Upper end of the 90 % interval; -1 if there is none"
+    )
+    total: FloatProperty(
+        name="Total", default=-1.0, min=-1.0, description="Most likely number of all fruit; -1 if unknown"
+    )
+    total_low: IntProperty(
+        name="Total Low", default=-1, min=-1, description="Lower end of the 90 % interval of all fruit"
+    )
+    total_high: IntProperty(
+        name="Total High", default=-1, min=-1, description="Upper end of the 90 % interval of all fruit"
+    )
     label: StringProperty(name="Label", description="What was counted")
-    mean_diameter: FloatProperty(name="Mean Diameter", description="Of the counted fruit, in the unit beside it")
-    unit: StringProperty(name="Unit", description="mm where the scene's scale is known, else scene units")
-    zero_reason: StringProperty(name="Reason", description="Why nothing was counted")
-    sureness: StringProperty(name="Sureness", description="90 % intervals of the visible fruit and of all")
-    whereabouts: StringProperty(name="Whereabouts", description="Fruit on the ground, and fruit on each tree of a row")
-    notices: StringProperty(name="Notices", description="What is to be known of a count that went well")
+    mean_diameter: FloatProperty(
+        name="Mean Diameter", description="Mean diameter of the counted fruit, in the unit given next to it"
+    )
+    unit: StringProperty(name="Unit", description="Unit of lengths: mm if the scale is known, else scene units")
+    zero_reason: StringProperty(name="Reason", description="Why the count is 0")
+    sureness: StringProperty(name="Intervals", description="90 % intervals of the visible fruit and of all fruit")
+    whereabouts: StringProperty(name="Locations", description="Number of fruit on the ground and on each tree of a row")
+    notices: StringProperty(name="Notices", description="Notes on the last count")
     folder: StringProperty(name="Result Folder", subtype="DIR_PATH", options=RELATIVE)
     exported: StringProperty(
         name="Exported",
         subtype="FILE_PATH",
         options=RELATIVE,
-        description="The file of this count that was written last",
+        description="Last file exported from this count",
     )
     source: StringProperty(
-        name="Source", subtype="DIR_PATH", options=RELATIVE, description="What is shown and measured was made from it"
+        name="Source", subtype="DIR_PATH", options=RELATIVE, description="Source of the scene that is shown"
     )
-    mark: StringProperty(name="Mark", description="A file of the source and its hash, by which it is known again")
+    mark: StringProperty(name="Mark", description="A file of the source and its hash, which identify a moved source")
     work: StringProperty(
-        name="Work", subtype="DIR_PATH", options=RELATIVE, description="Where the next run on this source goes on"
+        name="Work",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder in which the next run on this source resumes",
     )
 
 
 class FRUITLANGS_PG_answer(bpy.types.PropertyGroup):
-    """What the Gaussians answered to the prompt."""
+    """Which Gaussians match the prompt."""
 
-    text: StringProperty(name="Answer")
-    problem: StringProperty(name="Problem", description="Why there is no answer")
+    text: StringProperty(name="Answer", description="How many Gaussians match the prompt")
+    problem: StringProperty(name="Problem", description="Why the prompt cannot be matched")
 
 
 class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
@@ -94,9 +111,13 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
     style: EnumProperty(
         name="Show",
         items=[
-            ("SPLATS", "Splats", "As the photos show them, in every shading mode"),
-            ("ELLIPSOIDS", "Ellipsoids", "As Geometry Nodes render them; in colour in Material Preview and Rendered"),
-            ("NONE", "Nothing", "Not in viewports; renders show them still"),
+            ("SPLATS", "Splats", "Draw splats as the photos show them, in every shading mode"),
+            (
+                "ELLIPSOIDS",
+                "Ellipsoids",
+                "Draw ellipsoids with Geometry Nodes; colours need Material Preview or Rendered",
+            ),
+            ("NONE", "Nothing", "Hide Gaussians in viewports; renders still show them"),
         ],
         default="SPLATS",
         update=look_edited,
@@ -106,8 +127,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
         name="Highlight",
         default=True,
         update=look_edited,
-        description="Light what answers to the prompt, grey at the threshold to yellow where it is certain, and dim "
-        "the rest",
+        description="Highlight Gaussians that match the prompt, from grey at the threshold to yellow",
     )
     dimming: FloatProperty(
         name="Dimming",
@@ -116,7 +136,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
         max=1.0,
         subtype="FACTOR",
         update=look_edited,
-        description="How much of its brightness loses what stays below the threshold",
+        description="How much to darken Gaussians below the threshold",
     )
 
 
@@ -127,20 +147,20 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         name="Scene",
         subtype="DIR_PATH",
         options=RELATIVE,
-        description="Folder of photos, with a COLMAP model or alone, or of an earlier result; or a .ply of Gaussians",
+        description="Folder of photos, with or without a COLMAP model, or of an earlier result; or a .ply of Gaussians",
     )
     out: StringProperty(
         name="Results",
         subtype="DIR_PATH",
         options=RELATIVE,
-        description="Folder for results; when empty, that of the last run on this scene, else one beside the .blend "
-        "(or beside the scene, if never saved)",
+        description="Folder for results; if empty, the folder of the last run on this scene, else a folder next to the "
+        ".blend or, before it is saved, next to the scene",
     )
     gaussians: StringProperty(
         name="Gaussians",
         subtype="FILE_PATH",
         options=RELATIVE,
-        description="A .ply of Gaussians or coloured points in the frame of the scene's cameras, instead of training",
+        description="A .ply of Gaussians or coloured points in the frame of the scene's cameras; replaces training",
     )
     prompt: StringProperty(
         name="Prompt",
@@ -148,28 +168,28 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         update=words_changed,
         search=suggestions,
         search_options={"SUGGESTION"},
-        description="What to count, as apple or red apple; several with commas",
+        description="What to count, for example apple or red apple; separate several prompts by commas",
     )
     negative: StringProperty(
-        name="Not",
+        name="Exclude",
         update=words_changed,
         search=suggestions,
         search_options={"SUGGESTION"},
-        description="What must not be counted, beside what is told apart by itself; several words with commas",
+        description="What to exclude, in addition to leaves, branches and other built-in negatives; separate by commas",
     )
     preset: EnumProperty(
         name="Preset",
         items=[
-            ("quick", "Quick", "A first look, in a few times ten seconds"),
-            ("standard", "Standard", "What counts well, in minutes"),
-            ("paper", "Paper", "The paper's 30,000 steps"),
+            ("quick", "Quick", "Preview in less than a minute"),
+            ("standard", "Standard", "Full accuracy in a few minutes"),
+            ("paper", "Paper", "The 30,000 steps of the paper"),
         ],
         default="standard",
         update=apply_preset,
-        description="Sets every setting of training; change single ones after it",
+        description="Training settings to start from; resets every setting of training",
     )
-    error: StringProperty(name="Error", description="What went wrong last")
-    failed: StringProperty(name="Failed", description="The work that went wrong, empty where none did")
+    error: StringProperty(name="Error", description="Error of the last job")
+    failed: StringProperty(name="Failed", description="Name of the job that failed; empty if none")
     config: PointerProperty(type=FRUITLANGS_PG_config)
     answer: PointerProperty(type=FRUITLANGS_PG_answer)
     look: PointerProperty(type=FRUITLANGS_PG_look)

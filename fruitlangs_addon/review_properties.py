@@ -21,18 +21,18 @@ from ..operators.review.review import get_active_fruit, set_active_fruit
 class FRUITLANGS_PG_spot(bpy.types.PropertyGroup):
     """One fruit as it stood, in the scene's frame."""
 
-    number: IntProperty(name="Number")
-    label: StringProperty(name="Label")
-    center: FloatVectorProperty(name="Centre", size=3, precision=6)
-    axes: FloatVectorProperty(name="Axes", size=9, precision=6)
+    number: IntProperty(name="Number", description="Number of the fruit")
+    label: StringProperty(name="Label", description="Label of the fruit")
+    center: FloatVectorProperty(name="Centre", size=3, precision=6, description="Position in the scene frame")
+    axes: FloatVectorProperty(name="Axes", size=9, precision=6, description="Half axes in the scene frame")
 
 
 class FRUITLANGS_PG_decision(bpy.types.PropertyGroup):
     """One entry of the log."""
 
-    action: StringProperty(name="Action")
-    time: StringProperty(name="Time", description="UTC")
-    reason: StringProperty(name="Reason")
+    action: StringProperty(name="Action", description="What was decided")
+    time: StringProperty(name="Time", description="Time of the decision (UTC)")
+    reason: StringProperty(name="Reason", description="Why it was decided")
     before: CollectionProperty(type=FRUITLANGS_PG_spot)
     after: CollectionProperty(type=FRUITLANGS_PG_spot)
 
@@ -40,8 +40,8 @@ class FRUITLANGS_PG_decision(bpy.types.PropertyGroup):
 class FRUITLANGS_PG_aside(bpy.types.PropertyGroup):
     """The log of a source that is not shown now."""
 
-    source: StringProperty(name="Source", description="Absolute")
-    mark: StringProperty(name="Mark", description="A file of the source and its hash, by which it is known again")
+    source: StringProperty(name="Source", description="Absolute path of the source")
+    mark: StringProperty(name="Mark", description="A file of the source and its hash, which identify a moved source")
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
 
 
@@ -49,32 +49,37 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
     """`scene.fruitlangs.review`."""
 
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
-    known: CollectionProperty(type=FRUITLANGS_PG_spot, description="The fruit that stood when last looked")
+    known: CollectionProperty(type=FRUITLANGS_PG_spot, description="Fruit at the last check")
     aside: CollectionProperty(type=FRUITLANGS_PG_aside)
-    reason: StringProperty(name="Reason", description="Why, for the log; taken by the next decision")
-    label: StringProperty(name="Label", description="What Move to Label calls the selected fruit")
+    reason: StringProperty(name="Reason", description="Reason for the next decision, kept in the log")
+    label: StringProperty(name="Label", description="New label of the selected fruit")
     dropped: IntProperty(
-        name="From", default=1, min=1, description="The panel shows dropped clusters from this one on, largest first"
+        name="From", default=1, min=1, description="First dropped cluster that is shown, largest first"
     )
     diameter: FloatProperty(
-        name="New Diameter", min=0.0, precision=4, description="Of an added fruit, in scene units; 0: not given"
+        name="New Diameter", min=0.0, precision=4, description="Diameter of added fruit in scene units; 0 if unknown"
     )
     diameter_mm: FloatProperty(
-        name="New Diameter in mm", min=0.0, precision=1, description="Of an added fruit, in millimetres; 0: not given"
+        name="New Diameter", min=0.0, precision=1, description="Diameter of added fruit in millimetres; 0 if unknown"
     )
-    parts: IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit Split makes of one")
+    parts: IntProperty(name="Parts", default=2, min=2, max=12, description="Number of fruit that Split makes")
     show: EnumProperty(
         name="Show",
         items=[
-            ("ALL", "All", "Every fruit"),
-            ("OPEN", "Open", "Fruit that nobody has looked at yet"),
-            ("DOUBTFUL", "Doubtful", "Open fruit less likely than the bound below"),
-            ("REJECTED", "Rejected", "What was said to be no fruit"),
+            ("ALL", "All", "Show every fruit"),
+            ("OPEN", "Open", "Fruit that are not reviewed yet"),
+            ("DOUBTFUL", "Uncertain", "Open fruit with a lower probability than the limit below"),
+            ("REJECTED", "Rejected", "Fruit that were rejected"),
         ],
-        description="Which fruit the list shows",
+        description="Fruit that the list shows",
     )
     doubt: FloatProperty(
-        name="Doubtful Below", default=0.8, min=0.0, max=1.0, precision=2, description="Probability below which"
+        name="Uncertain Below",
+        default=0.8,
+        min=0.0,
+        max=1.0,
+        precision=2,
+        description="Probability below which fruit are uncertain",
     )
     sort: EnumProperty(
         name="Sort",
@@ -86,19 +91,25 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
             ("kind", "Kind", "By kind"),
             ("label", "Label", "By label"),
         ],
-        description="The order of the list; the arrow below it turns the order round",
+        description="Order of the list; the arrow below the list reverses it",
     )
     labels: EnumProperty(
         name="Labels",
         items=[
-            ("NONE", "None", "Nothing is written in the viewport"),
-            ("NUMBER", "Number", "The number of every fruit beside it"),
-            ("NAME", "Name", "Label and number"),
-            ("SIZE", "Size", "Number and diameter"),
+            ("NONE", "None", "Show no text"),
+            ("NUMBER", "Number", "Show the number of each fruit"),
+            ("NAME", "Name", "Show label and number"),
+            ("SIZE", "Size", "Show number and diameter"),
         ],
-        description="What is written beside every fruit in the viewport",
+        description="Text next to each fruit in the viewport",
     )
-    active_fruit: IntProperty(name="Fruit", get=get_active_fruit, set=set_active_fruit, options={"SKIP_SAVE"})
+    active_fruit: IntProperty(
+        name="Fruit",
+        get=get_active_fruit,
+        set=set_active_fruit,
+        options={"SKIP_SAVE"},
+        description="Active fruit of the list",
+    )
 
 
 CLASSES = (FRUITLANGS_PG_spot, FRUITLANGS_PG_decision, FRUITLANGS_PG_aside, FRUITLANGS_PG_review)

@@ -110,7 +110,7 @@ def main() -> None:
     if options.counting:
         counting = measure_counting(options.counting, progress=progress)
         pages.append(watched_table("Counting, views drawn already.", counting))
-    progress(1.0, "done")
+    progress(1.0, "Done")
     print("\n\n".join(pages))
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)

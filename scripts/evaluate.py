@@ -118,10 +118,10 @@ def ladder(arguments: Arguments) -> None:
                 progress=share,
             )
         )
-        write_pages(rows, out, title="Counts by rung of the ladder")
+        write_pages(rows, out, title="Counts by stage of the ablation ladder")
 
     broken = measure_each(arguments.given, out, climb_one, report=report, progress=progress)
-    progress(1.0, "done")
+    progress(1.0, "Done")
     if rows:
         print(markdown(rung_rows(rows)))
         print(f"\nwritten: {out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")

@@ -27,7 +27,7 @@ def main() -> int:
     dependencies = extension_or_checkout()
     missing = dependencies.missing_packages()
     if not missing:
-        print("All Python packages are there")
+        print("All Python packages are installed")
         return 0
     print(f"Missing: {', '.join(missing)}; they go into {dependencies.packages_folder()}")
     if not arguments.yes:

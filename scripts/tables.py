@@ -68,7 +68,7 @@ def main() -> None:
         write_text(out / "tables.md", pages(measured, setting))
 
     broken = measure_each(arguments.scenes, out, measure, report=report, progress=progress)
-    progress(1.0, "done")
+    progress(1.0, "Done")
     if measured:
         print(pages(measured, setting))
     if broken:

@@ -21,7 +21,7 @@ from ..splatting.subject.viewpoints import find_subject
 from .accounts.audit import account_for
 from .accounts.describe import describe, place_fruit, point_colors
 from .accounts.ids import NOBODY, KnownFruit, number
-from .accounts.interval import estimate, evidence_of
+from .accounts.interval import Estimate, estimate, evidence_of
 from .evidence.cluster import Clusters, Search, find_fruit, search
 from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .evidence.surface_points import LARGEST_SCALE, SKIN, SurfacePoints, sample_enough, sample_skin, sample_volume
@@ -83,8 +83,9 @@ def count_fruit(
             names is missing.
         FormatError: that file holds no template.
         CountingError: a shape does not fit, a value is not finite, a probability is none, `up` is no direction, there
-            are no Gaussians or no cameras, all Gaussians lie in one place, none lies in the region, or there are fewer
-            fruit, or places with fruit, than trees asked for, or the diameter is larger than all that may be fruit.
+            are no Gaussians or no cameras, all Gaussians lie at one position, none lies in the region, or there are
+            fewer fruit, or places with fruit, than trees asked for, or the diameter is larger than all that may be
+            fruit.
     """
     chances = _checked(gaussians, probability, cameras)
     up = _mean_top(cameras) if up is None else _checked_up(up)
@@ -102,13 +103,13 @@ def count_fruit(
     if not inside[selected].any():
         sure = int((chances[inside] >= config.threshold).sum())
         return nothing(f"all {sure} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}")
-    progress(0.0, "seeing the Gaussians from each view")
+    progress(0.0, "Rendering the Gaussians in each view")
     if visibility is None:
         visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
     seen = selected[visibility.weights[selected] > 0]
     own = seen[inside[seen]]
     if len(own) == 0:
-        return nothing(f"no view sees any of the {inside[selected].sum()} Gaussians of {label}")
+        return nothing(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}")
     notices = _check_diameter(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.4))
     sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.4, 0.5))
     if sized is None:
@@ -151,7 +152,7 @@ def _on_trees(
     placed = place_fruit(counted, lying, row)
     if config.trees == 0 or row is not None:
         return placed
-    reason = f"no tree of the {config.trees} that --count.trees asks for is told: trees are found by their fruit"
+    reason = f"no tree of the {config.trees} that --count.trees asks for is found: trees are found by their fruit"
     last = max((entry.cluster for entry in counted.audit), default=-1)
     entry = AuditEntry(cluster=last + 1, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=0)
     return replace(placed, audit=[*placed.audit, entry])
@@ -160,9 +161,9 @@ def _on_trees(
 def _with_intervals(
     counted: FruitCount, searched: Search, region: Region, pictures: Sequence[Picture], seed: int
 ) -> FruitCount:
-    """The count and its trees with intervals; a candidate speaks of the tree of the fruit that is nearest to it.
+    """The count and its trees with intervals; a candidate belongs to the tree of its nearest fruit.
 
-    Of trees among which there is no fruit, none tells its interval.
+    Without fruit, trees have no interval.
     """
     centers = searched.found.spheres.centers
     inside = region.contains(centers)
@@ -170,14 +171,17 @@ def _with_intervals(
     known = counted.trees and counted.fruits
     own = numbers[cKDTree(counted.centers).query(centers)[1]] if known else np.full(len(centers), NO_TREE)
 
-    def sure(of: NDArray[np.bool_], count: int) -> dict[str, Any]:
-        told = estimate(evidence_of(searched, of, pictures, seed=seed), count)
-        return {"interval": told.visible, "total": told.total, "total_interval": told.total_interval}
+    def estimated(of: NDArray[np.bool_], count: int) -> Estimate:
+        return estimate(evidence_of(searched, of, pictures, seed=seed), count)
+
+    def intervals(of: Estimate) -> dict[str, Any]:
+        return {"interval": of.visible, "total": of.total, "total_interval": of.total_interval}
 
     trees = counted.trees
     if known:
-        trees = [replace(tree, **sure(inside & (own == tree.number), tree.count)) for tree in trees]
-    return replace(counted, trees=trees, **sure(inside, counted.count))
+        trees = [replace(tree, **intervals(estimated(inside & (own == tree.number), tree.count))) for tree in trees]
+    whole = estimated(inside, counted.count)
+    return replace(counted, trees=trees, likely=whole.likely, **intervals(whole))
 
 
 def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
@@ -218,8 +222,8 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
             raise CountingError(f"{bad} values of the Gaussians' {name} are not finite; train the scene again")
     if len(gaussians) > 1 and bool((gaussians.means == gaussians.means[0]).all()):
         raise CountingError(
-            f"all {len(gaussians)} Gaussians lie in one place, {spaced(gaussians.means[0].detach().cpu().numpy())}; "
-            "train the scene again"
+            f"all {len(gaussians)} Gaussians lie at the same position, "
+            f"{spaced(gaussians.means[0].detach().cpu().numpy())}. Train the scene again"
         )
     return chances
 
@@ -301,8 +305,8 @@ def _check_diameter(
     if measured is None or abs(np.log(config.diameter / measured.diameter)) < np.log(UNLIKE):
         return []
     return [
-        f"fruit of diameter {config.diameter:.4g} scene units were looked for, as --count.diameter says, but the "
-        f"scene's look {measured.diameter:.4g} wide; without the setting these are counted"
+        f"fruit of diameter {config.diameter:.4g} scene units were counted, as --count.diameter says, but those of "
+        f"the scene are {measured.diameter:.4g} wide. Without the setting these are counted"
     ]
 
 
@@ -345,9 +349,9 @@ def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label:
     """Why the Gaussians that are seen give no points to count in."""
     large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
     if large == len(seen):
-        return f"all {large} Gaussians of {label} are larger than the fruit that were looked for"
+        return f"all {large} Gaussians of {label} are larger than the expected fruit"
     told = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
-    return told + (f"; {large} others are larger than the fruit that were looked for" if large else "")
+    return told + (f"; {large} others are larger than the expected fruit" if large else "")
 
 
 def _sampled(

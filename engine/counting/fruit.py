@@ -96,7 +96,8 @@ class FruitCount:
     """The fruit of one prompt in one scene.
 
     count: visible fruit = len(fruits); interval, total_interval: low and high of 90 % intervals of the visible fruit
-    and of all; total: likeliest number of all, those that nobody saw included; None where the method tells none;
+    and of all fruit; likely, total: most likely numbers of the visible fruit and of all fruit, hidden ones included;
+    None if the method gives no interval;
     trees: those of the row, where they were asked for; notices: what the user should know; mean_diameter: scene units,
     None when there is no fruit;
     last_id: the highest id that this and earlier counts of the scene gave; max_probability: the highest any Gaussian
@@ -114,6 +115,7 @@ class FruitCount:
     point_colors: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     point_fruit_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     interval: tuple[int, int] | None = None
+    likely: float | None = None
     total: float | None = None
     total_interval: tuple[int, int] | None = None
     trees: Sequence[Tree] = ()

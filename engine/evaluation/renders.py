@@ -80,7 +80,7 @@ def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
         raise FormatError(f"{path} is damaged ({error}); remove it and make the scene again") from error
     if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
-        raise FormatError(f"{path} is no picture of 16-bit numbers; make the scene again")
+        raise FormatError(f"{path} is not a 16-bit image. Make the scene again")
     if values.shape != (camera.height, camera.width):
         raise FormatError(
             f"{path} has {values.shape[1]}×{values.shape[0]} pixels, its photo {camera.width}×{camera.height}; "

@@ -74,7 +74,7 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
         raise FormatError(f"{path}: not a truth.json ({error}); make the scene again") from error
     if labels is not None and found and found.isdisjoint(labels):
         raise FormatError(
-            f"{path}: there is no true {' or '.join(sorted(labels))}, only {', '.join(sorted(found))}; "
+            f"{path}: the truth has no {' or '.join(sorted(labels))}, only {', '.join(sorted(found))}; "
             "give the truth of the scene that was counted"
         )
     if not (np.isfinite(truth.centers).all() and np.isfinite(truth.diameters).all()):

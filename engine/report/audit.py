@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Sequence
 
 from ..counting.fruit import AuditEntry, FruitCount
-from .words import audit_reason, length_unit, place, sureness
+from .words import audit_reason, count_text, length_unit, place
 
 _ORDER = ("split", "kept", "merged", "dropped")
 _MEANING = {
     "kept": "one fruit",
     "split": "several fruit that touch",
-    "merged": "part of fruit of a cluster beside it",
+    "merged": "part of fruit of a neighbouring cluster",
     "dropped": "no fruit",
 }
 
@@ -22,7 +22,7 @@ def audit_text(fruit_count: FruitCount, *, prompt: str, metres_per_unit: float |
     verdicts = Counter[str](entry.verdict for entry in fruit_count.audit)
     unit, _ = length_unit(metres_per_unit)
     units = f"Places are x y z in the frame of the scene, in scene units; diameters are in {unit}."
-    lines = [f"{prompt}: {sureness(fruit_count)}", units, ""]
+    lines = [f"{prompt}: {count_text(fruit_count)}", units, ""]
     lines += [f"{verdicts[name]:>6} clusters {name}: {_MEANING[name]}" for name in _ORDER if verdicts[name]]
     for name in _ORDER:
         entries = [entry for entry in fruit_count.audit if entry.verdict == name]

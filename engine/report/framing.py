@@ -1,4 +1,4 @@
-"""From where a picture shows a counted tree best."""
+"""The viewpoint of the still: close to a photo, so that the Gaussians are drawn as training saw them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,10 @@ TRIED = 10
 """Directions that are compared: as many of the photos', as different as can be."""
 TRIED_WIDTH = 400
 """Pixels across the pictures by which they are compared."""
+STEPS_BACK = (0.0, 0.1, 0.25, 0.5, 1.0)
+"""How far behind a photo the camera may stand, in distances of the tree."""
+WIDEST_ANGLE = 75.0
+"""Degrees across the longer side of the picture; a wider lens distorts the tree."""
 RISE = 10.0
 """Degrees from which a tree without photos is looked down at."""
 _AROUND = 1.15
@@ -40,13 +44,17 @@ def framing(
 ) -> Camera:
     """A level camera of (height, width) pixels that shows the tree and all its fruit.
 
-    Of the directions in which the photos were taken it looks in the one that shows most fruit with nothing before them;
-    of a scene without cameras it looks from a side. It stands where the picture is filled. The same input gives the
-    same camera.
+    It stands where a photo was taken, or a little behind if the tree does not fit, and its lens fills the picture. Of
+    some photos from different sides, it is the one that shows most unobstructed fruit. Without cameras it looks from a
+    side. The same input gives the same camera.
     """
     held, radii = _held(gaussians, fruits)
-    directions = _apart([camera.forward for camera in scene.cameras] or _sides(scene.up))
-    framed = [_filled(direction, scene.up, held, radii, width, height) for direction in directions]
+    if scene.cameras:
+        chosen = _apart([camera.forward for camera in scene.cameras])
+        framed = [_at_photo(scene.cameras[index], scene.up, held, radii, width, height) for index in chosen]
+    else:
+        sides = _sides(scene.up)
+        framed = [_filled(sides[index], scene.up, held, radii, width, height) for index in _apart(sides)]
     if len(framed) == 1 or not fruits:
         return framed[0]
     factor = min(TRIED_WIDTH / width, 1.0)
@@ -82,30 +90,61 @@ def _sides(up: FloatArray) -> list[FloatArray]:
     return [math.cos(rise) * (math.cos(turn) * side + math.sin(turn) * ahead) - math.sin(rise) * up for turn in turns]
 
 
-def _apart(directions: Sequence[FloatArray]) -> list[FloatArray]:
-    """At most TRIED of the directions: the first, then always the one farthest from those taken."""
+def _apart(directions: Sequence[FloatArray]) -> list[int]:
+    """Indices of at most TRIED of the directions: the first, then always the one farthest from those taken."""
     rows = np.stack(directions)
     taken = [0]
     nearest = rows @ rows[0]
     while len(taken) < min(TRIED, len(rows)):
         taken.append(int(nearest.argmin()))
         nearest = np.maximum(nearest, rows @ rows[taken[-1]])
-    return [rows[index] for index in taken]
+    return taken
+
+
+def _at_photo(photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int) -> Camera:
+    """The camera at a photo's place, or as little behind as it must be, whose lens holds all the balls."""
+    turn = _turned(photo.forward, up)
+    distance = float(np.median((centers - photo.center) @ photo.forward))
+    for step in STEPS_BACK:
+        place = photo.center - step * max(distance, 0.0) * photo.forward
+        points = (centers - place) @ turn.T
+        if (points[:, 2] <= radii).any():
+            continue
+        rays = points[:, :2] / points[:, 2:]
+        reach = (radii / points[:, 2])[:, None] * np.sqrt(1.0 + rays**2)
+        low = [-_edge(-rays[:, axis] + reach[:, axis], radii) for axis in (0, 1)]
+        high = [_edge(rays[:, axis] + reach[:, axis], radii) for axis in (0, 1)]
+        focal = (1.0 - MARGIN) * min(width / (high[0] - low[0]), height / (high[1] - low[1]))
+        if 2.0 * math.degrees(math.atan(0.5 * max(width, height) / focal)) > WIDEST_ANGLE:
+            continue
+        cx, cy = 0.5 * (width - focal * (low[0] + high[0])), 0.5 * (height - focal * (low[1] + high[1]))
+        K = np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, -turn @ place
+        return Camera(K=K, world_to_camera=pose, width=width, height=height)
+    return _filled(photo.forward, up, centers, radii, width, height)
+
+
+def _turned(direction: FloatArray, up: FloatArray) -> FloatArray:
+    """(3, 3) rotation from the scene into a level camera that looks in `direction`."""
+    level = up if abs(float(direction @ up)) < _STEEP else np.eye(3)[np.argmin(np.abs(direction))]
+    return looking(np.zeros(3), direction, level)[:3, :3]
 
 
 def _filled(
     direction: FloatArray, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int
 ) -> Camera:
     """The camera that looks in `direction` from as near as all the balls allow."""
-    level = up if abs(float(direction @ up)) < _STEEP else np.eye(3)[np.argmin(np.abs(direction))]
-    turn = looking(np.zeros(3), direction, level)[:3, :3]
+    turn = _turned(direction, up)
     focal = 0.5 * min(width, height) / math.tan(math.radians(VIEW_ANGLE) / 2.0)
     points = centers @ turn.T
     x, width_depth = _between(points[:, 0], points[:, 2], radii, (1.0 - MARGIN) * width / 2.0 / focal)
     y, height_depth = _between(points[:, 1], points[:, 2], radii, (1.0 - MARGIN) * height / 2.0 / focal)
     place = np.array([x, y, min(width_depth, height_depth)]) @ turn
     K = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
-    return Camera(K=K, world_to_camera=looking(place, direction, level), width=width, height=height)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, -turn @ place
+    return Camera(K=K, world_to_camera=pose, width=width, height=height)
 
 
 def _between(across: FloatArray, depths: FloatArray, radii: FloatArray, slope: float) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from .meshes import id_color
 from .provenance import versions
 from .still import jpeg
 from .tables import fruit_cells, fruit_heads, size_lines
-from .words import audit_reason, length_unit, nothing_found, sureness, whereabouts
+from .words import audit_reason, count_text, length_unit, location_text, nothing_found
 
 _STRIP_WIDTH = 1600
 """Pixels across a strip on the page; wider ones are made smaller."""
@@ -70,10 +70,10 @@ def write_page(
     text = _template().render(
         title=title,
         count=fruit_count.count,
-        sureness=sureness(fruit_count),
+        count_text=count_text(fruit_count),
         reason=None if fruit_count.fruits else _zero(fruit_count, given, metres_per_unit),
         notices=notices,
-        facts=[*whereabouts(fruit_count), *size_lines(fruit_count, metres_per_unit)] if fruit_count.fruits else [],
+        facts=[*location_text(fruit_count), *size_lines(fruit_count, metres_per_unit)] if fruit_count.fruits else [],
         reviewed=reviewed,
         still=None if still is None else _embedded(still),
         trees=[_tree_row(tree) for tree in fruit_count.trees],
@@ -99,11 +99,11 @@ def _template() -> Any:
 def _zero(fruit_count: FruitCount, provenance: Mapping[str, Any], metres_per_unit: float | None) -> str:
     """Why there is no fruit. Without the settings the largest clusters of the audit tell it."""
     if any(entry.fruit_ids for entry in fruit_count.audit):
-        return "every fruit that was found was rejected"
+        return "every counted fruit was rejected"
     threshold = provenance.get("config", {}).get("count", {}).get("threshold")
     if threshold is None:
         largest = sorted(fruit_count.audit, key=lambda entry: -entry.points)[:REASONS]
-        return "; ".join(audit_reason(entry, metres_per_unit) for entry in largest) or "nothing was found"
+        return "; ".join(audit_reason(entry, metres_per_unit) for entry in largest) or "no fruit was found"
     return nothing_found(fruit_count, threshold, metres_per_unit)
 
 
@@ -117,7 +117,7 @@ def _tree_row(tree: Tree) -> dict[str, Any]:
 
 
 def _span(interval: tuple[int, int] | None) -> str:
-    return "-" if interval is None else f"{interval[0]} to {interval[1]}"
+    return "-" if interval is None else f"{interval[0]}–{interval[1]}"
 
 
 def _row(fruit: Fruit, metres_per_unit: float | None) -> dict[str, Any]:

@@ -20,12 +20,14 @@ from ..counting.accounts.describe import nearest_sphere
 from ..counting.accounts.ids import NOBODY, KnownFruit
 from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..errors import FormatError, FruitLangsError, OutputError
-from ..files import file_hash, text_hash
+from ..files import file_hash, text_hash, write_text
 from .words import file_unit, place
 
 SCHEMA = "fruitlangs.fruits/1"
 FRUITS_JSON = "fruits.json"
 BLEND = "scene.blend"
+CACHE, SOURCE = "cache", "source.txt"
+"""The folder of a result that stays on this computer, and the file in it that holds the path of the source."""
 
 _NUMBER = (int, float)
 _FIELDS: dict[str, dict[str, Any]] = {
@@ -65,7 +67,8 @@ def fruits_document(
         "schema": SCHEMA,
         "set_id": set_id(files),
         "count": fruit_count.count,
-        **_sure(fruit_count),
+        "likely": fruit_count.likely,
+        **_intervals(fruit_count),
         "last_id": fruit_count.last_id,
         "unit": unit_name,
         "metres_per_unit": metres_per_unit,
@@ -120,10 +123,10 @@ def _earlier_entries(known: KnownFruit, found: Collection[int], unit: float) -> 
 
 def _tree_entry(tree: Tree) -> dict[str, Any]:
     position = [round(float(value), 6) for value in tree.position]
-    return {"number": tree.number, "position": position, "count": tree.count, **_sure(tree)}
+    return {"number": tree.number, "position": position, "count": tree.count, **_intervals(tree)}
 
 
-def _sure(counted: FruitCount | Tree) -> dict[str, Any]:
+def _intervals(counted: FruitCount | Tree) -> dict[str, Any]:
     return {"interval": counted.interval, "total": counted.total, "total_interval": counted.total_interval}
 
 
@@ -160,7 +163,7 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
         document = json.loads(path.read_text(encoding="utf-8"))
         schema = document["schema"]
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"{path} is not a results file ({error}); count again into this folder") from error
+        raise FormatError(f"{path} is not a results file ({error}). Count again into this folder") from error
     if schema != SCHEMA:
         raise FormatError(f"{path} has schema {schema!r}; this version reads {SCHEMA!r}")
     _check_fields(document, "document", path)
@@ -175,7 +178,7 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
         for name, expected in document["files"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != expected:
                 raise OutputError(
-                    f"{folder / name} is missing or not of the same run as {FRUITS_JSON}; count again into this folder"
+                    f"{folder / name} is missing or not of the same run as {FRUITS_JSON}. Count again into this folder"
                 )
     return document
 
@@ -216,10 +219,11 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
         mean_diameter=None if mean is None else mean / unit,
         last_id=document["last_id"],
         trees=[
-            Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_sure(entry))
+            Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_intervals(entry))
             for entry in document["trees"]
         ],
-        **_stored_sure(document),
+        likely=document.get("likely"),  # results before it was written have none
+        **_stored_intervals(document),
     )
 
 
@@ -229,10 +233,29 @@ def _stored_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
     return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"]), "diameter": diameter})
 
 
-def _stored_sure(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The intervals as `_sure` wrote them; JSON has lists for tuples."""
+def _stored_intervals(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The intervals as `_intervals` wrote them; JSON has lists for tuples."""
     pairs = {name: entry[name] and tuple(entry[name]) for name in ("interval", "total_interval")}
     return {**pairs, "total": entry["total"]}
+
+
+def keep_source(folder: Path, source: Path) -> None:
+    """Record where the source of a result is, in its cache: fruits.json is passed on, and holds the name alone."""
+    write_text(folder / CACHE / SOURCE, str(source.resolve()))
+
+
+def source_of(folder: Path, document: Mapping[str, Any]) -> Path:
+    """Where the source of the result in `folder` is: as `keep_source` recorded it, else next to the folder.
+
+    Results of version 0.1 hold its absolute path themselves.
+    """
+    stored = Path(document["provenance"]["source"])
+    if stored.is_absolute():
+        return stored
+    try:
+        return Path((folder / CACHE / SOURCE).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return folder.parent / stored
 
 
 def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:

@@ -56,7 +56,7 @@ def draw_still(
     Raises:
         SceneError: the camera has distortion.
     """
-    progress(0.0, "drawing the tree")
+    progress(0.0, "Drawing the tree")
     drawn = render(gaussians, camera, background=torch.ones(3)).color.detach().clamp(0.0, 1.0).numpy()
     picture = Image.fromarray(np.round(drawn * 255.0).astype(np.uint8))
     progress(0.5, "outlining fruit")
@@ -159,7 +159,7 @@ class _Overlay:
         for label in labels:
             self._plate(label, texts[label.index], ordered[label.index])
         if len(labels) < len(ordered):
-            self._note(f"{len(ordered) - len(labels)} numbers left out: no room")
+            self._note(f"{len(ordered) - len(labels)} numbers left out for lack of space")
 
     def scale_bar(self, camera: Camera, depth: float | None, metres_per_unit: float | None) -> FloatArray:
         """Draw it at the lower left; returns the (1, 4) box it takes, (0, 4) where there is none."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import Fruit, FruitCount
-from .words import audit_reason, length_unit, nothing_found, place, sureness, three_digits, whereabouts
+from .words import audit_reason, count_text, length_unit, location_text, nothing_found, place, three_digits
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -57,9 +57,9 @@ def summary(
 
     threshold: the probability that was asked for, which explains a zero.
     """
-    lines = [f"{prompt}: {sureness(fruit_count)}"]
+    lines = [f"{prompt}: {count_text(fruit_count)}"]
     if fruit_count.fruits:
-        lines += [f"  {where}" for where in whereabouts(fruit_count)]
+        lines += [f"  {where}" for where in location_text(fruit_count)]
         unknown = " (scale unknown: --units.length sets it)" if metres_per_unit is None else ""
         mean, kinds = size_lines(fruit_count, metres_per_unit)
         lines += [f"  {mean}{unknown}", f"  {kinds}"]

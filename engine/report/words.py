@@ -32,55 +32,67 @@ def audit_reason(entry: AuditEntry, metres_per_unit: float | None) -> str:
     return f"{entry.reason}; {mean}diameter {three_digits(scale * entry.diameter)} {unit}"
 
 
-def sureness(fruit_count: FruitCount) -> str:
-    """The count with what it may be: '114 visible fruit (90 %: 105 to 122); all in all about 121 (108 to 140)'."""
-    told = f"{fruit_count.count} visible fruit"
+def count_text(fruit_count: FruitCount) -> str:
+    """The count with its intervals: '114 visible fruit (90 % interval 105–122). About 121 with hidden fruit (108–140)'.
+
+    If the most likely number is another one than the count, it is given too, and why the interval starts at the count.
+    """
+    count = f"{fruit_count.count} visible fruit"
     if fruit_count.interval is None or fruit_count.total is None or fruit_count.total_interval is None:
-        return told
-    (low, high), (least, most) = fruit_count.interval, fruit_count.total_interval
-    return f"{told} (90 %: {low} to {high}); with those nobody saw about {fruit_count.total:.0f} ({least} to {most})"
+        return count
+    text = f"{count} ({_interval(fruit_count.interval)})"
+    likely = None if fruit_count.likely is None else round(fruit_count.likely)
+    if likely not in (None, fruit_count.count):
+        text = f"{count} counted, most likely {likely} ({_interval(fruit_count.interval)})"
+    low, high = fruit_count.total_interval
+    text += f". About {fruit_count.total:.0f} with hidden fruit ({low}–{high})"
+    if likely is not None and likely > fruit_count.count == fruit_count.interval[0]:
+        text += ". The interval starts at the count because missed fruit are more likely than false ones"
+    return text
 
 
 def headline(fruit_count: FruitCount, prompt: str) -> str:
-    """The count over a picture: 'apple: 123 (90 %: 115 to 133)'."""
-    if fruit_count.interval is None:
-        return f"{prompt}: {fruit_count.count}"
-    low, high = fruit_count.interval
-    return f"{prompt}: {fruit_count.count} (90 %: {low} to {high})"
+    """The count over a picture: 'apple: 123 (90 % interval 115–133)'."""
+    text = f"{prompt}: {fruit_count.count}"
+    return text if fruit_count.interval is None else f"{text} ({_interval(fruit_count.interval)})"
 
 
-def whereabouts(fruit_count: FruitCount) -> list[str]:
-    """Where counted fruit are, a sentence each: hanging or on the ground, and on which tree of the row."""
+def _interval(interval: tuple[int, int]) -> str:
+    return f"90 % interval {interval[0]}–{interval[1]}"
+
+
+def location_text(fruit_count: FruitCount) -> list[str]:
+    """Where the counted fruit are, a sentence each: hanging or on the ground, and on which tree of the row."""
     hanging, fallen = fruit_count.hanging, fruit_count.fallen
     if hanging is None or fallen is None:
-        told = ["hanging or fallen: not known, no ground is seen"]
+        lines = ["hanging or fallen: unknown, because no ground is visible"]
     else:
         unknown = fruit_count.count - hanging - fallen
-        told = [f"{hanging} hanging, {fallen} on the ground" + (f", {unknown} not known" if unknown else "")]
+        lines = [f"{hanging} hanging, {fallen} on the ground" + (f", {unknown} unknown" if unknown else "")]
     if fruit_count.trees:
-        counts = ", ".join(f"{tree.count} on tree {tree.number}{_tree_sureness(tree)}" for tree in fruit_count.trees)
+        counts = ", ".join(f"{tree.count} on tree {tree.number}{_tree_interval(tree)}" for tree in fruit_count.trees)
         elsewhere = sum(fruit.tree is None for fruit in fruit_count.fruits)
-        told.append(counts + (f", {elsewhere} on none of them" if elsewhere else ""))
-    return told
+        lines.append(counts + (f", {elsewhere} on none of them" if elsewhere else ""))
+    return lines
 
 
-def _tree_sureness(tree: Tree) -> str:
+def _tree_interval(tree: Tree) -> str:
     if tree.interval is None or tree.total_interval is None:
         return ""
-    (low, high), (least, most) = tree.interval, tree.total_interval
-    return f" (90 %: {low} to {high}, with those nobody saw {least} to {most})"
+    low, high = tree.total_interval
+    return f" ({_interval(tree.interval)}, with hidden fruit {low}–{high})"
 
 
 def nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: float | None) -> str:
-    """Why there is no fruit: nothing reached `threshold`, or what reached it has not the form of a fruit."""
+    """Why there is no fruit: nothing reached `threshold`, or what reached it does not have the shape of a fruit."""
     highest = fruit_count.max_probability
     if highest < threshold:
         return f"nothing reached the threshold {threshold:.2f}; the highest probability is {highest:.2f}"
     clusters = sum(place(entry) is not None for entry in fruit_count.audit)
     if clusters == 1:
-        return f"1 cluster reached the threshold {threshold:.2f}, it has not the form of a fruit"
+        return f"1 cluster reached the threshold {threshold:.2f}, but it does not have the shape of a fruit"
     if clusters:
-        return f"{clusters} clusters reached the threshold {threshold:.2f}, none has the form of a fruit"
+        return f"{clusters} clusters reached the threshold {threshold:.2f}, but none has the shape of a fruit"
     return "; ".join(audit_reason(entry, metres_per_unit) for entry in fruit_count.audit)
 
 

@@ -56,7 +56,7 @@ def align(source: FloatArray, target: FloatArray) -> Similarity:
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise SceneError("a camera centre is not finite; leave that view out of the alignment")
     if _on_one_line(source) or _on_one_line(target):
-        raise SceneError("the cameras stand on one line, about which the model may turn; add a view beside it")
+        raise SceneError("the cameras stand on one line, so the rotation about it is unknown. Add a view off the line")
     best = _fit(source, target)
     least = float(np.median(_distances(best, source, target)))
     for rows in _triples(len(source)):

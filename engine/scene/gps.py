@@ -82,7 +82,7 @@ def _degrees(parts: Sequence[float], reference: str, largest: float) -> float:
 
 def _finite(value: float) -> float:
     if not math.isfinite(value):
-        raise ValueError(f"{value} is no number")
+        raise ValueError(f"{value} is not a number")
     return value
 
 

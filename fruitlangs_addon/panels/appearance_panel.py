@@ -11,7 +11,7 @@ from .step_ask import FRUITLANGS_PT_ask
 
 class FRUITLANGS_PT_look(SidebarPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_look"
-    bl_label = "Look"
+    bl_label = "Appearance"
     bl_parent_id = FRUITLANGS_PT_ask.bl_idname
     bl_options = {"DEFAULT_CLOSED"}
 

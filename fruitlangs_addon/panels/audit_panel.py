@@ -23,14 +23,14 @@ ROWS = 6
 
 class FRUITLANGS_PT_review_why(SidebarPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_review_why"
-    bl_label = "Why"
+    bl_label = "Audit"
     bl_parent_id = "FRUITLANGS_PT_review"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         audit, metres = read_audit(context.scene), metres_per_unit(context.scene)
         if not audit:
-            draw_text(self.layout, "Nothing is known here; count again or import the result", context)
+            draw_text(self.layout, "No audit here. Count again or import the result", context)
             return
         for text in told_of_active(context.view_layer.objects.active, audit, metres):
             draw_text(self.layout, text, context)
@@ -40,7 +40,7 @@ class FRUITLANGS_PT_review_why(SidebarPanel, bpy.types.Panel):
 def _draw_dropped(layout: Any, dropped: Sequence[AuditEntry], metres: float | None, context: bpy.types.Context) -> None:
     """The dropped clusters from the one on that the review says; they come largest first."""
     review = context.scene.fruitlangs.review
-    layout.label(text=f"{len(dropped)} dropped, largest first" if dropped else "Nothing was dropped")
+    layout.label(text=f"{len(dropped)} dropped clusters, largest first" if dropped else "No cluster was dropped")
     if len(dropped) > ROWS:
         layout.prop(review, "dropped")
     first = min(review.dropped - 1, max(len(dropped) - ROWS, 0))
@@ -59,11 +59,11 @@ def _draw_cluster(box: Any, entry: AuditEntry, metres: float | None, context: bp
 def told_of_active(item: Any, audit: Sequence[AuditEntry], metres_per_unit: float | None) -> list[str]:
     """What the audit says of the active object, a text each cluster: 'split, 3287 points, fruit 16, 17: …'."""
     if item is None or item.get(OWNER) != "fruit":
-        return ["Choose a fruit to read why it was counted"]
+        return ["Select a fruit to see why it was counted"]
     if item.get(REVIEW) == ADDED:
-        return [f"{item.name} was made by a person"]
+        return [f"{item.name} was added by the user"]
     return [_told(entry, metres_per_unit) for entry in about_fruit(audit, int(item.get("id", 0)))] or [
-        f"The audit tells nothing of {item.name}"
+        f"The audit has no entry for {item.name}"
     ]
 
 

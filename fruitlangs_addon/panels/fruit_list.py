@@ -72,7 +72,7 @@ def _has_room(context: bpy.types.Context) -> bool:
 
 def head(metric: bool) -> list[str]:
     """What `cells` are. metric: lengths are metres."""
-    return ["Fruit", diameter_head(metric), "Prob.", "Seen", "Kind"]
+    return ["Fruit", diameter_head(metric), "Prob.", "Visible", "Kind"]
 
 
 def cells(item: Any, metric: bool) -> list[str]:

@@ -27,6 +27,6 @@ def draw_photos(layout: Any, context: bpy.types.Context) -> None:
         slider.active = photos.show
         slider.prop(photos, "opacity", slider=True)
     if camera is not None and is_awaited(camera):
-        layout.label(text="The photo is being undistorted", icon="TIME")
+        layout.label(text="Undistorting the photo", icon="TIME")
     if camera is not None and PROBLEM in camera:
         draw_text(layout, camera[PROBLEM], context, icon="ERROR")

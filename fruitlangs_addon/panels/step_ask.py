@@ -12,7 +12,7 @@ from .settings_panels import settings_panels
 
 class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_ask"
-    bl_label = "3 Ask"
+    bl_label = "3 Prompt"
     bl_order = 3
     step = "ask"
 

@@ -39,7 +39,7 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     if result.count:
         box.label(text=size_text(result).capitalize())
         if result.unit != "mm":
-            draw_text(box, "Scale unknown: Measure a Length in step 1 makes millimetres of it", context)
+            draw_text(box, "Scale unknown. Use Measure Length (step 1) to get millimetres", context)
         draw_text(box, result.sureness, context)
         draw_text(box, result.whereabouts, context)
     else:

@@ -85,11 +85,11 @@ class FRUITLANGS_PT_review_log(SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         log = context.scene.fruitlangs.review.log
         if not len(log):
-            self.layout.label(text="Nothing decided yet")
+            self.layout.label(text="No decisions yet")
         for entry in list(log)[: -LAST - 1 : -1]:
             draw_text(self.layout, entry_text(entry), context)
         if len(log) > LAST:
-            self.layout.label(text=f"… and {len(log) - LAST} before")
+            self.layout.label(text=f"… and {len(log) - LAST} earlier")
 
 
 CLASSES = (FRUITLANGS_PT_review, FRUITLANGS_PT_review_why, FRUITLANGS_PT_review_log)

@@ -49,7 +49,7 @@ def draw_tools(layout: Any, context: bpy.types.Context) -> None:
         column.operator(FRUITLANGS_OT_add_region.bl_idname, icon="CUBE")
     else:
         column.operator(FRUITLANGS_OT_remove_region.bl_idname, icon="X")
-    layout.label(text=scale_text(context.scene) or "Scale not known: sizes are in scene units")
+    layout.label(text=scale_text(context.scene) or "Scale unknown: sizes are in scene units")
 
 
 SETTINGS = settings_panels(FRUITLANGS_PT_scene, ("scene", "photos", "units"))

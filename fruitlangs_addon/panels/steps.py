@@ -26,7 +26,7 @@ ICONS: dict[State, str] = {
     "later": "RADIOBUT_OFF",
     "wrong": "ERROR",
 }
-CHOOSE = "Choose the scene in step 1 first"
+CHOOSE = "Choose a scene in step 1 first"
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def _scene(bpy_scene: bpy.types.Scene) -> Check:
         return Check(True, True)
     chosen = bool(bpy_scene.fruitlangs.source)
     choose = "Choose a folder of photos, a .ply or the folder of an earlier result"
-    return Check(False, True, "Press Import Scene to look at it" if chosen else choose)
+    return Check(False, True, "Press Import Scene to show it" if chosen else choose)
 
 
 def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
@@ -80,15 +80,15 @@ def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
     settings = bpy_scene.fruitlangs
     if not settings.source:
         return Check(False, False, CHOOSE)
-    return Check(False, True, f"Press Reconstruct: Gaussians are {'read' if settings.gaussians else 'trained'}")
+    return Check(False, True, f"Press Reconstruct to {'import' if settings.gaussians else 'train'} Gaussians")
 
 
 def _ask(bpy_scene: bpy.types.Scene) -> Check:
     if bpy_scene.fruitlangs.answer.text:
         return Check(True, True)
     if owned_object(bpy_scene, "gaussians") is None:
-        return Check(False, False, "Gaussians answer: reconstruct in step 2 first")
-    return Check(False, True, "Type what you look for")
+        return Check(False, False, "Reconstruct in step 2 first")
+    return Check(False, True, "Enter what to count")
 
 
 def _count(bpy_scene: bpy.types.Scene) -> Check:
@@ -98,33 +98,35 @@ def _count(bpy_scene: bpy.types.Scene) -> Check:
     if not settings.source:
         return Check(False, False, CHOOSE)
     if not settings.prompt.strip(" ,"):
-        return Check(False, False, "Type in step 3 what to count first")
+        return Check(False, False, "Enter a prompt in step 3 first")
     if owned_object(bpy_scene, "gaussians") is None:
-        return Check(False, True, "Count Fruit does by itself what is missing of the steps before")
+        return Check(False, True, "Count Fruit also runs the steps that are missing")
     return Check(False, True, "Press Count Fruit")
 
 
 def _review(bpy_scene: bpy.types.Scene) -> Check:
     if not counted(bpy_scene):
-        return Check(False, False, "Count first; then every fruit can be looked at here")
+        return Check(False, False, "Count first, then review each fruit here")
     fruit, bound = owned_objects(bpy_scene, "fruit"), bpy_scene.fruitlangs.review.doubt
     if not fruit:
-        return Check(True, True, "There is no fruit to look at; Add makes those that were missed")
+        return Check(True, True, "No fruit to review. Use Add for fruit that were missed")
     doubtful = [item for item in fruit if item.get("probability", 1.0) < bound]
     left = sum(REVIEW not in item for item in doubtful)
     if left:
-        return Check(False, True, f"{left} fruit below {bound:.2f} nobody has looked at: Next Doubtful goes to them")
-    looked_at = f"All {len(doubtful)} doubtful fruit have been looked at"
-    return Check(True, True, looked_at if doubtful else f"No doubtful fruit: none is below {bound:.2f}")
+        return Check(
+            False, True, f"{left} fruit below {bound:.2f} are not reviewed yet. Next Uncertain selects the first"
+        )
+    looked_at = f"All {len(doubtful)} uncertain fruit are reviewed"
+    return Check(True, True, looked_at if doubtful else f"No uncertain fruit: none is below {bound:.2f}")
 
 
 def _export(bpy_scene: bpy.types.Scene) -> Check:
     if not counted(bpy_scene):
-        return Check(False, False, "Count first; then the fruit can be exported")
+        return Check(False, False, "Count first, then export here")
     written = bpy_scene.fruitlangs.result.exported
-    stands = f"Writes the {len(standing(bpy_scene))} fruit that stand now"
+    stands = f"Writes the {len(standing(bpy_scene))} fruit of the reviewed count"
     if written:
-        return Check(True, True, f"{stands}; the last file was {PurePath(written).name}")
+        return Check(True, True, f"{stands}. Last file: {PurePath(written).name}")
     return Check(False, True, stands)
 
 

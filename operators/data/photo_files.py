@@ -73,8 +73,7 @@ def photo_path(item: bpy.types.Object) -> Path:
     found = next((base / tail for base in _bases() for tail in tails if (base / tail).is_file()), None)
     if found is None:
         raise SceneError(
-            f"The photo {kept.name} is not in {kept.parent} any more; put it back, or move it with its folder beside "
-            "the .blend"
+            f"The photo {kept.name} is no longer in {kept.parent}. Put it back, or move its folder next to the .blend"
         )
     return found
 

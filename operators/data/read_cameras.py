@@ -72,7 +72,7 @@ def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
     """
     item, render = bpy_scene.camera, bpy_scene.render
     if item is None:
-        raise SceneError("The scene has no active camera; choose one, or let the view be framed by itself")
+        raise SceneError("The scene has no active camera. Set one, or choose the automatic view")
     for layer in bpy_scene.view_layers:
         layer.update()  # a camera that was just moved or added has no place in the world yet
     share = render.resolution_percentage / 100.0
@@ -105,5 +105,5 @@ def _intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: float) 
 def _root(bpy_scene: bpy.types.Scene) -> bpy.types.Object:
     root = owned_object(bpy_scene, "root")
     if root is None:
-        raise SceneError("There is no scene yet; import one first")
+        raise SceneError("No scene is imported yet. Import one first")
     return root

@@ -136,7 +136,7 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
     ):
         if key in item:
             item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
-    item.id_properties_ui("views").update(min=0, description="Photos that show at least a tenth of it")
+    item.id_properties_ui("views").update(min=0, description="Number of photos that show at least a tenth of the fruit")
     item.id_properties_ui("color").update(subtype="COLOR", min=0.0, max=1.0, description="Mean colour of its surface")
     tell_unit(item, metres_per_unit)
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 class FRUITLANGS_OT_export_csv(ExportFile, bpy.types.Operator):
     bl_idname = "fruitlangs.export_csv"
-    bl_label = "Export Fruit Table"
-    bl_description = "Write a table (.csv) with a row for every fruit that stands after the review"
+    bl_label = "Export Table"
+    bl_description = "Write a table (.csv) with one row per fruit of the reviewed count"
 
     suffixes = (".csv",)
 
@@ -56,8 +56,8 @@ class ExportMeshes(ExportFile):
 
 class FRUITLANGS_OT_export_glb(ExportMeshes, bpy.types.Operator):
     bl_idname = "fruitlangs.export_glb"
-    bl_label = "Export Fruit as glTF"
-    bl_description = "Write a .glb with a named mesh for every fruit, its number, size and probability with it"
+    bl_label = "Export glTF"
+    bl_description = "Write a .glb with one named mesh per fruit, with its number, size and probability"
 
     suffixes = (".glb",)
     writer = "write_glb"
@@ -65,8 +65,8 @@ class FRUITLANGS_OT_export_glb(ExportMeshes, bpy.types.Operator):
 
 class FRUITLANGS_OT_export_obj(ExportMeshes, bpy.types.Operator):
     bl_idname = "fruitlangs.export_obj"
-    bl_label = "Export Fruit as OBJ"
-    bl_description = "Write an .obj with an object for every fruit, and its colours in an .mtl beside it"
+    bl_label = "Export OBJ"
+    bl_description = "Write an .obj with one object per fruit, and an .mtl with its colours"
 
     suffixes = (".obj",)
     writer = "write_obj"
@@ -74,8 +74,8 @@ class FRUITLANGS_OT_export_obj(ExportMeshes, bpy.types.Operator):
 
 class FRUITLANGS_OT_export_ply(ExportMeshes, bpy.types.Operator):
     bl_idname = "fruitlangs.export_ply"
-    bl_label = "Export Fruit as PLY"
-    bl_description = "Write one mesh (.ply) of all fruit, with colour and the fruit's number at every vertex"
+    bl_label = "Export PLY"
+    bl_description = "Write one mesh (.ply) of all fruit, with colour and fruit number per vertex"
 
     suffixes = (".ply",)
     writer = "write_fruit_meshes_ply"

@@ -37,7 +37,7 @@ class ExportFile(JobOperator):
     suffixes: tuple[str, ...] = ()
     """Of the files it writes; the first is the one that a name without any gets."""
 
-    filepath: bpy.props.StringProperty(name="File", subtype="FILE_PATH", options=_PATH, description="Where to write")
+    filepath: bpy.props.StringProperty(name="File", subtype="FILE_PATH", options=_PATH, description="File to write")
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
@@ -46,7 +46,7 @@ class ExportFile(JobOperator):
         if busy(cls) or linked(cls, context):
             return False
         if context.scene is None or not counted(context.scene):
-            cls.poll_message_set("Count first; then the fruit can be exported")
+            cls.poll_message_set("Count first, then export here")
             return False
         return True
 

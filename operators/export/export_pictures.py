@@ -34,7 +34,7 @@ WIDTH = 1600
 class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
     bl_idname = "fruitlangs.export_still"
     bl_label = "Export Still"
-    bl_description = "Draw the tree with every fruit outlined and numbered (.jpg or .png)"
+    bl_description = "Write a picture of the tree with every fruit outlined and numbered (.jpg or .png)"
 
     suffixes = (".jpg", ".jpeg", ".png")
 
@@ -44,10 +44,10 @@ class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
             ("FRAMED", "Framed", "From the side of a photo that shows most fruit, with the whole tree in it"),
             ("CAMERA", "Active Camera", "From the scene's active camera, at the size that it renders"),
         ],
-        description="From where the tree is drawn",
+        description="Viewpoint of the picture",
     )
     width: bpy.props.IntProperty(
-        name="Width", default=WIDTH, min=64, soft_max=4000, max=16000, description="Pixels across a framed picture"
+        name="Width", default=WIDTH, min=64, soft_max=4000, max=16000, description="Width of the picture in pixels"
     )
 
     @classmethod
@@ -76,7 +76,7 @@ class FRUITLANGS_OT_export_report(ExportFile, bpy.types.Operator):
     bl_idname = "fruitlangs.export_report"
     bl_label = "Export Report"
     bl_description = (
-        "Write one page (.html) to read, print and pass on: the corrected count, a numbered still, sizes, every fruit "
+        "Write one page (.html) to read and print: the reviewed count, a numbered picture, sizes, every fruit "
         "and every decision of the review"
     )
 

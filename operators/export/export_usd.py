@@ -39,8 +39,8 @@ def has_usd() -> bool:
 
 class FRUITLANGS_OT_export_usd(ExportFile, bpy.types.Operator):
     bl_idname = "fruitlangs.export_usd"
-    bl_label = "Export Fruit as USD"
-    bl_description = "Write a USD file with every fruit object, placed in the world as Blender shows it"
+    bl_label = "Export USD"
+    bl_description = "Write a USD file with every fruit object in world space"
 
     suffixes = (".usdc", ".usda", ".usd")
 

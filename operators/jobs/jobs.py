@@ -134,7 +134,7 @@ def busy(operator: Any) -> bool:
     """Whether a job is at work; the operator's poll then says so."""
     if running() is None:
         return False
-    operator.poll_message_set("Another job is at work; wait or cancel it first")
+    operator.poll_message_set("Another job is running. Wait for it or cancel it first")
     return True
 
 
@@ -261,7 +261,7 @@ class JobOperator:
             return self.execute(context)
         other = running()
         if other is not None:
-            self.report({"WARNING"}, f"{other.title} is still at work; wait or cancel it first")
+            self.report({"WARNING"}, f"{other.title} is still running. Wait for it or cancel it first")
             return {"CANCELLED"}
         self._begin(context)
         try:
@@ -320,7 +320,7 @@ class JobOperator:
     def _conclude(self: Any, context: bpy.types.Context) -> set[str]:
         job = self._job
         if isinstance(job.error, Cancelled):
-            self.report({"INFO"}, f"{job.title} cancelled; finished stages are kept")
+            self.report({"INFO"}, f"{job.title} cancelled. Finished stages are kept")
             return {"CANCELLED"}
         if job.error is not None:
             return self._report_failure(context, job.error)
@@ -341,7 +341,7 @@ class JobOperator:
 class FRUITLANGS_OT_cancel(bpy.types.Operator):
     bl_idname = "fruitlangs.cancel"
     bl_label = "Cancel"
-    bl_description = "Stop the work at its next safe point; finished stages and the last checkpoint are kept"
+    bl_description = "Stop the job; finished stages and the last checkpoint are kept"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

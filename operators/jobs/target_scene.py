@@ -22,9 +22,7 @@ class Target:
         """
         scene = self.find()
         if scene is None:
-            raise OutputError(
-                f"The scene {self._name} was deleted or closed meanwhile; results are in the results folder"
-            )
+            raise OutputError(f"The scene {self._name} was deleted or closed. The results are in the results folder")
         _leave_editing(context, scene)
         return scene
 

@@ -64,25 +64,25 @@ class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
     bl_idname = "fruitlangs.clear_caches"
     bl_label = "Clear Caches"
     bl_description = (
-        "Say how much compiled kernels, downloaded checkpoints and the work on this scene take up, and delete what you "
+        "Show the size of compiled kernels, downloaded checkpoints and the cache of this scene, and delete what you "
         "choose"
     )
 
     kernels: bpy.props.BoolProperty(
-        name="Compiled kernels",
+        name="Compiled Kernels",
         default=True,
-        description="They are compiled again, in about half a minute, when they are next needed",
+        description="Machine code of this computer; compiling it again takes about a minute",
     )
     checkpoints: bpy.props.BoolProperty(
-        name="CLIP and SAM checkpoints",
+        name="CLIP and SAM",
         default=False,
-        description="Those that were downloaded, and those that you put into the same folder",
+        description="Checkpoints that were downloaded or put into the same folder",
     )
 
     work: bpy.props.BoolProperty(
-        name="Work on this scene",
+        name="Scene Cache",
         default=False,
-        description="Checkpoints and finished stages beside the results, which stay; training goes on from the start",
+        description="Checkpoints and finished stages of this scene; results stay, training starts again",
     )
 
     @classmethod
@@ -107,7 +107,7 @@ class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if busy(type(self)):  # begun since the dialog was opened
-            self.report({"ERROR"}, "A job is at work; wait or cancel it first")
+            self.report({"ERROR"}, "A job is running. Wait for it or cancel it first")
             return {"CANCELLED"}
         chosen = (kernel_caches() if self.kernels else []) + (downloaded_checkpoints() if self.checkpoints else [])
         chosen += work_caches(context.scene) if self.work else []
@@ -116,7 +116,7 @@ class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
             shutil.rmtree(folder, ignore_errors=True)
         left = [folder for folder in chosen if folder.exists()]
         if left:
-            self.report({"WARNING"}, f"{left[0]} is in use or protected; close Blender and delete it by hand")
+            self.report({"WARNING"}, f"{left[0]} is in use or protected. Close Blender and delete it manually")
         self.report({"INFO"}, f"{size - megabytes(left):,.1f} MB deleted")
         return {"FINISHED"}
 

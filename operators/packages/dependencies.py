@@ -82,7 +82,7 @@ def source_text(packages: list[str], wheels: str) -> str:
 class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.install_dependencies"
     bl_label = "Install Missing Packages"
-    bl_description = "Install the Python packages that are missing into the extension's own folder"
+    bl_description = "Install the missing Python packages into the extension's own folder"
     bl_options = {"INTERNAL"}
 
     title = "Install"
@@ -91,7 +91,7 @@ class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
         name="From Folder",
         subtype="DIR_PATH",
         options={"SKIP_SAVE"},
-        description="A folder of wheel files to install from, without going online",
+        description="Folder of wheel files to install from while offline",
     )
 
     @classmethod
@@ -103,7 +103,9 @@ class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
         return (lambda progress: install(printed(progress))) if bpy.app.background else install
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
-        self.report({"INFO"}, f"Installed {', '.join(result)}" if result else "All Python packages are there already")
+        self.report(
+            {"INFO"}, f"Installed {', '.join(result)}" if result else "All Python packages are installed already"
+        )
 
     def ticked(self, context: bpy.types.Context) -> None:
         redraw_preferences(context)
@@ -115,14 +117,14 @@ class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
 class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
     bl_idname = "fruitlangs.confirm_install"
     bl_label = "Install Missing Packages"
-    bl_description = "Say what is missing, how much it is and where it comes from, and install it once you agree"
+    bl_description = "Show what is missing, its size and its origin, and install it after you confirm"
     bl_options = {"INTERNAL"}
 
     wheels: bpy.props.StringProperty(
         name="From Folder",
         subtype="DIR_PATH",
         options={"SKIP_SAVE"},
-        description="A folder of wheel files to install from, without going online; empty to download",
+        description="Folder of wheel files to install from while offline; empty to download",
     )
 
     @classmethod
@@ -143,13 +145,13 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
         layout.label(text=size)
         layout.label(text=f"From: {source_text(packages, self.wheels)}")
         layout.label(text=f"Into: {packages_folder()}")
-        layout.label(text="Blender's own packages stay as they are.")
+        layout.label(text="Blender's own packages are not changed.")
         layout.prop(self, "wheels")
         if not self.wheels and not online():
             box = layout.box()
             box.alert = True
-            box.label(text="Blender may not go online. Allow it in Preferences > System > Network,", icon="ERROR")
-            box.label(text="or choose a folder that holds the wheels.")
+            box.label(text="Online access is disabled. Allow it in Preferences > System > Network,", icon="ERROR")
+            box.label(text="or choose a folder with the wheel files.")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return start(self, "install_dependencies", wheels=self.wheels)
@@ -166,7 +168,7 @@ class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         context.window_manager.clipboard = install_command(missing_packages())
-        self.report({"INFO"}, "Copied; run it in a terminal, then restart Blender")
+        self.report({"INFO"}, "Command copied. Run it in a terminal, then restart Blender")
         return {"FINISHED"}
 
 

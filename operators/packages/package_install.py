@@ -47,7 +47,7 @@ def install_packages(
         Cancelled: by `progress`.
     """
     if wheels is not None and not wheels.is_dir():
-        raise InstallError(f"{wheels} is no folder; name the folder that the wheels are in")
+        raise InstallError(f"{wheels} is not a folder. Choose the folder with the wheel files")
     final = new_install(folder)
     stage = final.with_name(f"{final.name}-{os.getpid()}{UNFINISHED}")
     try:

@@ -70,7 +70,7 @@ class _Look:
         assert item is not None
         sights = fruit_sights(context.scene, item)
         if not sights:
-            self.report({"WARNING"}, f"No photo sees {item.name}: it is hidden in all of them")
+            self.report({"WARNING"}, f"{item.name} is hidden in all photos")
             return {"CANCELLED"}
         cameras = [camera for camera, _ in sights]
         place = 0
@@ -99,7 +99,7 @@ class _Look:
 class FRUITLANGS_OT_best_photo(_Look, bpy.types.Operator):
     bl_idname = "fruitlangs.best_photo"
     bl_label = "Best Photo"
-    bl_description = "Look at the active fruit through the camera of the photo that sees it best"
+    bl_description = "Show the photo with the best view of the active fruit"
     bl_options = {"UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -109,10 +109,12 @@ class FRUITLANGS_OT_best_photo(_Look, bpy.types.Operator):
 class FRUITLANGS_OT_next_photo(_Look, bpy.types.Operator):
     bl_idname = "fruitlangs.next_photo"
     bl_label = "Next Photo"
-    bl_description = "Look at the active fruit in the next best photo of it, or in the one before"
+    bl_description = "Show the next best photo of the active fruit"
     bl_options = {"UNDO"}
 
-    step: bpy.props.IntProperty(name="Step", default=1, options={"SKIP_SAVE"}, description="-1: the one before")
+    step: bpy.props.IntProperty(
+        name="Step", default=1, options={"SKIP_SAVE"}, description="1 for the next photo, -1 for the previous photo"
+    )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.look(context, self.step)
@@ -120,8 +122,8 @@ class FRUITLANGS_OT_next_photo(_Look, bpy.types.Operator):
 
 class FRUITLANGS_OT_free_view(bpy.types.Operator):
     bl_idname = "fruitlangs.free_view"
-    bl_label = "Back to Free View"
-    bl_description = "Leave the photo and look from where you looked before it"
+    bl_label = "Free View"
+    bl_description = "Leave the photo and restore the previous view"
     bl_options = {"UNDO"}
 
     @classmethod

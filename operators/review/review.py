@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 CLOSE = 8.0
 """Diameters from which a fruit is looked at."""
-NO_SIZE = "There is no fruit whose size the new one could have; type its diameter below Add first"
+NO_SIZE = "The size of the new fruit is unknown. Enter its diameter below Add first"
 
 
 def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -69,7 +69,7 @@ class Judgement:
     """Fruit that must be selected at least."""
 
     reason: bpy.props.StringProperty(
-        name="Reason", options={"SKIP_SAVE"}, description="Why, for the log; empty takes what stands in the panel"
+        name="Reason", options={"SKIP_SAVE"}, description="Reason kept in the log; empty uses the reason of the panel"
     )
 
     @classmethod
@@ -121,7 +121,7 @@ def _spots(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> lis
 class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.confirm_fruit"
     bl_label = "Confirm"
-    bl_description = "Say that the selected fruit are fruit; rejected ones come back"
+    bl_description = "Mark the selected fruit as correct; restores rejected fruit"
     bl_options = {"REGISTER", "UNDO"}
 
     def decide(self, context: bpy.types.Context) -> None:
@@ -134,7 +134,7 @@ class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.reject_fruit"
     bl_label = "Reject"
-    bl_description = "Say that the selected things are no fruit: they are hidden and no longer counted"
+    bl_description = "Mark the selected fruit as wrong; they are hidden and not counted"
     bl_options = {"REGISTER", "UNDO"}
 
     def decide(self, context: bpy.types.Context) -> None:
@@ -147,7 +147,7 @@ class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.reopen_fruit"
     bl_label = "Reopen"
-    bl_description = "Take back what was said of the active fruit in the list, also of a rejected one"
+    bl_description = "Undo the decision on the active fruit of the list"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -170,7 +170,7 @@ class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.merge_fruit"
     bl_label = "Merge"
-    bl_description = "Make one fruit of those selected"
+    bl_description = "Merge the selected fruit into one"
     bl_options = {"REGISTER", "UNDO"}
 
     needs = 2
@@ -192,10 +192,10 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.split_fruit"
     bl_label = "Split"
-    bl_description = "Make several fruit of the active one, as its Gaussians lie"
+    bl_description = "Split the active fruit into several, following its Gaussians"
     bl_options = {"REGISTER", "UNDO"}
 
-    parts: bpy.props.IntProperty(name="Into", default=2, min=2, max=12, description="How many fruit it is")
+    parts: bpy.props.IntProperty(name="Parts", default=2, min=2, max=12, description="Number of fruit to make")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.parts = context.scene.fruitlangs.review.parts
@@ -218,10 +218,12 @@ class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.relabel_fruit"
     bl_label = "Move to Label"
-    bl_description = "Give the selected fruit the label in the panel, for example ripe apple"
+    bl_description = "Change the label of the selected fruit, for example to ripe apple"
     bl_options = {"REGISTER", "UNDO"}
 
-    label: bpy.props.StringProperty(name="Label", options={"SKIP_SAVE"}, description="Empty takes the panel's")
+    label: bpy.props.StringProperty(
+        name="Label", options={"SKIP_SAVE"}, description="New label; empty uses the label of the panel"
+    )
 
     def decide(self, context: bpy.types.Context) -> None:
         label = " ".join((self.label or context.scene.fruitlangs.review.label).split())
@@ -239,16 +241,20 @@ class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.add_fruit"
     bl_label = "Add"
-    bl_description = "Click on a fruit that was missed"
+    bl_description = "Add a fruit that was missed by clicking on it"
     bl_options = {"REGISTER", "UNDO"}
 
     asks = ("click on a fruit that was missed",)
 
     center: bpy.props.FloatVectorProperty(
-        name="Centre", size=3, precision=4, options={"SKIP_SAVE"}, description="x y z in the scene's frame"
+        name="Centre", size=3, precision=4, options={"SKIP_SAVE"}, description="Position x y z in the scene frame"
     )
     diameter: bpy.props.FloatProperty(
-        name="Diameter", min=0.0, precision=4, options={"SKIP_SAVE"}, description="Scene units; 0: as the others are"
+        name="Diameter",
+        min=0.0,
+        precision=4,
+        options={"SKIP_SAVE"},
+        description="Diameter in scene units; 0 uses the mean of the others",
     )
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -296,8 +302,8 @@ def new_diameter(bpy_scene: bpy.types.Scene) -> float:
 
 class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
     bl_idname = "fruitlangs.next_doubtful"
-    bl_label = "Next Doubtful"
-    bl_description = "Go to the least likely fruit that nobody has looked at yet"
+    bl_label = "Next Uncertain"
+    bl_description = "Select the fruit with the lowest probability that is not reviewed yet"
     bl_options = {"UNDO"}
 
     @classmethod
@@ -305,7 +311,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
         if busy(cls) or editing(cls, context):
             return False
         if not any(REVIEW not in item for item in owned_objects(context.scene, "fruit")):
-            cls.poll_message_set("Every fruit has been looked at")
+            cls.poll_message_set("Every fruit is reviewed")
             return False
         return True
 
@@ -313,7 +319,10 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
         item = next_doubtful(context)
         select_only(context, [item])
         if context.view_layer.objects.active != item:
-            self.report({"WARNING"}, f"{item.name} is in no collection of this view layer; tick it in the Outliner")
+            self.report(
+                {"WARNING"},
+                f"{item.name} is in no collection of this view layer. Enable its collection in the Outliner",
+            )
             return {"CANCELLED"}
         root = owned_object(context.scene, "root")
         if root is not None:

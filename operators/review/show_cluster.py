@@ -18,10 +18,12 @@ from .review import CLOSE, has_root, usual_diameter
 
 class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
     bl_idname = "fruitlangs.look_at_cluster"
-    bl_label = "Look"
-    bl_description = "Turn the viewport to the middle of this cluster of points"
+    bl_label = "Show Cluster"
+    bl_description = "Center the viewport on this cluster of points"
 
-    cluster: bpy.props.IntProperty(name="Cluster", options={"SKIP_SAVE"}, description="Its number in the audit")
+    cluster: bpy.props.IntProperty(
+        name="Cluster", options={"SKIP_SAVE"}, description="Number of the cluster in the audit"
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -30,7 +32,7 @@ class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         center = cluster_center(context.scene, self.cluster)
         if center is None:
-            self.report({"WARNING"}, f"The audit of this count knows no place of a cluster {self.cluster}")
+            self.report({"WARNING"}, f"The audit of this count has no position for cluster {self.cluster}")
             return {"CANCELLED"}
         look_at_point(shown_screens(context, context.scene), center, CLOSE * usual_size(context.scene))
         return {"FINISHED"}

@@ -61,8 +61,8 @@ def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
 
 class FRUITLANGS_OT_add_region(bpy.types.Operator):
     bl_idname = "fruitlangs.add_region"
-    bl_label = "Add Region Box"
-    bl_description = "Add a box that counts are held to; move it (G), turn it about Z (R Z) and scale it (S)"
+    bl_label = "Add Region"
+    bl_description = "Add a box that limits counting; move it (G), rotate it about Z (R Z) or scale it (S)"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -86,7 +86,7 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
         stand_upright(box, root, middle, half)
         if context.mode == "OBJECT":
             select_only(context, [box])
-        self.report({"INFO"}, "Counts are held to the box: move it with G, scale it with S, turn it with R Z")
+        self.report({"INFO"}, "The box limits counting. Move it with G, scale it with S, rotate it with R Z")
         return {"FINISHED"}
 
 
@@ -110,8 +110,8 @@ def around(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[Vector, 
 
 class FRUITLANGS_OT_remove_region(bpy.types.Operator):
     bl_idname = "fruitlangs.remove_region"
-    bl_label = "Remove Region Box"
-    bl_description = "Count everywhere again"
+    bl_label = "Remove Region"
+    bl_description = "Remove the box, so that counting is not limited"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod

@@ -262,12 +262,12 @@ def result_folder(settings: Any) -> Path:
 
 
 def true_source(source: Path) -> Path:
-    """What the scene at `source` was made from in the first place: of an earlier result its photos, else itself."""
-    from ...engine.report.results import FRUITS_JSON, read_results
+    """The source of an earlier result, or `source` itself if it is not a result."""
+    from ...engine.report.results import FRUITS_JSON, read_results, source_of
 
     if (source / FRUITS_JSON).is_file():
         with suppress(FruitLangsError, KeyError):
-            return Path(read_results(source, verify=False)["provenance"]["source"])
+            return source_of(source, read_results(source, verify=False))
     return source
 
 

@@ -100,7 +100,7 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
         features = _features(question.features, os.stat(question.features).st_mtime_ns)
     except OSError as error:
         raise OutputError(
-            f"The features in {question.features} are gone; press Reconstruct, which makes them anew"
+            f"The features in {question.features} are missing. Press Reconstruct to create them again"
         ) from error
     places = torch.from_numpy(np.array(means))
     if not features.are_of(places):
@@ -265,7 +265,7 @@ def tell_answer(bpy_scene: bpy.types.Scene) -> None:
     probability = found[0]
     fit, highest = int((probability >= settings.config.count.threshold).sum()), float(probability.max(initial=0.0))
     settings.answer.problem = ""
-    settings.answer.text = f"{fit:,} of {len(probability):,} Gaussians fit; highest probability {highest:.2f}"
+    settings.answer.text = f"{fit:,} of {len(probability):,} Gaussians match; highest probability {highest:.2f}"
 
 
 def threshold_changed(settings: Any, _context: Any = None) -> None:
@@ -327,8 +327,10 @@ def suggestions(_settings: Any, _context: Any, typed: str) -> list[str]:
 
 class FRUITLANGS_OT_ask(bpy.types.Operator):
     bl_idname = "fruitlangs.ask"
-    bl_label = "Ask"
-    bl_description = "Tell each Gaussian how likely it is what the prompt says; happens by itself when words are edited"
+    bl_label = "Match Prompt"
+    bl_description = (
+        "Compute the probability of the prompt for each Gaussian; runs automatically when the prompt changes"
+    )
     bl_options = {"UNDO"}
 
     @classmethod

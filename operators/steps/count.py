@@ -19,13 +19,15 @@ from ..settings.settings import (
     stored_path,
 )
 from .preview import Preview, SceneJob
-from .show_result import count_text, show_result
+from .show_result import report_line, show_result
 
 
 class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
     bl_idname = "fruitlangs.count"
     bl_label = "Count Fruit"
-    bl_description = "Train Gaussians from the photos, ask them the prompt and count; stages already done are reused"
+    bl_description = (
+        "Train Gaussians from the photos, select those that match the prompt, and count; finished stages are reused"
+    )
     bl_options = {"UNDO"}
 
     title = "Count"
@@ -72,7 +74,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
         bpy_scene = self._target.scene(context)
         show_result(context, bpy_scene, result)
         bpy_scene.fruitlangs.result.work = stored_path(self._out)
-        self.report({"INFO"}, f"{count_text(bpy_scene.fruitlangs.result)}; files are in {result.out}")
+        self.report({"INFO"}, f"{report_line(bpy_scene.fruitlangs.result)}; files are in {result.out}")
 
 
 CLASSES = (FRUITLANGS_OT_count,)

@@ -14,7 +14,7 @@ import bpy
 from ...engine.progress import part
 from ..jobs.jobs import JobOperator, Work, busy, linked
 from ..settings.settings import PLY, read_config, result_folder, source_folder, stored_path
-from .show_result import count_text, show_reconstruction, show_result, show_scene
+from .show_result import report_line, show_reconstruction, show_result, show_scene
 
 if TYPE_CHECKING:
     from ...engine.config import Config
@@ -26,10 +26,7 @@ if TYPE_CHECKING:
 class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.import_scene"
     bl_label = "Import Scene"
-    bl_description = (
-        "Show photos' cameras and sparse points (with a COLMAP model or alone), the Gaussians of a .ply, or all of an "
-        "earlier result"
-    )
+    bl_description = "Import the cameras and sparse points of photos, the Gaussians of a .ply, or an earlier result"
     bl_options = {"UNDO"}
 
     title = "Import"
@@ -39,7 +36,9 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"})
     filter_glob: bpy.props.StringProperty(default=f"*{PLY}", options={"SKIP_SAVE", "HIDDEN"})
-    ask: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"}, description="Ask even where a scene is set already")
+    ask: bpy.props.BoolProperty(
+        options={"SKIP_SAVE", "HIDDEN"}, description="Choose a scene even if one is set already"
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -92,7 +91,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         settings.negative = ", ".join(result.origin.get("negatives", ()))
         settings.config.count.threshold = result.config.count.threshold
         show_result(context, bpy_scene, result)
-        self.report({"INFO"}, f"{count_text(settings.result)}; opened as it was counted")
+        self.report({"INFO"}, f"{report_line(settings.result)}; opened as it was counted")
 
 
 def open_folder(folder: Path) -> Result:

@@ -17,7 +17,7 @@ from .show_result import show_reconstruction
 class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
     bl_idname = "fruitlangs.reconstruct"
     bl_label = "Reconstruct"
-    bl_description = "Train Gaussians from the photos and give them what words can ask; stages already done are reused"
+    bl_description = "Train Gaussians from the photos, with features that prompts can query; finished stages are reused"
     bl_options = {"UNDO"}
 
     title = "Reconstruct"

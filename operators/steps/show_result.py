@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.report.words import length_unit, nothing_found, sureness, three_digits, whereabouts
+from ...engine.report.words import count_text, length_unit, location_text, nothing_found, three_digits
 from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_fruits import counted
@@ -134,8 +134,8 @@ def keep_result(settings: Any, result: Result) -> None:
     shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
     threshold, metres = result.config.count.threshold, result.scene.metres_per_unit
     shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, threshold, metres)
-    shown.sureness = sureness(fruit_count) if fruit_count.fruits else ""
-    shown.whereabouts = "; ".join(whereabouts(fruit_count)) if fruit_count.fruits else ""
+    shown.sureness = count_text(fruit_count) if fruit_count.fruits else ""
+    shown.whereabouts = "; ".join(location_text(fruit_count)) if fruit_count.fruits else ""
     shown.notices = "; ".join(result.notices)
     shown.folder = stored_path(result.out)
     shown.exported = ""
@@ -149,10 +149,10 @@ def _keep_gaussians(shown: Any, count: int, training: Any, features: Path) -> No
     shown.gaussians = count
     shown.features = stored_path(features)
     psnr, ssim = training["psnr"], training["ssim"]
-    shown.quality = "" if psnr is None else f"photos kept aside: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}"
+    shown.quality = "" if psnr is None else f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}"
 
 
-def count_text(shown: Any) -> str:
+def report_line(shown: Any) -> str:
     """'apple: 7, mean diameter 81.2 mm'."""
     if shown.count:
         return f"{shown.label}: {shown.count}, {size_text(shown)}"

@@ -33,8 +33,8 @@ def plane_up(points: NDArray[np.float64], above: NDArray[np.float64]) -> NDArray
 
 class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
     bl_idname = "fruitlangs.set_ground"
-    bl_label = "Set the Ground"
-    bl_description = "Click on three places on the ground, far apart: they become level, at height 0"
+    bl_label = "Set Ground"
+    bl_description = "Level the scene by clicking on three distant points of the ground"
     bl_options = {"REGISTER", "UNDO"}
 
     asks = (
@@ -44,7 +44,11 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
     )
 
     points: bpy.props.FloatVectorProperty(
-        name="Points", size=9, precision=4, options={"SKIP_SAVE"}, description="x y z of three places on the ground"
+        name="Points",
+        size=9,
+        precision=4,
+        options={"SKIP_SAVE"},
+        description="Positions x y z of three points on the ground",
     )
 
     def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
@@ -59,7 +63,7 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         above = np.mean([item.matrix_basis.translation for item in cameras], axis=0) if cameras else points[0]
         up = plane_up(points, above)
         if up is None:
-            self.report({"ERROR"}, "The three places lie in one line; click on three that make a triangle")
+            self.report({"ERROR"}, "The three points lie on a line. Click on three points that form a triangle")
             return {"CANCELLED"}
         bpy_scene.fruitlangs.config.scene.up = up.tolist()
         bpy_scene[GROUND] = points.mean(axis=0).tolist()
@@ -69,7 +73,7 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         if box is not None and place is not None:
             stand_upright(box, root, root.matrix_basis @ place, box.matrix_basis.to_scale())
         look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
-        self.report({"INFO"}, "The ground is level, at height 0; the next count uses it")
+        self.report({"INFO"}, "The ground is level, at height 0. The next count uses it")
         return {"FINISHED"}
 
 

@@ -123,7 +123,7 @@ class PickTool:
         place = (event.mouse_x - window.x, event.mouse_y - window.y)
         point = self._target3d.hit(window, window.data, place)
         if point is None:
-            self.report({"WARNING"}, "There is nothing under the mouse; click on the tree or the ground")
+            self.report({"WARNING"}, "Nothing under the mouse. Click on the tree or the ground")
             return {"RUNNING_MODAL"}
         self._points.append(point)
         if len(self._points) < len(self.asks):
@@ -131,7 +131,7 @@ class PickTool:
             return {"RUNNING_MODAL"}
         self._leave()
         if not self.poll(context):
-            self.report({"WARNING"}, "What was clicked on is gone meanwhile; nothing was done")
+            self.report({"WARNING"}, "The clicked object was removed. Nothing was changed")
             return {"CANCELLED"}
         return self.picked(context, np.array(self._points, np.float64))
 
@@ -146,9 +146,7 @@ class PickTool:
 
     def _ask(self: Any, context: bpy.types.Context) -> None:
         number = len(self._points)
-        text = (
-            f"{self.bl_label}: {self.asks[number]} ({number + 1} of {len(self.asks)}). Backspace: one back, Esc: cancel"
-        )
+        text = f"{self.bl_label}: {self.asks[number]} ({number + 1} of {len(self.asks)}). Backspace: undo, Esc: cancel"
         show_status(context, text)
         redraw_viewports()
 

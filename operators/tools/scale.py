@@ -68,8 +68,8 @@ def set_length(settings: Any, points: NDArray[np.float64], length: float) -> Non
 
 class FRUITLANGS_OT_measure(PickTool, bpy.types.Operator):
     bl_idname = "fruitlangs.measure"
-    bl_label = "Measure a Length"
-    bl_description = "Click on the two ends of something of known length, then type it: sizes become millimetres"
+    bl_label = "Measure Length"
+    bl_description = "Set the scale by clicking on both ends of an object of known length"
 
     asks = ("click on one end of a known length", "click on its other end")
 
@@ -80,15 +80,15 @@ class FRUITLANGS_OT_measure(PickTool, bpy.types.Operator):
 
 class FRUITLANGS_OT_set_length(bpy.types.Operator):
     bl_idname = "fruitlangs.set_length"
-    bl_label = "Set the Length"
-    bl_description = "Say how many metres lie between two points of the scene"
+    bl_label = "Set Length"
+    bl_description = "Set the distance in metres between two points of the scene"
     bl_options = {"REGISTER", "UNDO"}
 
     points: bpy.props.FloatVectorProperty(
-        name="Points", size=6, precision=4, description="x y z of one end and of the other, in the scene's frame"
+        name="Points", size=6, precision=4, description="Positions x y z of both ends in the scene frame"
     )
     length: bpy.props.FloatProperty(
-        name="Length in metres", default=1.0, min=1e-4, soft_max=100.0, precision=3, description="Of what was measured"
+        name="Length in m", default=1.0, min=1e-4, soft_max=100.0, precision=3, description="Measured length in metres"
     )
 
     @classmethod
@@ -112,7 +112,7 @@ class FRUITLANGS_OT_set_length(bpy.types.Operator):
         settings = context.scene.fruitlangs
         ends = np.array(self.points, np.float64).reshape(2, 3)
         if np.allclose(ends[0], ends[1]):
-            self.report({"ERROR"}, "Both points are in one place; pick two ends of something")
+            self.report({"ERROR"}, "Both points are the same. Pick the two ends of an object")
             return {"CANCELLED"}
         set_length(settings, ends, self.length)
         try:

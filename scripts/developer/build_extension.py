@@ -202,7 +202,7 @@ def contents_table(path: Path) -> str:
             name, version = rest.split("-")[:2]
             row = f"{name} {version}"
         else:
-            row = f"{top}/" if rest else "beside them"
+            row = f"{top}/" if rest else "other files"
         sizes[row] = sizes.get(row, 0) + entry.compress_size
     rows = sorted(sizes.items(), key=lambda row: -row[1])
     lines = [f"{path} ({path.stat().st_size / 1e6:.1f} MB)"]

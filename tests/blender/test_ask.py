@@ -45,7 +45,7 @@ def test_an_opened_result_shows_all_that_was_counted(opened, counted_balls):
     assert len(owned_objects(bpy.context.scene, "camera")) == len(counted_balls.scene.cameras)
     np.testing.assert_allclose(probability(), counted_balls.probability.numpy(), atol=1e-6)
     fit = int((counted_balls.probability >= 0.3).sum())
-    assert settings.answer.text.startswith(f"{fit:,} of {len(counted_balls.gaussians):,} Gaussians fit")
+    assert settings.answer.text.startswith(f"{fit:,} of {len(counted_balls.gaussians):,} Gaussians match")
 
 
 def test_another_word_changes_the_highlight_and_what_is_said_of_it(opened, counted_balls):
@@ -182,7 +182,7 @@ def test_reconstruct_shows_gaussians_that_a_count_then_finds(extension, balls, c
     bpy.ops.fruitlangs.import_scene()
     assert bpy.ops.fruitlangs.reconstruct() == {"FINISHED"}
     assert settings.result.gaussians == len(counted_balls.gaussians)
-    assert settings.result.quality.startswith("photos kept aside: PSNR")
+    assert settings.result.quality.startswith("held-out photos: PSNR")
     bpy.ops.fruitlangs.ask()
     np.testing.assert_allclose(probability(), counted_balls.probability.numpy(), atol=1e-6)
     assert bpy.ops.fruitlangs.count() == {"FINISHED"}

@@ -198,7 +198,7 @@ def test_esc_stops_the_job_at_its_next_report_and_nothing_is_shown(counting, win
     assert counting.modal(window.context, SimpleNamespace(type="ESC", value="PRESS")) == {"RUNNING_MODAL"}
     assert counting.modal(window.context, TICK) == {"PASS_THROUGH"}
     assert counting.end(window.context) == {"CANCELLED"}
-    assert counting.told == ["Count cancelled; finished stages are kept"]
+    assert counting.told == ["Count cancelled. Finished stages are kept"]
     assert jobs.running() is None
     assert fruit_shown() == 0
 
@@ -217,7 +217,7 @@ def test_another_file_opened_while_a_job_runs_gets_nothing_of_its_result(countin
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"), copy=True)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "other.blend"))
     assert counting.end(window.context) == {"CANCELLED"}
-    assert counting.told == ["The scene Scene was deleted or closed meanwhile; results are in the results folder"]
+    assert counting.told == ["The scene Scene was deleted or closed. The results are in the results folder"]
     assert fruit_shown() == 0
     assert bpy.context.scene.fruitlangs.error == ""
 
@@ -282,7 +282,7 @@ def test_a_job_begun_while_the_file_dialog_was_open_is_told(extension, started):
     item = Asking()
     assert item.execute(bpy.context) == {"CANCELLED"}
     hold.set()
-    assert item.reports == [({"ERROR"}, "Another job is at work; wait or cancel it first")]
+    assert item.reports == [({"ERROR"}, "Another job is running. Wait for it or cancel it first")]
 
 
 def test_errors_are_described_in_plain_words(capsys):

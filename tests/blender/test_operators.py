@@ -116,7 +116,7 @@ def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings,
     result = settings.result
     assert (result.count, result.label, result.unit) == (3, "apple", "scene units")
     assert result.mean_diameter == pytest.approx(0.2)
-    assert result.whereabouts == "hanging or fallen: not known, no ground is seen"
+    assert result.whereabouts == "hanging or fallen: unknown, because no ground is visible"
     assert result.notices == "no pictures"
     assert bpy.context.scene["fruitlangs_set_id"] == "f00"
     assert options["keep"] is None
@@ -296,14 +296,14 @@ def test_a_count_of_nothing_goes_with_its_gaussians_too(
 
 
 def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, settings, counted_with, result_of):
-    from fruitlangs.operators.steps.show_result import count_text, keep_result
+    from fruitlangs.operators.steps.show_result import keep_result, report_line
 
     result = result_of(counted_with(metres_per_unit=0.4), Path("/out"))
     keep_result(settings, result)
     assert settings.result.unit == "mm"
-    assert count_text(settings.result) == "apple: 3, mean diameter 80 mm"
+    assert report_line(settings.result) == "apple: 3, mean diameter 80 mm"
     keep_result(settings, dataclasses.replace(result, scene=counted_with().scene))
-    assert count_text(settings.result) == "apple: 3, mean diameter 0.2 scene units"
+    assert report_line(settings.result) == "apple: 3, mean diameter 0.2 scene units"
 
 
 def test_a_count_never_removes_the_open_file(engine, settings, tmp_path):

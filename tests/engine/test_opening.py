@@ -96,7 +96,7 @@ def test_a_damaged_fruit_is_an_error_and_not_a_lower_count(counted, tmp_path):
     document = json.loads((folder / "fruits.json").read_text())
     del document["fruits"][0]["axes"]
     (folder / "fruits.json").write_text(json.dumps(document))
-    with pytest.raises(FormatError, match=r"damaged.*count again"):
+    with pytest.raises(FormatError, match=r"damaged.*Count again"):
         open_result(folder)
 
 

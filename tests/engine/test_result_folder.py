@@ -30,7 +30,11 @@ def counted(few_photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copied(counted: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(counted, tmp_path / "copied", ignore=shutil.ignore_patterns("cache"))
+    """A copy of the result with nothing in its cache but where the photos are."""
+    copy = shutil.copytree(counted, tmp_path / "copied", ignore=shutil.ignore_patterns("cache"))
+    (copy / "cache").mkdir()
+    shutil.copy(counted / "cache" / "source.txt", copy / "cache")
+    return copy
 
 
 def test_a_result_of_a_transforms_file_finds_its_photos_again(copied: Path) -> None:
@@ -54,7 +58,7 @@ def test_pictures_that_cannot_be_made_are_told(copied: Path) -> None:
     (copied / "fruits.json").write_text(json.dumps(content))
     again = count_scene(copied, ["apple"], copied)
     assert list((copied / "pictures").iterdir()) == []
-    assert again.notices == ["the photos at /gone/photos are gone or have changed: no pictures were made"]
+    assert again.notices == ["the photos at /gone/photos are missing or have changed, so no pictures were made"]
 
 
 def test_a_blend_of_the_earlier_result_goes_with_it(copied: Path) -> None:
@@ -95,7 +99,7 @@ def test_what_killed_runs_left_is_removed_and_a_running_one_is_not_disturbed(cou
         (folder / "fruits.csv").write_text("id\n")
     os.utime(dead, (0, 0))
     count_scene(counted, ["apple"], tmp_path)
-    assert [path.name for path in (tmp_path / "cache").iterdir()] == [alive.name]
+    assert sorted(path.name for path in (tmp_path / "cache").iterdir()) == [alive.name, "source.txt"]
 
 
 def test_the_provenance_names_the_version_of_fruitlangs(counted: Path) -> None:

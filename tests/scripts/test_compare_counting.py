@@ -200,7 +200,7 @@ def test_a_second_run_goes_on_with_the_first(tmp_path: Path, monkeypatch: pytest
     compare_counting.main(replace(options, first=5, methods=("b",)))
     assert counted == ["a", "b"] * 3 + ["b"]
     assert "| a |" not in (tmp_path / "counting.md").read_text()
-    with pytest.raises(ConfigError, match="there is no method 'c'; there are a, b"):
+    with pytest.raises(ConfigError, match="unknown method 'c'; there are a, b"):
         compare_counting.main(replace(options, methods=("c",)))
 
 
@@ -223,7 +223,7 @@ def test_an_unknown_setting_is_one_line():
     command = [sys.executable, str(ROOT / "scripts" / "developer" / "compare_counting.py"), "--settings", "easy"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: there is no setting 'easy'")
+    assert done.stderr.startswith("error: unknown setting 'easy'")
 
 
 def test_how_much_of_a_fruit_is_visible_is_told_behind_leaves_as_in_front_of_them():

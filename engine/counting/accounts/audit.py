@@ -65,7 +65,7 @@ def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArr
     explained = float((owners >= 0).mean())
     if len(spheres) == 0 and explained > 0.5:
         others = tuple(sorted({int(numbers[owner]) for owner in owners if owner >= 0}))
-        reason = f"{explained:.0%} of its points belong to fruit {_listed(others)} of a cluster beside it"
+        reason = f"{explained:.0%} of its points belong to fruit {_listed(others)} of a neighbouring cluster"
         return AuditEntry(component, "merged", reason, center, size, others)
     if len(spheres) == 0:
         return AuditEntry(component, "dropped", clusters.refusal(component), center, size)

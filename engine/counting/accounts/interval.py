@@ -1,4 +1,4 @@
-"""How sure a count is: 90 % intervals of the visible fruit and of all, those that nobody saw included.
+"""90 % intervals of the number of visible fruit and of all fruit, hidden ones included.
 
 Log ratios of true fruit to the sum of the candidates' probabilities are predicted from what the scene shows, with a
 normal error of its own size; fitted by `scripts/developer/fit_interval.py`.
@@ -99,16 +99,17 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Estimate:
-    """visible: 90 % interval of the fruit that views show; total, total_interval: of all, with those nobody saw."""
+    """visible: 90 % interval of the visible fruit, likely: their most likely number; total, total_interval: the most
+    likely number and the 90 % interval of all fruit, hidden ones included."""
 
     visible: tuple[int, int]
+    likely: float
     total: float
     total_interval: tuple[int, int]
 
 
 def estimate(evidence: Evidence, count: int) -> Estimate:
-    """How many fruit there are where `count` were counted, which lie within both intervals' ends or below; `total` lies
-    within its own."""
+    """The intervals for a count. Both hold the count or values above it; `likely` and `total` lie in theirs."""
     of_visible, of_all = stored_ratios()
     low, high = of_visible.interval(evidence)
     # The visible fruit are among all: nobody is surer of these than of those.
@@ -116,7 +117,8 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
     low, high = min(low, count), max(high, count)
     total = max(of_all.likeliest(evidence), float(count))
     bounds = min(max(least, low), int(total)), max(most, high, int(np.ceil(total)))
-    return Estimate((low, high), round(total, 1), bounds)
+    likely = float(np.clip(of_visible.likeliest(evidence), low, high))
+    return Estimate((low, high), round(likely, 1), round(total, 1), bounds)
 
 
 def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:

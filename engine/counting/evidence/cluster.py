@@ -112,14 +112,14 @@ def search(
         size = rounded(size, unit)
         skin = Skin.of(points.thinned(1.0 / COARSE), size.diameter)
         for step in range(ROUNDS):
-            progress(0.1 + 0.1 * step, f"looking for fruit of diameter {size.diameter:.3g}")
+            progress(0.1 + 0.1 * step, f"Searching fruit of diameter {size.diameter:.3g}")
             coarse = _searched(skin, size, pictures, threshold)
             loose = _refitted(coarse, coarse.found.spheres, LOOSE, FAR)
             before, size = size, rounded(refine(size, coarse.found.spheres, coarse.chances, loose), unit)
             change = np.log([size.diameter / before.diameter, size.spread / before.spread])
             if (np.abs(change) < SETTLED).all():
                 break
-    progress(0.5, f"looking for all fruit of diameter {size.diameter:.3g}")
+    progress(0.5, f"Searching all fruit of diameter {size.diameter:.3g}")
     return _searched(Skin.of(points, size.diameter), size, pictures, threshold)
 
 

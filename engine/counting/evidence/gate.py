@@ -84,7 +84,9 @@ class Gate:
     def reason(self, features: Features, index: int) -> str:
         """What speaks most against a candidate, beside a fruit that is well seen, in words."""
         if features["surest"][index] <= SUREST:
-            return f"its surest points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
+            return (
+                f"its most probable points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
+            )
         own = weighed(features)[index]
         instead = np.repeat(own[None], len(_TOLD), axis=0)
         for row, (name, (usual, _)) in enumerate(_TOLD.items()):

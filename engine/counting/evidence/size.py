@@ -64,7 +64,7 @@ def estimate_diameter(points: SurfacePoints, smallest: float, *, progress: Progr
     part = points
     logs, weights = [], []
     for step, radius in enumerate(grid[:40]):
-        progress(step / min(len(grid), 40), f"trying fruit of radius {radius:.3g}")
+        progress(step / min(len(grid), 40), f"Trying fruit of radius {radius:.3g}")
         starts = starting - radius * inward
         cells = Cells.of(part.positions, radius, part.turns)
         reaches, radii = np.full(len(seeds), REACH * radius), np.full(len(seeds), radius)

@@ -88,7 +88,7 @@ def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress =
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
     directions = np.zeros((len(means), 3))
     for index, camera in enumerate(_at_drawing_size(cameras)):
-        progress(index / len(cameras), f"seeing from view {index + 1} of {len(cameras)}")
+        progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         nothing = torch.zeros(camera.height, camera.width, 0)
         drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
         towards = camera.center - means
@@ -121,7 +121,7 @@ def draw(
     chances = torch.from_numpy(probability).float()[:, None]
     pictures = []
     for index, camera in enumerate(_at_drawing_size(cameras)):
-        progress(index / len(cameras), f"drawing view {index + 1} of {len(cameras)}")
+        progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         drawn = draw_surface(gaussians, camera, chances)
         pictures.append(Picture(camera, drawn.depth, np.ascontiguousarray(drawn.features[:, :, 0])))
     return pictures

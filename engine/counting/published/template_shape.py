@@ -63,7 +63,7 @@ def read_template(path: Path, *, seed: int = 0) -> Template:
         FormatError: it cannot be read, a number in it is not finite, the mesh has a hole, or it holds no volume.
     """
     if not path.is_file():
-        raise ConfigError(f"--count.template {path}: there is no such file; name a mesh or a point cloud of one fruit")
+        raise ConfigError(f"--count.template {path} does not exist. Give a mesh or a point cloud of one fruit")
     try:
         shape = trimesh.load(path)
         if isinstance(shape, trimesh.Scene):

@@ -42,8 +42,8 @@ def check_trees(config: CountConfig, up: FloatArray) -> None:
         above = np.abs(between @ up) >= STEEPEST * np.linalg.norm(up) * np.linalg.norm(between, axis=1)
         if above.any():
             raise ConfigError(
-                f"--count.tree-places: trees {int(above.argmax()) + 1} and {number + 1} stand above one another, in "
-                "one place as seen from above; give the place of every tree's own foot"
+                f"--count.tree-places: trees {int(above.argmax()) + 1} and {number + 1} have the "
+                "same position seen from above. Give the foot of every tree"
             )
 
 

@@ -109,7 +109,7 @@ def _folder(kind: Kind, name: str, allow_download: bool) -> Path:
         return given
     if not re.fullmatch(r"[\w-][\w.-]*(/[\w-][\w.-]*)?", name):
         raise EncoderError(
-            f"{kind.flag} is '{name}', which is no folder; give a folder that holds {kind.files}, or a name on the "
+            f"{kind.flag} is '{name}', which is not a folder. Give a folder with {kind.files}, or a name on the "
             "Hugging Face hub"
         )
     own = checkpoints_folder() / name

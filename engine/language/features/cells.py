@@ -75,7 +75,7 @@ def cell_weights(
     rows = 0
     workspace = Workspace()
     for index, (camera, view) in enumerate(with_masks(cameras, views)):
-        progress(index / len(cameras), f"lifting masks of view {index + 1} of {len(cameras)}")
+        progress(index / len(cameras), f"Lifting masks of view {index + 1} of {len(cameras)}")
         if index and (len(view.labels), view.vectors.shape[1]) != (len(row_of[0]), vectors[0].shape[1]):
             raise SceneError(
                 f"view {index} has {len(view.labels)} levels of {view.vectors.shape[1]} numbers, those before "
@@ -126,8 +126,8 @@ def usable(view: SegmentedView, index: int) -> SegmentedView:
     broken = (~torch.isfinite(vectors).all(1)).nonzero()
     if len(broken):
         raise EncoderError(
-            f"the feature of mask {int(broken[0])} of view {index} is no number ({len(broken)} of {len(vectors)} are "
-            "not); encode in full precision, or check the encoder's weights"
+            f"the feature of mask {int(broken[0])} of view {index} is not a number ({len(broken)} of "
+            f"{len(vectors)} are not). Encode in full precision, or check the encoder's weights"
         )
     empty = vectors.norm(dim=1) < LEAST_LENGTH
     labels = np.asarray(view.labels, np.int32)

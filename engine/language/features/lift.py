@@ -37,7 +37,7 @@ def lift_features(
     sums: Tensor | None = None
     weights, said = torch.zeros(len(gaussians)), torch.zeros(len(gaussians))
     for index, (camera, target) in enumerate(paired(cameras, targets, lambda target: target.shape[:2], "features")):
-        progress(index / len(cameras), f"lifting features of view {index + 1} of {len(cameras)}")
+        progress(index / len(cameras), f"Lifting features of view {index + 1} of {len(cameras)}")
         usable = target.square().sum(-1, keepdim=True) > 0.0
         drawn = accumulate(gaussians, camera, torch.cat([target, usable.to(target.dtype)], dim=-1))
         sums = drawn.sums[:, :-1] if sums is None else sums + drawn.sums[:, :-1]

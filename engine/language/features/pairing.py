@@ -32,6 +32,6 @@ def paired(
             )
         yield camera, view
     if not len(cameras):
-        raise SceneError("there is no camera to lift features from; the scene needs at least one photo")
+        raise SceneError("the scene has no camera. Add at least one photo")
     if next(given, None) is not None:
         raise SceneError(f"{what} for more views than the {len(cameras)} cameras were given; give them for each camera")

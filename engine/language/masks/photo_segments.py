@@ -70,7 +70,7 @@ def segmented_views(
             view = _segmented(image, usable, segmenter, encoder, told)
             _write(path, view)
         yield view
-    progress(1.0, "masks of all views are there")
+    progress(1.0, "masks of all views are available")
 
 
 def _segmented(
@@ -87,7 +87,7 @@ def _segmented(
     crops, vectors = masked_crops(image, segments), [torch.zeros(0, encoder.dimension)]
     while batch := list(islice(crops, BATCH)):
         seen = sum(map(len, vectors))
-        progress(FINDING + (1.0 - FINDING) * seen / segments.count, f"looking at mask {seen + 1} of {segments.count}")
+        progress(FINDING + (1.0 - FINDING) * seen / segments.count, f"Encoding mask {seen + 1} of {segments.count}")
         vectors.append(encoder.encode_crops(batch))
     return SegmentedView(segments.labels, _unit(torch.cat(vectors).half()))
 

@@ -70,7 +70,7 @@ class SamSegmenter:
         answers: list[list[_Masks]] = []
         for batch in points.split(BATCH):
             asked = BATCH * len(answers)
-            progress(asked / len(points), f"asking SAM at point {asked + 1} of {len(points)}")
+            progress(asked / len(points), f"running SAM at point {asked + 1} of {len(points)}")
             answers.append(self._answers(seen, batch, LEAST_AREA / (height * width)))
         labels = np.full((LEVELS, height, width), -1, np.int32)
         for level in range(LEVELS):

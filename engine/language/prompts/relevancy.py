@@ -145,11 +145,11 @@ def check_prompts(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[
         VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.
     """
     if not prompts:
-        raise VocabularyError("no prompt was given; name what to count, for example --prompt apple")
+        raise VocabularyError("No prompt is given. Add what to count, for example --prompt apple")
     encoder.encode_text([*prompts, *negatives])
     for prompt in prompts:
         for negative in negatives:
             if encoder.excludes(prompt, negative):
                 raise VocabularyError(
-                    f"the prompt '{prompt}' is ruled out by the negative '{negative}'; leave one of them out"
+                    f"the prompt '{prompt}' is excluded by the negative '{negative}'. Leave one of them out"
                 )

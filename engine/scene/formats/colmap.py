@@ -139,7 +139,7 @@ def _world_to_camera(image: Any, files: ModelFiles) -> FloatArray:
     with np.errstate(all="ignore"):
         rigid = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
     if not rigid:
-        raise SceneError(f"the pose of {image.name} in {files.file('images')} is no rigid motion; export it again")
+        raise SceneError(f"the pose of {image.name} in {files.file('images')} is not a rigid motion. Export it again")
     return matrix
 
 

@@ -81,7 +81,7 @@ def _photo_folder(model: Path, names: Sequence[str]) -> Path:
     above = [model, *model.resolve().parents[:3]]
     folders = [folder / "images" for folder in above if (folder / "images").is_dir()]
     if not folders:
-        raise SceneError(f"no folder images beside {model}; put the model's {len(names)} photos there")
+        raise SceneError(f"no folder images next to {model}; put the model's {len(names)} photos there")
     return next((folder for folder in folders if any((folder / name).is_file() for name in names)), folders[0])
 
 

@@ -210,7 +210,7 @@ def _world_to_camera(frame: Mapping[str, Any], where: str) -> FloatArray:
         raise SceneError(f"{where} has no transform_matrix of 4x4 finite numbers; export it again")
     u, s, vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) <= 0.0 or np.abs(s - 1.0).max() > 1e-2:
-        raise SceneError(f"{where}: transform_matrix is no rigid motion (it scales or mirrors); export it again")
+        raise SceneError(f"{where}: transform_matrix is not a rigid motion (it scales or mirrors). Export it again")
     camera_axes = u @ vt * [1.0, -1.0, -1.0]  # OpenGL's y up, z backward to y down, z forward
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = camera_axes.T

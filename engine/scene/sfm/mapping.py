@@ -196,7 +196,7 @@ def _match(job: Job) -> None:
     verified = sum(1 for count in database.read_two_view_geometry_num_inliers()[1] if count)
     database.close()
     if not verified:
-        give_up("no two photos show the same things; take them in smaller steps, each overlapping the next by 70 %")
+        give_up("no two photos show the same objects. Take photos in smaller steps, with 70 % overlap")
 
 
 def _map(job: Job) -> None:

@@ -88,7 +88,7 @@ def borrow(file: Path, scene: Scene | None, inputs: str, config: SceneConfig, ca
         cameras_file=cameras_file,
         key=key,
         record={
-            "file": str(file.resolve()),
+            "file": file.name,
             "sha256": sha256,
             "kind": kept["kind"],
             "cameras": PLACED if scene is None else "given",

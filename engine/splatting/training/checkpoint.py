@@ -109,7 +109,7 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
         }
         checks = [(int(step), float(quality)) for step, quality in about["checks"]]
     except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
-        raise TrainingError(f"{path} is not a whole checkpoint ({error}); delete it to start anew") from error
+        raise TrainingError(f"{path} is not a complete checkpoint ({error}). Delete it to start again") from error
     if any(len(tensor) != len(parameters) for tensor in tensors.values()):
-        raise TrainingError(f"{path} is not a whole checkpoint (tensors differ in length); delete it to start anew")
+        raise TrainingError(f"{path} is not a complete checkpoint (tensors differ in length). Delete it to start again")
     return TrainingState(parameters, pulls, **parts, checks=checks)

@@ -110,7 +110,7 @@ def train(
     kept_aside = _usable(PhotoShelf(scene, limit=0), sorted(aside), progress)
     if config.patience > 0 and (config.check_every == 0 or not kept_aside):
         raise TrainingError(
-            "--train.patience stops by measurements of photos kept aside: give --train.check-every, and a"
+            "--train.patience needs measurements of held-out photos: give --train.check-every, and a"
             " --train.holdout-every that keeps some"
         )
     key = training_key(scene, config, "" if extra is None else extra.key)
@@ -210,7 +210,7 @@ def _train(
     trained = _drawable(state, config)
     whole = finite(trained)
     gaussians = trained.select(whole)
-    progress(0.96, "measuring the photos kept aside")
+    progress(0.96, "Measuring the held-out photos")
     held_out = _scores(gaussians, shelf, kept_aside, config)
     return Training(
         gaussians=gaussians,
@@ -231,7 +231,7 @@ def _usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list
     """The views whose photos have a pixel that may be used; all are read, so that a broken one is told of at once."""
     usable = []
     for view in views:
-        progress(0.0, "reading the photos kept aside")
+        progress(0.0, "Reading the held-out photos")
         mask = shelf.picture(view).mask
         if mask is None or mask.any():
             usable.append(view)
@@ -289,7 +289,7 @@ def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingSt
     try:
         return read_checkpoint(checkpoint, key)
     except TrainingError as error:
-        progress(0.0, f"starting anew: {error}")
+        progress(0.0, f"starting again: {error}")
         return None
 
 

@@ -137,7 +137,7 @@ def ask(hand: Hand, day: Day) -> Steps:
         while asked() != f"{words} | " and waited < 20.0:
             yield 0.1
             waited += 0.1
-        day.check(f"the Gaussians answer to {words}", asked() == f"{words} | ")
+        day.check(f"the Gaussians match {words}", asked() == f"{words} | ")
     yield from picture(hand, day, "ask")
 
 

@@ -109,7 +109,7 @@ def test_a_missing_wheel_is_named_and_nothing_is_changed(home, tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_named(home, tmp_path):
-    with pytest.raises(package_install.InstallError, match="is no folder"):
+    with pytest.raises(package_install.InstallError, match="is not a folder"):
         dependencies.install_missing(tmp_path / "nowhere")
 
 
@@ -272,10 +272,10 @@ def test_preferences_say_what_computes_and_whether_blender_may_go_online(extensi
     monkeypatch.setattr(preferences, "online", lambda: False)
     drawn = drawn_preferences()
     assert [line for line in drawn if line.startswith("Computes on the CPU with")]
-    assert "Never goes online, because Blender may not" in drawn
+    assert "Offline: online access is disabled in Preferences > System" in drawn
     assert "Clear Caches…" in drawn
     monkeypatch.setattr(preferences, "online", lambda: True)
-    assert "May go online, for packages and checkpoints that you ask for" in drawn_preferences()
+    assert "Online: downloads packages and checkpoints when you ask for them" in drawn_preferences()
 
 
 def test_preferred_checkpoints_stand_where_the_scene_left_the_default(extension, monkeypatch, tmp_path):
@@ -330,7 +330,7 @@ def test_nothing_is_cleared_while_a_job_that_began_meanwhile_is_at_work(extensio
     told = []
     chosen = SimpleNamespace(kernels=False, checkpoints=False, work=True, report=lambda kind, text: told.append(text))
     assert caches.FRUITLANGS_OT_clear_caches.execute(chosen, bpy.context) == {"CANCELLED"}
-    assert told == ["A job is at work; wait or cancel it first"]
+    assert told == ["A job is running. Wait for it or cancel it first"]
     assert stage.is_dir()
 
 

@@ -47,38 +47,38 @@ def test_one_step_is_next_and_each_that_is_not_done_says_what_it_needs(settings,
     assert "Choose a folder of photos" in sentence("scene")
     settings.source = "/photos"
     assert states() == ["next", "ready", "later", "ready", "later", "later"]
-    assert sentence("scene") == "Press Import Scene to look at it"
+    assert sentence("scene") == "Press Import Scene to show it"
     imported(counted)
     settings.result.cameras = 6
     assert states() == ["done", "next", "later", "ready", "later", "later"]
-    assert "missing of the steps before" in sentence("count")
+    assert "runs the steps that are missing" in sentence("count")
     settings.prompt = " , "
     assert states()[3] == "later"
-    assert "Type in step 3 what to count" in sentence("count")
+    assert "Enter a prompt in step 3" in sentence("count")
 
 
 def test_after_a_count_the_review_is_next_where_fruit_are_doubtful_and_says_how_many(count):
     count(probability=0.7)
     assert states() == ["done", "done", "done", "done", "next", "ready"]
-    assert sentence("review").startswith("3 fruit below 0.80 nobody has looked at")
+    assert sentence("review").startswith("3 fruit below 0.80 are not reviewed yet")
     for item in owned_objects(bpy.context.scene, "fruit"):
         item.select_set(True)
     bpy.ops.fruitlangs.confirm_fruit()
-    assert (states()[4], sentence("review")) == ("done", "All 3 doubtful fruit have been looked at")
+    assert (states()[4], sentence("review")) == ("done", "All 3 uncertain fruit are reviewed")
 
 
 def test_a_review_that_nothing_asked_for_says_so(count):
     count(probability=0.9)
-    assert (states()[4], sentence("review")) == ("done", "No doubtful fruit: none is below 0.80")
+    assert (states()[4], sentence("review")) == ("done", "No uncertain fruit: none is below 0.80")
     count(fruits=0)
-    assert "Add makes those that were missed" in sentence("review")
+    assert "Use Add for fruit that were missed" in sentence("review")
 
 
 def test_an_export_is_done_until_the_next_count(count, tmp_path):
     count()
     assert states()[5] == "next"
     bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
-    assert (states()[5], sentence("export")) == ("done", "Writes the 3 fruit that stand now; the last file was a.csv")
+    assert (states()[5], sentence("export")) == ("done", "Writes the 3 fruit of the reviewed count. Last file: a.csv")
     count()
     assert states()[5] == "next"
 

@@ -161,7 +161,7 @@ def test_after_a_count_of_0_a_fruit_is_added_with_the_diameter_that_was_typed(no
     panel = drawn(FRUITLANGS_PT_review)
     assert "add_fruit" in panel.buttons
     assert "diameter" in panel.settings
-    with pytest.raises(RuntimeError, match="type its diameter below Add first"):
+    with pytest.raises(RuntimeError, match="Enter its diameter below Add first"):
         bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     scene.fruitlangs.review.diameter = 0.25
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))

@@ -118,21 +118,21 @@ def test_the_panel_tells_why_the_active_fruit_was_counted_in_millimetres(shown):
 
 def test_the_panel_says_where_the_audit_tells_nothing_of_a_fruit(shown):
     bpy.context.view_layer.objects.active = None
-    assert drawn().texts[0] == "Choose a fruit to read why it was counted"
+    assert drawn().texts[0] == "Select a fruit to see why it was counted"
     item = activate(3)
-    assert drawn().texts[0] == "The audit tells nothing of apple.003"
+    assert drawn().texts[0] == "The audit has no entry for apple.003"
     judge(item, ADDED)
     assert drawn().texts[0] == "apple.003 was made by a person"
 
 
 def test_a_file_without_an_audit_says_so(shown):
     del bpy.context.scene[AUDIT]
-    assert drawn().texts == ["Nothing is known here; count again or import the result"]
+    assert drawn().texts == ["No audit here. Count again or import the result"]
 
 
 def test_what_was_dropped_is_listed_with_its_reason_and_a_look_where_it_has_a_place(shown):
     layout = drawn()
-    start = layout.texts.index("2 dropped, largest first")
+    start = layout.texts.index("2 dropped clusters, largest first")
     assert layout.texts[start + 1 :] == ["70 points", FLAT.reason, "33 points", DUST.reason]
     assert [button.cluster for button in layout.buttons] == [FLAT.cluster]
     assert layout.properties == []

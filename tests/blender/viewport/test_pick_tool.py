@@ -165,7 +165,7 @@ def test_what_may_not_be_done_any_more_is_not_done_with_the_last_click(context, 
     monkeypatch.setattr(Tool, "allowed", False)
     assert tool.modal(context, CLICK) == {"CANCELLED"}
     assert tool.points is None
-    assert tool.reports == ["What was clicked on is gone meanwhile; nothing was done"]
+    assert tool.reports == ["The clicked object was removed. Nothing was changed"]
 
 
 def test_a_job_that_starts_ends_the_tool_that_waits(extension, context, status, drawn):

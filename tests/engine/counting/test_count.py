@@ -363,7 +363,7 @@ def test_a_direction_up_that_is_none_is_refused(small: sim.Simulation, up: list[
 
 def test_gaussians_that_all_lie_in_one_place_are_refused(small: sim.Simulation) -> None:
     means = torch.ones_like(small.gaussians.means)
-    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie in one place, 1 1 1; train"):
+    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie at the same position, 1 1 1; train"):
         counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
 
 

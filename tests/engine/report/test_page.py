@@ -17,7 +17,7 @@ from fruitlangs.engine.counting.fruit import AuditEntry, Tree
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.report.histogram import drawing, histogram
 from fruitlangs.engine.report.page import Reviewed, write_page
-from fruitlangs.engine.report.words import nothing_found, sureness
+from fruitlangs.engine.report.words import count_text, nothing_found
 
 ROOT = Path(__file__).resolve().parents[3]
 TWO = count_of(
@@ -57,7 +57,7 @@ def page(folder: Path, fruit_count=TWO, **changes) -> Reader:
 
 def test_the_page_tells_the_count_in_the_words_of_the_other_files(tmp_path: Path) -> None:
     text = page(tmp_path).text
-    assert sureness(TWO) in text
+    assert count_text(TWO) in text
     assert "1 hanging, 1 on the ground" in text
 
 
@@ -109,7 +109,7 @@ def test_a_zero_tells_its_reason(tmp_path: Path) -> None:
 def test_what_a_person_decided_stands_beside_the_count(tmp_path: Path) -> None:
     reviewed = Reviewed(line="3 apples after review", interval=(3, 4), decisions=["rejected 7: a leaf", "added 9"])
     text = page(tmp_path, reviewed=reviewed).text
-    assert "3 apples after review (90 %: 3 to 4)" in text
+    assert "3 apples after review (90 % interval 3–4)" in text
     assert text.index("rejected 7: a leaf") < text.index("added 9")
     assert "after review" not in page(tmp_path).text
 
@@ -117,7 +117,7 @@ def test_what_a_person_decided_stands_beside_the_count(tmp_path: Path) -> None:
 def test_each_tree_of_a_row_has_its_count(tmp_path: Path) -> None:
     trees = [Tree(1, np.zeros(3), 31, (30, 33), 34.0, (31, 39)), Tree(2, np.ones(3), 12)]
     text = " ".join(page(tmp_path, count_of(*TWO.fruits, trees=trees)).text.split())
-    assert "13130 to 3331 to 39 212--" in text
+    assert "13130–3331–39 212--" in text
     assert "By tree" in text
     assert "By tree" not in page(tmp_path).text
 
@@ -183,4 +183,4 @@ def test_a_zero_without_settings_is_told_by_the_largest_clusters_alone(tmp_path:
 def test_fruit_that_a_person_rejected_all_were_found_nevertheless(tmp_path: Path) -> None:
     found = AuditEntry(0, "kept", "one sphere", (0.0, 1.0, 2.0), 400, (1,))
     text = page(tmp_path, dataclasses.replace(NO_FRUIT, audit=[found])).text
-    assert "every fruit that was found was rejected" in text
+    assert "every counted fruit was rejected" in text

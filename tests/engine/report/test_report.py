@@ -18,7 +18,7 @@ from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color
 from fruitlangs.engine.report.results import dump, fruits_document, read_results, stored_count
 from fruitlangs.engine.report.tables import fruits_csv, summary
-from fruitlangs.engine.report.words import nothing_found, whereabouts
+from fruitlangs.engine.report.words import count_text, location_text, nothing_found
 
 
 def two_fruit() -> FruitCount:
@@ -70,6 +70,16 @@ def write_set(folder: Path, fruit_count: FruitCount) -> None:
     write_text(folder / "fruits.json", dump(document))
 
 
+def test_a_count_below_the_most_likely_number_says_why_its_interval_starts_there() -> None:
+    counted = dataclasses.replace(two_fruit(), interval=(2, 4), likely=3.2, total=3.9, total_interval=(2, 6))
+    assert count_text(counted) == (
+        "2 visible fruit counted, most likely 3 (90 % interval 2–4). About 4 with hidden fruit (2–6). "
+        "The interval starts at the count because missed fruit are more likely than false ones"
+    )
+    alike = dataclasses.replace(counted, likely=2.1)
+    assert count_text(alike) == "2 visible fruit (90 % interval 2–4). About 4 with hidden fruit (2–6)"
+
+
 def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> None:
     write_set(tmp_path, two_fruit())
     document = read_results(tmp_path)
@@ -114,10 +124,10 @@ def test_what_is_not_known_of_a_fruits_place_is_empty_in_every_table(tmp_path: P
 
 
 def test_people_are_told_where_fruit_are() -> None:
-    assert whereabouts(placed()) == ["1 hanging, 1 on the ground", "1 on tree 1, 0 on tree 2, 1 on none of them"]
-    assert whereabouts(two_fruit()) == ["hanging or fallen: not known, no ground is seen"]
+    assert location_text(placed()) == ["1 hanging, 1 on the ground", "1 on tree 1, 0 on tree 2, 1 on none of them"]
+    assert location_text(two_fruit()) == ["hanging or fallen: unknown, because no ground is visible"]
     half = dataclasses.replace(placed(), trees=(), fruits=[placed().fruits[0], two_fruit().fruits[1]])
-    assert whereabouts(half) == ["1 hanging, 0 on the ground, 1 not known"]
+    assert location_text(half) == ["1 hanging, 0 on the ground, 1 unknown"]
 
 
 def test_no_fruit_is_a_count_of_zero_that_says_how_near_it_came(tmp_path: Path) -> None:
@@ -134,7 +144,9 @@ def test_a_zero_blames_the_threshold_only_where_nothing_reached_it() -> None:
     dust = AuditEntry(3, "dropped", "9 clusters are too small", (0.0, 0.0, 0.0), 12)
     refused = dataclasses.replace(NO_FRUIT, max_probability=0.9, audit=[*clusters, dust])
     assert nothing_found(NO_FRUIT, 0.5, None).startswith("nothing reached the threshold 0.50")
-    assert nothing_found(refused, 0.5, None) == "3 clusters reached the threshold 0.50, none has the form of a fruit"
+    assert (
+        nothing_found(refused, 0.5, None) == "3 clusters reached the threshold 0.50, but none has the shape of a fruit"
+    )
     assert nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5, None) == dust.reason
 
 

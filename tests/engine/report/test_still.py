@@ -103,6 +103,12 @@ def test_the_picture_is_filled() -> None:
     assert (np.ptp(pixels, axis=0) / (400, 300)).max() > 0.6
 
 
+def test_it_stands_where_a_photo_was_taken_even_if_photos_are_on_one_side_only() -> None:
+    cameras = [camera_at([x, -3.0, 0.2]) for x in (-1.0, 0.0, 1.0)]
+    camera = framing(scene_of(cameras), TREE, FRUITS, width=400, height=300)
+    assert min(np.linalg.norm(camera.center - photo.center) for photo in cameras) < 1e-9
+
+
 @pytest.mark.parametrize("open_side", [-1.0, 1.0])
 def test_it_looks_from_where_most_fruit_are_seen(open_side: float) -> None:
     tree = solid(skin(FRUITS), wall(-0.15 * open_side))

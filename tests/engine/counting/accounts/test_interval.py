@@ -26,7 +26,7 @@ from fruitlangs.engine.counting.accounts.interval import (
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
 from fruitlangs.engine.report.audit import audit_text
-from fruitlangs.engine.report.words import sureness, whereabouts
+from fruitlangs.engine.report.words import count_text, location_text
 
 SURE = Evidence(100.0, 0.0, np.zeros(len(TELLING)))
 
@@ -113,7 +113,7 @@ def test_a_count_says_how_sure_it_is(tree: sim.Simulation):
     assert result.total_interval is not None
     assert result.interval[0] <= result.count <= result.interval[1]
     assert result.interval[1] - result.interval[0] < 0.5 * result.count
-    assert f"{result.count} visible fruit (90 %: {result.interval[0]:.0f} to" in sureness(result)
+    assert f"{result.count} visible fruit" in count_text(result)
 
 
 def test_of_a_region_only_its_own_fruit_are_expected(tree: sim.Simulation):
@@ -137,8 +137,8 @@ def test_every_tree_of_a_row_says_how_sure_its_count_is(tree: sim.Simulation):
         assert each.interval[0] <= each.count <= each.interval[1] < row.count
         assert each.total_interval[0] <= each.total <= each.total_interval[1]
         assert (
-            f"{each.count} on tree {each.number} (90 %: {each.interval[0]} to {each.interval[1]}"
-            in whereabouts(row)[-1]
+            f"{each.count} on tree {each.number} (90 % interval {each.interval[0]}–{each.interval[1]}"
+            in location_text(row)[-1]
         )
     assert sum(each.total or 0.0 for each in row.trees) == pytest.approx(whole.total, rel=0.2)
 
@@ -146,7 +146,7 @@ def test_every_tree_of_a_row_says_how_sure_its_count_is(tree: sim.Simulation):
 def test_a_published_road_tells_no_interval_and_claims_none(tree: sim.Simulation):
     result = counted(tree, CountConfig(method="template"))
     assert (result.interval, result.total, result.total_interval) == (None, None, None)
-    assert sureness(result) == f"{result.count} visible fruit"
+    assert count_text(result) == f"{result.count} visible fruit"
 
 
 def test_the_audit_for_people_lists_every_cluster_under_its_verdict():

@@ -127,7 +127,7 @@ def test_one_point_tells_no_curvature():
 def test_a_faint_candidate_is_refused_whatever_its_form():
     chances, features = weighed(probability=0.2)
     assert chances[1] == 0.0
-    assert stored_gate().reason(features, 1) == "its surest points come no nearer than 40% to the threshold"
+    assert stored_gate().reason(features, 1) == "its most probable points come no nearer than 40% to the threshold"
 
 
 def test_a_lower_threshold_takes_fainter_points_as_seriously():
