@@ -96,7 +96,7 @@ def test_an_unknown_word_is_said_and_the_highlight_stays(opened):
 
 def test_features_that_vanished_are_a_report_that_says_what_to_do(opened):
     (opened / "features.safetensors").unlink()
-    with pytest.raises(RuntimeError, match=r"features in .* are gone; press Reconstruct"):
+    with pytest.raises(RuntimeError, match=r"features in .* are missing. Press Reconstruct"):
         bpy.ops.fruitlangs.ask()
 
 

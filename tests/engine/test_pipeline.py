@@ -61,7 +61,7 @@ def test_cameras_that_the_photos_do_not_bear_out_are_told(counted: Result, tmp_p
     for photo, other in zip(photos, pictures[17:] + pictures[:17], strict=True):
         photo.write_bytes(other)
     wrong = count_scene(scene, ["fruit"], tmp_path / "out", config=SMALL)
-    assert len([notice for notice in wrong.notices if "cameras may be wrong" in notice]) == 1
+    assert len([notice for notice in wrong.notices if "the cameras and the count may be wrong" in notice]) == 1
 
 
 def test_the_files_agree_on_the_count(counted: Result) -> None:
@@ -148,7 +148,7 @@ def test_an_unknown_word_is_refused_before_anything_is_trained(tmp_path: Path) -
 
 
 def test_a_prompt_that_a_negative_rules_out_is_refused_before_anything_is_trained(tmp_path: Path) -> None:
-    with pytest.raises(VocabularyError, match="ruled out"):
+    with pytest.raises(VocabularyError, match="is excluded by"):
         count_scene(SAMPLE, ["red apple"], tmp_path / "out", negatives=["apple"])
     assert not (tmp_path / "out").exists()
 

@@ -212,7 +212,7 @@ def test_a_bpy_that_cannot_be_imported_costs_the_blend_and_says_why(first, tmp_p
     (tmp_path / "bpy.py").write_text('raise ImportError("libX11.so.6 is missing")')
     done = count(first[0], "--prompt", "apple", "--out", tmp_path / "out", PYTHONPATH=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert "scene.blend is left out" in done.stderr
+    assert "scene.blend is not written" in done.stderr
     assert "libX11.so.6 is missing" in done.stderr
     assert not (tmp_path / "out" / "scene.blend").exists()
 
@@ -223,7 +223,7 @@ def test_pictures_that_cannot_be_made_are_told_at_the_end(first, tmp_path: Path)
     content["provenance"]["source"] = "/gone/photos"
     (out / "fruits.json").write_text(json.dumps(content))
     done = count(out, "--prompt", "apple", "--out", out, "--no-blend")
-    assert "note: the photos at /gone/photos are gone" in done.stdout
+    assert "note: the photos at /gone/photos are missing" in done.stdout
 
 
 @pytest.mark.skipif("FRUITLANGS_BLENDER" not in os.environ, reason="set FRUITLANGS_BLENDER to a Blender program")

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, prange
 from ..geometry.cells import Table, gather, room
-from ..geometry.small_matrices import smallest_axis
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,20 +39,19 @@ def turn_normals(
             for i in range(3):
                 for j in range(i + 1):
                     scatter[i, j] += (positions[near[k], i] - mean[i]) * (positions[near[k], j] - mean[j])
-        axis = np.empty(3)
-        least, second = smallest_axis(scatter, axis)
-        if least >= FLAT * second:
+        values, axes = np.linalg.eigh(scatter)
+        if values[0] >= FLAT * values[1]:
             continue
         to_camera, with_own = 0.0, 0.0
         for i in range(3):
-            to_camera += axis[i] * directions[p, i]
-            with_own += axis[i] * normals[p, i]
+            to_camera += axes[i, 0] * directions[p, i]
+            with_own += axes[i, 0] * normals[p, i]
         if to_camera < 0.0:
             with_own = -with_own
         if with_own <= 0.0:  # the scatter says that the Gaussian's own axis points into the fruit
             turned[p] = 0.0
         for i in range(3):
-            turned[p, i] += axis[i] if to_camera >= 0.0 else -axis[i]
+            turned[p, i] += axes[i, 0] if to_camera >= 0.0 else -axes[i, 0]
         turned[p] /= max(np.sqrt((turned[p] ** 2).sum()), 1e-12)
 
 

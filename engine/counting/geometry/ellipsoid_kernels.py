@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, njit, prange
 from .cells import Table, count, room, walk
-from .small_matrices import invert
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -70,9 +69,7 @@ def fit(
     points: FloatArray, normals: FloatArray, hold: FloatArray, rounds: int, found: FloatArray, covariance: FloatArray
 ) -> None:
     """Gauss-Newton with redescending weights on distances and on normals; see `fit_all`."""
-    shape, row, step = np.zeros((3, 3)), np.empty(9), np.zeros(9)
-    for i in range(3):
-        shape[i, i] = 1.0
+    shape, row, step = np.eye(3), np.empty(9), np.zeros(9)
     matrix, gradient = np.empty((9, 9)), np.empty(9)
     offset, image, slope, outward = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     derivative = np.empty((3, 9))
@@ -123,19 +120,10 @@ def fit(
             for j in range(i + 1):
                 matrix[i, j] *= share
                 matrix[j, i] = matrix[i, j]
-        for i in range(9):
-            for j in range(9):
-                gradient[i] += hold[i, j] * found[j]
-                matrix[i, j] += hold[i, j]
-        invert(matrix, covariance)
-        longest = 1e-12
-        for i in range(9):
-            step[i] = 0.0
-            for j in range(9):
-                step[i] -= covariance[i, j] * gradient[j]
-            longest = max(longest, abs(step[i]))
-        for i in range(9):
-            found[i] += step[i] * min(1.0, LONGEST_STEP / longest)
+        gradient += hold @ found
+        covariance[:] = np.linalg.inv(matrix + hold)
+        step[:] = -(covariance @ gradient)
+        found += step * min(1.0, LONGEST_STEP / max(np.abs(step).max(), 1e-12))
         for i in range(3):
             shape[i, i] = 1.0 + found[3 + i]
         shape[0, 1] = shape[1, 0] = found[6]

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, njit, prange
 from .cells import Table, gather, room
-from .small_matrices import invert, smallest_axis
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,7 +50,7 @@ def refine(near: FloatArray, sphere: FloatArray, prior: float, prior_sd: float, 
     near: (6, K) coordinates of the points, then of their normals. Returns the variance of the radius.
     """
     x, y, z, nx, ny, nz = near[0], near[1], near[2], near[3], near[4], near[5]
-    normal, covariance, gradient, move = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty(4)
+    normal, gradient = np.empty((4, 4)), np.empty(4)
     for step in range(rounds):
         cx, cy, cz, radius = sphere[0], sphere[1], sphere[2], sphere[3]
         width = (WIDE - (WIDE - NARROW) * min(step / NARROWING, 1.0)) * radius
@@ -86,15 +85,11 @@ def refine(near: FloatArray, sphere: FloatArray, prior: float, prior_sd: float, 
         gradient[3] -= np.log(radius / prior) / (prior_sd**2 * radius)
         for axis in range(3):
             normal[axis, axis] += 0.5 / radius**2
-        invert(normal, covariance)
-        length = 0.0
-        for i in range(4):
-            move[i] = 0.0
-            for j in range(4):
-                move[i] += covariance[i, j] * gradient[j]
-            length += move[i] ** 2
-        for i in range(4):
-            sphere[i] += move[i] * min(1.0, 0.3 * radius / max(np.sqrt(length), 1e-12))
+        covariance = np.linalg.inv(normal)
+        move = covariance @ gradient
+        length = np.sqrt((move**2).sum())
+        move *= min(1.0, 0.3 * radius / max(length, 1e-12))
+        sphere += move
         sphere[3] = max(sphere[3], 0.2 * prior)
     return covariance[3, 3]
 
@@ -152,8 +147,7 @@ def weigh(
         agreement += turned / distance
         if turned <= facing * distance:
             continue
-        for axis in range(3):
-            on[support, axis] = offset[axis]
+        on[support] = offset
         if turns[p] < turn:
             first, turn = support, turns[p]
         support += 1
@@ -163,14 +157,13 @@ def weigh(
             for j in range(3):
                 spread[i, j] += offset[i] * offset[j]
     count = max(support, 1)
-    for i in range(3):
-        mean[i] /= count
+    mean /= count
     for i in range(3):
         for j in range(3):
             spread[i, j] = spread[i, j] / count - mean[i] * mean[j]
     evidence[0], evidence[1] = support, inside
     evidence[2] = coverage(on[:support], mean, on[first], directions) if support > 0 else 0.0
-    evidence[3] = np.sqrt(max(smallest_axis(spread, offset)[0], 0.0))
+    evidence[3] = np.sqrt(max(np.linalg.eigvalsh(spread)[0], 0.0))
     evidence[4], evidence[5] = residual / count, agreement / max(at_surface, 1)
 
 
@@ -180,38 +173,19 @@ def coverage(points: FloatArray, middle: FloatArray, first: FloatArray, directio
 
     They are laid out from the middle of the points (3,), turned to the first of them (3,): they turn with the points.
     """
-    frame = np.empty((3, 3))
-    normalise(middle, frame[0])
-    along = 0.0
-    for i in range(3):
-        along += first[i] * frame[0, i]
-    for i in range(3):
-        frame[2, i] = first[i] - along * frame[0, i]
-    normalise(frame[2], frame[1])
+    frame = np.eye(3)
+    frame[0] = middle / max(np.sqrt((middle**2).sum()), 1e-12)
+    frame[1] = first - (first * frame[0]).sum() * frame[0]
+    frame[1] /= max(np.sqrt((frame[1] ** 2).sum()), 1e-12)
     for i in range(3):
         frame[2, i] = frame[0, i - 2] * frame[1, i - 1] - frame[0, i - 1] * frame[1, i - 2]
-    turned, covered = np.empty((len(directions), 3)), np.zeros(len(directions), np.bool_)
-    for d in range(len(directions)):
-        for i in range(3):
-            turned[d, i] = (
-                directions[d, 0] * frame[0, i] + directions[d, 1] * frame[1, i] + directions[d, 2] * frame[2, i]
-            )
-    count = 0
+    turned, covered = directions @ frame, np.zeros(len(directions), np.bool_)
     for p in range(len(points)):
         best, most = 0, -np.inf
         for d in range(len(directions)):
             along = points[p, 0] * turned[d, 0] + points[p, 1] * turned[d, 1] + points[p, 2] * turned[d, 2]
             if along > most:
                 best, most = d, along
-        count += not covered[best]
         covered[best] = True
-    share: float = count / len(directions)
+    share: float = covered.sum() / len(directions)
     return share
-
-
-@njit
-def normalise(vector: FloatArray, unit: FloatArray) -> None:
-    """Write a vector (3,) at unit length; zero stays zero."""
-    length = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    for i in range(3):
-        unit[i] = vector[i] / max(length, 1e-12)

@@ -122,7 +122,7 @@ def test_the_panel_says_where_the_audit_tells_nothing_of_a_fruit(shown):
     item = activate(3)
     assert drawn().texts[0] == "The audit has no entry for apple.003"
     judge(item, ADDED)
-    assert drawn().texts[0] == "apple.003 was made by a person"
+    assert drawn().texts[0] == "apple.003 was added by the user"
 
 
 def test_a_file_without_an_audit_says_so(shown):

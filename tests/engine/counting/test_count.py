@@ -216,7 +216,7 @@ def test_trees_of_leaves_that_are_no_fruit_are_told_like_those_of_nothing(wanted
 
 def test_trees_that_stand_above_one_another_are_refused(small: sim.Simulation) -> None:
     above = dataclasses.replace(CONFIG, tree_places=(0.0, 0.0, 0.0, 0.0, 0.0, 2.0))
-    with pytest.raises(ConfigError, match="stand above one another"):
+    with pytest.raises(ConfigError, match="have the same position seen from above"):
         count_fruit(
             small.gaussians, small.probability, small.cameras, above, label="apple", up=np.array([0.0, 0.0, 1.0])
         )
@@ -255,7 +255,7 @@ def test_a_given_diameter_is_used(small: sim.Simulation) -> None:
 def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
     result = counted(small, dataclasses.replace(CONFIG, diameter=1e-6))
     assert result.count == 0
-    assert "larger than the fruit" in result.audit[0].reason
+    assert "larger than the expected fruit" in result.audit[0].reason
     assert nothing_found(result, 0.5, None).endswith("diameter 1e-06 scene units")
 
 
@@ -363,7 +363,7 @@ def test_a_direction_up_that_is_none_is_refused(small: sim.Simulation, up: list[
 
 def test_gaussians_that_all_lie_in_one_place_are_refused(small: sim.Simulation) -> None:
     means = torch.ones_like(small.gaussians.means)
-    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie at the same position, 1 1 1; train"):
+    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie at the same position, 1 1 1. Train"):
         counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
 
 

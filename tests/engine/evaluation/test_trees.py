@@ -184,7 +184,7 @@ def test_given_trees_without_fruit_keep_their_places() -> None:
 @pytest.mark.parametrize("second", [(0.0, 0.0, 2.0), (0.1, -0.1, 2.0), (0.0, 0.0, -1e-3)])
 def test_given_trees_that_stand_above_one_another_are_an_error(second: tuple[float, float, float]) -> None:
     places = (5.0, 0.0, 0.0, 0.0, 0.0, 0.0, *second)
-    with pytest.raises(ConfigError, match=r"--count\.tree-places: trees 2 and 3 stand above one another"):
+    with pytest.raises(ConfigError, match=r"--count\.tree-places: trees 2 and 3 have the same position"):
         check_trees(CountConfig(tree_places=places), UP)
     check_trees(CountConfig(tree_places=places), np.array([0.0, 1.0, 0.0]))
 

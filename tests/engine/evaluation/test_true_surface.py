@@ -81,7 +81,7 @@ def test_a_truth_of_another_scene_is_refused(folder: Path) -> None:
         (lambda path: path.unlink(), "half-made"),
         (lambda path: path.write_bytes(path.read_bytes()[:60]), "damaged"),
         (lambda path: Image.new("I;16", (4, 4)).save(path), "4×4 pixels"),
-        (lambda path: Image.new("RGB", (128, 96)).save(path), "no picture of 16-bit numbers"),
+        (lambda path: Image.new("RGB", (128, 96)).save(path), "not a 16-bit image"),
     ],
 )
 def test_a_mask_that_cannot_be_used_is_named(spoil, said, tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_no_feature_to_learn_from_is_refused():
 def test_a_feature_that_is_no_number_is_refused():
     features = masks()
     features[3, 4] = math.nan
-    with pytest.raises(EncoderError, match="no number"):
+    with pytest.raises(EncoderError, match="not a number"):
         train_autoencoder(features, QUICK)
 
 

@@ -74,7 +74,7 @@ def test_a_checkpoint_put_where_the_error_said_is_found_under_its_name(clip, own
 
 @pytest.mark.parametrize("name", ["/no/such/folder", "../elsewhere", "", "a/b/c", "~/nothing/here"])
 def test_what_is_neither_a_folder_nor_a_name_is_an_error(name):
-    assert "which is no folder" in refusal(name)
+    assert "which is not a folder" in refusal(name)
 
 
 def test_a_pickle_is_refused_and_the_conversion_told_works(copy):

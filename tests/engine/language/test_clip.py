@@ -99,7 +99,7 @@ def test_a_gaussian_that_looks_like_the_prompt_is_likelier_than_one_that_looks_l
 
 
 def test_a_prompt_that_is_also_a_negative_is_an_error(encoder):
-    with pytest.raises(VocabularyError, match="ruled out by the negative 'APPLE'"):
+    with pytest.raises(VocabularyError, match="excluded by the negative 'APPLE'"):
         check_prompts(encoder, ["apple"], ["APPLE"])
 
 

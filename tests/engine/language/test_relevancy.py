@@ -90,7 +90,7 @@ def test_the_length_of_a_block_does_not_matter(encoder: EmbeddedEncoder):
 
 @pytest.mark.parametrize(("prompt", "negative"), [("apple", "Apples"), ("red apple", "apple"), ("apple", "fruit")])
 def test_a_prompt_that_a_negative_rules_out_is_refused(encoder: EmbeddedEncoder, prompt: str, negative: str):
-    with pytest.raises(VocabularyError, match="ruled out"):
+    with pytest.raises(VocabularyError, match="is excluded by"):
         relevancy(_features(_feature("red", apple=0.9)), encoder, [prompt], [negative])
 
 
@@ -100,7 +100,7 @@ def test_an_unknown_negative_is_refused(encoder: EmbeddedEncoder):
 
 
 def test_no_prompt_is_refused(encoder: EmbeddedEncoder):
-    with pytest.raises(VocabularyError, match="no prompt"):
+    with pytest.raises(VocabularyError, match="No prompt is given"):
         relevancy(_features(_feature("red", apple=0.9)), encoder, [])
 
 

@@ -82,9 +82,9 @@ def test_a_gaussian_that_hardly_any_pixel_drew_is_never_selected():
 
 def test_a_prompt_that_is_also_a_negative_is_refused():
     given = features([[1.0, 0.0, 0.0, 0.0]])
-    with pytest.raises(VocabularyError, match="ruled out"):
+    with pytest.raises(VocabularyError, match="is excluded by"):
         dual(given, ["apple"], ["apple"], 0.5, 0.5)
-    with pytest.raises(VocabularyError, match="ruled out"):
+    with pytest.raises(VocabularyError, match="is excluded by"):
         relevancy(given, ENCODER, ["apple"], ["apple"])
 
 

@@ -119,7 +119,7 @@ def test_one_missing_photo_is_named_with_its_path(tmp_path: Path) -> None:
 def test_missing_photos_are_all_said_to_be_missing(tmp_path: Path) -> None:
     write_model(tmp_path)
     shutil.rmtree(tmp_path / "images")
-    with pytest.raises(SceneError, match="no folder images beside"):
+    with pytest.raises(SceneError, match="no folder images next to"):
         read_colmap(tmp_path)
     write_photo(tmp_path / "images" / "other.png", 32, 24)
     with pytest.raises(SceneError, match="none of the model's 4 photos found"):

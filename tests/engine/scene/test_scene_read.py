@@ -111,8 +111,8 @@ def test_bad_transforms_are_named(tmp_path: Path, values: dict[str, object], sai
         ({"file_path": "images/gone.png"}, r"photo .*gone\.png .* cannot be found"),
         ({"transform_matrix": None}, "no transform_matrix"),
         ({"transform_matrix": [[1, 0], [0, 1]]}, "no transform_matrix"),
-        ({"transform_matrix": (np.eye(4) * 2).tolist()}, "no rigid motion"),
-        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "no rigid motion"),
+        ({"transform_matrix": (np.eye(4) * 2).tolist()}, "not a rigid motion"),
+        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "not a rigid motion"),
     ],
 )
 def test_a_bad_frame_is_named(tmp_path: Path, values: dict[str, object], said: str) -> None:

@@ -141,7 +141,7 @@ def test_a_damaged_checkpoint_is_passed_over_with_a_message(
     checkpoint.write_bytes(content[: int(len(content) * kept)])
     messages: list[str] = []
     again = train(scene, QUICK, checkpoint=checkpoint, progress=lambda fraction, message: messages.append(message))
-    assert any("starting anew" in message and "c.safetensors" in message for message in messages)
+    assert any("starting again" in message and "c.safetensors" in message for message in messages)
     assert same(again.gaussians, uninterrupted.gaussians)
 
 
@@ -352,7 +352,7 @@ def test_training_stops_when_the_photos_kept_aside_gain_nothing(scene: Scene) ->
 
 @pytest.mark.parametrize("settings", [{"check_every": 0}, {"check_every": 10, "holdout_every": 0}])
 def test_patience_without_measurements_is_refused(settings: dict[str, int], scene: Scene) -> None:
-    with pytest.raises(TrainingError, match=r"--train\.patience stops by measurements"):
+    with pytest.raises(TrainingError, match=r"--train\.patience needs measurements of held-out photos"):
         train(scene, replace(QUICK, patience=2, **settings))
 
 
