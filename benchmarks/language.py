@@ -43,11 +43,11 @@ def measure_language(
     return [
         row
         for place, config in enumerate(configs)
-        for row in _road(scene, gaussians, config, part(progress, place / len(configs), (place + 1) / len(configs)))
+        for row in _pipeline(scene, gaussians, config, part(progress, place / len(configs), (place + 1) / len(configs)))
     ]
 
 
-def _road(scene: Scene, gaussians: Gaussians, config: EmbedConfig, progress: Progress) -> list[Stage]:
+def _pipeline(scene: Scene, gaussians: Gaussians, config: EmbedConfig, progress: Progress) -> list[Stage]:
     watch = Stopwatch()
     with watch.running():
         with watch.stage("open"):

@@ -21,7 +21,7 @@ class Stage:
     """road: what the stages are of; seconds: in all; peak: the most memory, bytes, that the process held meanwhile;
     times: how often it ran."""
 
-    road: str
+    pipeline: str
     name: str
     seconds: float
     peak: int
@@ -81,8 +81,8 @@ class Stopwatch:
                     return
             yield item
 
-    def rows(self, road: str) -> list[Stage]:
-        return [Stage(road, name, self.seconds[name], self.peaks[name], self.times[name]) for name in self.times]
+    def rows(self, pipeline: str) -> list[Stage]:
+        return [Stage(pipeline, name, self.seconds[name], self.peaks[name], self.times[name]) for name in self.times]
 
     def _tick(self) -> None:
         now = time.perf_counter()

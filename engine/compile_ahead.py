@@ -28,7 +28,7 @@ from .scene.camera import ArrayPhoto, Camera, Scene, looking
 from .splatting.gaussians import Gaussians
 from .splatting.kernels.records import RECORD, TILE_HEIGHT, TILE_WIDTH
 from .splatting.kernels.tile import CHANNELS
-from .splatting.rendering.render import DrawRules, Tiles, pull_view
+from .splatting.rendering.render import DrawRules, Tiles, view_backward
 from .splatting.rendering.workspace import Workspace
 from .splatting.training.losses import PhotometricLoss
 from .splatting.training.step import SSIM_WEIGHT
@@ -136,9 +136,11 @@ def _compile_backward(camera: Camera) -> None:
     planes = np.zeros((CHANNELS, HEIGHT, WIDTH), np.float32)
     gradients = np.zeros((5, HEIGHT, WIDTH), np.float32)
     photo = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    PhotometricLoss(SSIM_WEIGHT, workspace).pull(planes[:3], photo, None, gradients[:3])
+    PhotometricLoss(SSIM_WEIGHT, workspace).backward(planes[:3], photo, None, gradients[:3])
     background = np.zeros(3, np.float32)
-    pull_view(parameters, camera, rules, tiles, planes, gradients, workspace, features=features, background=background)
+    view_backward(
+        parameters, camera, rules, tiles, planes, gradients, workspace, features=features, background=background
+    )
 
 
 def _scene() -> tuple[Gaussians, NDArray[np.float64], list[Camera]]:

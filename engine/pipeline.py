@@ -23,7 +23,7 @@ from .language.prompts.selection import select
 from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
-from .reconstruction import Reconstruction, Stages, adopt, check_foreign, reconstruct, reopen
+from .reconstruction import Reconstruction, Stages, adopt, check_imported, reconstruct, reopen
 from .report.results import FRUITS_JSON, known_fruit
 from .scale import scaled
 from .splatting.training.train import Watch
@@ -38,7 +38,7 @@ def count_scene(
     config: Config = Config(),  # noqa: B008 (frozen)
     writers: Mapping[str, Writer] | None = None,
     keep: Path | None = None,
-    foreign: Path | None = None,
+    imported: Path | None = None,
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -51,7 +51,7 @@ def count_scene(
         negatives: what must not be counted, beside what the encoder contrasts by itself.
         writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
         keep: a file that stays although it belongs to the earlier result, such as the .blend a person has open.
-        foreign: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
+        imported: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
         watch: is shown the Gaussians while they are trained.
 
     Raises:
@@ -67,7 +67,7 @@ def count_scene(
         read_template(Path(config.count.template))  # nor must a file that is no template
         given["template_sha256"] = file_hash(Path(config.count.template))
     stages = Stages()
-    made = _made(source, out, embedder, config, foreign, watch, stages, part(progress, 0.0, 0.9))
+    made = _made(source, out, embedder, config, imported, watch, stages, part(progress, 0.0, 0.9))
     known = _known(made, source, out)
     with stages.timed("count"):
         probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
@@ -106,7 +106,7 @@ def reconstruct_scene(
     out: Path,
     *,
     config: Config = Config(),  # noqa: B008 (frozen)
-    foreign: Path | None = None,
+    imported: Path | None = None,
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> tuple[Reconstruction, Stages]:
@@ -115,7 +115,7 @@ def reconstruct_scene(
     Returns it with the log of the run. Arguments and errors as of `count_scene`.
     """
     stages = Stages()
-    made = _made(source, out, Embedder.open(config.embed), config, foreign, watch, stages, progress)
+    made = _made(source, out, Embedder.open(config.embed), config, imported, watch, stages, progress)
     progress(1.0, "Done")
     return made, stages
 
@@ -125,7 +125,7 @@ def _made(
     out: Path,
     embedder: Embedder,
     config: Config,
-    foreign: Path | None,
+    imported: Path | None,
     watch: Watch | None,
     stages: Stages,
     progress: Progress,
@@ -133,16 +133,16 @@ def _made(
     """Everything that does not depend on the prompt, by the road that `source` asks for, with its scale."""
     if config.units.object is not None:
         check_prompts(embedder.encoder, [config.units.object])
-    if foreign is not None:
-        check_foreign(source, foreign, out)
+    if imported is not None:
+        check_imported(source, imported, out)
     with compiled_ahead(progress, 1.0):
         if (source / FRUITS_JSON).is_file():
             made = reopen(source, out, embedder, config, stages)
             require_writable(out / "cache")
         elif out.resolve() == (source.parent if source.is_file() else source).resolve():
             raise OutputError(f"{out} is the folder of the scene itself. Choose another folder for the results")
-        elif foreign is not None or source.suffix.lower() == ".ply":
-            made = adopt(source, foreign, out / "cache", embedder, config, stages, progress)
+        elif imported is not None or source.suffix.lower() == ".ply":
+            made = adopt(source, imported, out / "cache", embedder, config, stages, progress)
         else:
             made = reconstruct(source, out / "cache", embedder, config, stages, progress, watch)
     return scaled(made, embedder.encoder, config.units, stages)

@@ -33,7 +33,7 @@ from .report.still import draw_still, save_still
 from .report.tables import fruits_csv
 from .report.words import headline
 from .scene.camera import Scene
-from .scene.formats.cameras_json import told_anew
+from .scene.formats.cameras_json import with_scene_facts
 from .splatting.gaussians import Gaussians
 
 PICTURES = "pictures"
@@ -115,7 +115,7 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     """Write the files whose bytes follow from the inputs alone; returns their names."""
     shutil.copyfile(made.gaussians_file, folder / GAUSSIANS)
     shutil.copyfile(made.features_file, folder / FEATURES)
-    write_text(folder / CAMERAS, told_anew(made.cameras_file, result.scene))
+    write_text(folder / CAMERAS, with_scene_facts(made.cameras_file, result.scene))
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
     prompt = ", ".join(result.origin["prompts"])
@@ -143,14 +143,14 @@ def _write_page(folder: Path, result: Result) -> None:
     still = draw_still(result.gaussians, fruit_count.fruits, camera, metres_per_unit=metres_per_unit, title=title)
     save_still(folder / STILL, still)
     origin = {name: value for name, value in result.origin.items() if name != "source"}
-    told = {"notices": result.notices, **origin, "versions": versions()}
+    made_with = {"notices": result.notices, **origin, "versions": versions()}
     write_page(
         folder / PAGE,
         fruit_count,
         title=", ".join(result.origin["prompts"]),
         metres_per_unit=metres_per_unit,
         still=still,
-        provenance={**told, "config": dataclasses.asdict(result.config)},
+        provenance={**made_with, "config": dataclasses.asdict(result.config)},
     )
 
 

@@ -28,13 +28,15 @@ from .scene.photos.photo import FilePhoto
 from .scene.scale import scale_by_length
 from .scene.source import Source, photos_alone, pose_photos, posed_before
 from .splatting.gaussians import Gaussians
-from .splatting.imported.imported_gaussians import PLACED, borrow, drawn_again
+from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
 from .splatting.ply import read_ply, write_ply
 from .splatting.training.train import Watch, train
 
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur does; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
+FORMER_IMPORTED = "foreign"
+"""Key of `provenance.imported` in results of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +135,14 @@ def reconstruct(
 
 def adopt(
     source: Path,
-    foreign: Path | None,
+    imported: Path | None,
     cache: Path,
     embedder: Embedder,
     config: Config,
     stages: Stages,
     progress: Progress,
 ) -> Reconstruction:
-    """A foreign reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself.
+    """An imported reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself.
 
     Raises:
         ConfigError: features shall be trained along with Gaussians that are not trained.
@@ -149,41 +151,41 @@ def adopt(
         raise ConfigError("--features joint trains with the Gaussians, and these are given; use --features lift")
     with stages.timed("scene"):
         given = Source(path=source)
-        scene = None if foreign is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
-        inputs = "" if foreign is None else given.hash()
+        scene = None if imported is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
+        inputs = "" if imported is None else given.hash()
     require_writable(cache)
-    with stages.timed("borrow"):
-        borrowed = borrow(foreign or source, scene, inputs, config.scene, cache)
-    stages.notices += borrowed.notices
-    if borrowed.reused:
-        stages.reused.append("borrow")
+    with stages.timed("import"):
+        adopted = import_gaussians(imported or source, scene, inputs, config.scene, cache)
+    stages.notices += adopted.notices
+    if adopted.reused:
+        stages.reused.append("import")
     features_file = _embed_into(
-        cache, borrowed.key, borrowed.scene, borrowed.gaussians, embedder, stages, part(progress, 0.1, 1.0)
+        cache, adopted.key, adopted.scene, adopted.gaussians, embedder, stages, part(progress, 0.1, 1.0)
     )
     return Reconstruction(
-        scene=borrowed.scene,
-        gaussians=borrowed.gaussians,
+        scene=adopted.scene,
+        gaussians=adopted.gaussians,
         features=load_features(features_file),
-        gaussians_file=borrowed.gaussians_file,
+        gaussians_file=adopted.gaussians_file,
         features_file=features_file,
-        cameras_file=borrowed.cameras_file,
+        cameras_file=adopted.cameras_file,
         config=config,
         origin={
             "source": str(source.resolve()),
-            "inputs_sha256": inputs or borrowed.record["sha256"],
+            "inputs_sha256": inputs or adopted.record["sha256"],
             "encoder": embedder.encoder.identity,
-            "training": {"steps": 0, "gaussians": len(borrowed.gaussians), "psnr": None, "ssim": None, "held_out": []},
-            "foreign": borrowed.record,
+            "training": {"steps": 0, "gaussians": len(adopted.gaussians), "psnr": None, "ssim": None, "held_out": []},
+            "imported": adopted.record,
         },
     )
 
 
-def check_foreign(source: Path, foreign: Path, out: Path) -> None:
-    """Raise where a foreign reconstruction has no place: one is there already, or the result would overwrite it."""
+def check_imported(source: Path, imported: Path, out: Path) -> None:
+    """Raise where an imported reconstruction has no place: one is there already, or the result would overwrite it."""
     if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
         raise ConfigError(f"{source} holds its own Gaussians; with --gaussians give the photos and cameras as SCENE")
-    if foreign.resolve().parent == out.resolve():
-        raise OutputError(f"{out} is the folder of {foreign.name} itself. Choose another folder for the results")
+    if imported.resolve().parent == out.resolve():
+        raise OutputError(f"{out} is the folder of {imported.name} itself. Choose another folder for the results")
 
 
 def _read_photos(source: Source, config: Config, stages: Stages, progress: Progress) -> Scene:
@@ -293,15 +295,18 @@ def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, s
                 "Use the same --encoder, or give the folder of the photos as SCENE"
             )
         scene = _turned(read_cameras(folder / CAMERAS), config)
-        kept = ("source", "inputs_sha256", "encoder", "training", "foreign", "scale")
-        origin = {key: document["provenance"][key] for key in kept if key in document["provenance"]}
+        kept = ("source", "inputs_sha256", "encoder", "training", "imported", "scale")
+        provenance = document["provenance"]
+        if FORMER_IMPORTED in provenance:
+            provenance["imported"] = provenance.pop(FORMER_IMPORTED)
+        origin = {key: provenance[key] for key in kept if key in provenance}
         gaussians = read_ply(gaussians_file)
         source = source_of(folder, document)
         origin["source"] = str(source)
         # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
         with suppress(FruitLangsError):
-            if origin.get("foreign", {}).get("cameras") == PLACED:
-                scene = drawn_again(gaussians, scene)
+            if origin.get("imported", {}).get("cameras") == PLACED:
+                scene = rendered_again(gaussians, scene)
             else:
                 photos, found = photos_alone(source), Source(path=source)
                 if photos is not None:

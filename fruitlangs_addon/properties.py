@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
-from ..operators.drawing.splat_drawing import look_edited
+from ..operators.drawing.splat_drawing import edit_appearance_soon
 from ..operators.settings.settings import RELATIVE, apply_preset, config_properties, stage_classes
 from ..operators.steps.ask import suggestions, threshold_changed, words_changed
 from ..operators.viewport.gaussian_nodes import DIMMING
@@ -120,13 +120,13 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
             ("NONE", "Nothing", "Hide Gaussians in viewports; renders still show them"),
         ],
         default="SPLATS",
-        update=look_edited,
+        update=edit_appearance_soon,
         description="How viewports show Gaussians; renders always show ellipsoids",
     )
     highlight: BoolProperty(
         name="Highlight",
         default=True,
-        update=look_edited,
+        update=edit_appearance_soon,
         description="Highlight Gaussians that match the prompt, from grey at the threshold to yellow",
     )
     dimming: FloatProperty(
@@ -135,7 +135,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=look_edited,
+        update=edit_appearance_soon,
         description="How much to darken Gaussians below the threshold",
     )
 

@@ -21,7 +21,7 @@ from .shapes.meshes import Mesh, fruit_mesh
 from .species import SPECIES, Species, Variant
 from .surroundings.distractors import hang_tags, scatter_flowers
 from .surroundings.neighbours import Neighbour, Prototype, plant_neighbours
-from .surroundings.things import Thing, leave_things
+from .surroundings.things import SceneObject, place_objects
 
 FloatArray = NDArray[np.float64]
 SPACING = {"spindle": 1.75, "wall": 2.1, "vase": 2.3, "bush": 2.2}
@@ -47,7 +47,7 @@ class Orchard:
     place: Place
     tags: tuple[Mesh, ...]
     flowers: tuple[Mesh, ...]
-    things: tuple[Thing, ...]
+    things: tuple[SceneObject, ...]
     prototypes: tuple[Prototype, ...]
     neighbours: tuple[Neighbour, ...]
 
@@ -101,7 +101,7 @@ def plant(config: OrchardConfig) -> Orchard:
         things=tuple(
             thing
             for tree, x in zip(trees, feet, strict=True)
-            for thing in leave_things(streams[9], tree, ground, species.tree_height / 2.3, config.things, float(x))
+            for thing in place_objects(streams[9], tree, ground, species.tree_height / 2.3, config.things, float(x))
         ),
         prototypes=prototypes,
         neighbours=neighbours,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .blender.render import Passes, picture_pixels, prepare, render_view
 from .blender.stage import dress, set_stage
-from .cameras.camera_path import walk
+from .cameras.camera_path import camera_places
 from .cameras.close_ups import close_ups
 from .cameras.poses import disturbed
 from .cameras.shake import shake_of
@@ -108,7 +108,7 @@ def viewpoints(orchard: Orchard) -> list[Viewpoint]:
     """The scene's cameras, drawn from its seed."""
     rng = np.random.default_rng([orchard.config.seed, 20])
     if not orchard.config.close_ups:
-        return walk(rng, orchard.config, orchard.species, orchard.place)
+        return camera_places(rng, orchard.config, orchard.species, orchard.place)
     bodies = [f.body for f in orchard.fruits if f.kind != "neighbour"]
     things = np.array([thing.mesh.vertices.mean(axis=0) for thing in orchard.things]).reshape(-1, 3)
     return close_ups(rng, orchard.config, orchard.species, orchard.place.crown, bodies, things)

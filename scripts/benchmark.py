@@ -37,7 +37,7 @@ from fruitlangs.benchmarks.training.pages import (
     stage_table,
     watched_table,
 )
-from fruitlangs.benchmarks.training.published_3dgs import beside_published
+from fruitlangs.benchmarks.training.published_3dgs import compare_with_published
 from fruitlangs.benchmarks.training.step_times import MOST_THREADS, Setting, measure
 from fruitlangs.engine.config import EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
@@ -102,10 +102,10 @@ def main() -> None:
     if options.ablation is not None:
         pages.append(ablation_table(ablate(options.ablation, config, progress=progress)))
     if options.published is not None:
-        pages.append(published_table(beside_published(options.published, steps=options.steps, progress=progress)))
+        pages.append(published_table(compare_with_published(options.published, steps=options.steps, progress=progress)))
     if options.language is not None:
         scene, ply = options.language
-        language = measure_language(scene, ply, roads(options), views=options.views, progress=progress)
+        language = measure_language(scene, ply, pipelines(options), views=options.views, progress=progress)
         pages.append(watched_table("From photos to probabilities.", language))
     if options.counting:
         counting = measure_counting(options.counting, progress=progress)
@@ -124,7 +124,7 @@ def main() -> None:
             draw_curves(curves, options.out / "curves.png")
 
 
-def roads(options: argparse.Namespace) -> list[EmbedConfig]:
+def pipelines(options: argparse.Namespace) -> list[EmbedConfig]:
     """The embedded encoder; with --clip also its checkpoint on classical masks, and on those of --sam."""
     if options.sam and not options.clip:
         raise ConfigError("--sam finds masks for --clip; name a CLIP checkpoint too")

@@ -120,7 +120,7 @@ def main() -> None:
             count=arguments.count,
             units=arguments.units,
         ),
-        foreign=arguments.gaussians,
+        imported=arguments.gaussians,
         writers=blend_writer(arguments.blend),
         progress=terminal_progress(),
     )

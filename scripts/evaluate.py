@@ -25,8 +25,8 @@ import _checkout  # noqa: F401  puts the checkout on the path
 import numpy as np
 
 from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
-from fruitlangs.benchmarks.ladder.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder.pages import rung_rows, write_pages
+from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
+from fruitlangs.benchmarks.ladder.pages import stage_rows, write_pages
 from fruitlangs.benchmarks.ladder.results import publish
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.orchards import measure_each
@@ -47,7 +47,7 @@ HEADER = (
     "result", "radius", "predicted", "visible", "matched", "ignored", "precision", "recall", "F1", "doubles", "merges",
     "count error", "centre error", "diameter error", "diameter bias",
 )  # fmt: skip
-Rung = Literal["counting-only", "true-geometry", "true-masks", "true-poses", "end-to-end"]
+Stage = Literal["counting-only", "true-geometry", "true-masks", "true-poses", "end-to-end"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +64,8 @@ class Arguments:
     """With --truth: measure against true fruit of this word only; else against those of the counted prompts."""
     prompt: tuple[str, ...] = ()
     """With --out: what to count; else the species that each scene says it has."""
-    rungs: tuple[Rung, ...] = get_args(Rung)
-    """With --out: the rungs to count on."""
+    stages: Annotated[tuple[Stage, ...], tyro.conf.arg(aliases=("--rungs",))] = get_args(Stage)
+    """With --out: the ablation stages to count. --rungs is the earlier name."""
     publish: Path | None = None
     """Folder that gets results.csv and RESULTS.md too, with the date and the commit."""
     preset: Preset = "standard"
@@ -104,7 +104,7 @@ def ladder(arguments: Arguments) -> None:
     """Climb every scene and write the pages after each, so that an interrupt leaves what was measured."""
     assert arguments.out is not None
     config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
-    out, progress, rows = arguments.out, terminal_progress(), list[RungRow]()
+    out, progress, rows = arguments.out, terminal_progress(), list[StageResult]()
 
     def climb_one(folder: Path, share: Progress) -> None:
         rows.extend(
@@ -113,7 +113,7 @@ def ladder(arguments: Arguments) -> None:
                 out / folder.name,
                 config=config,
                 prompts=arguments.prompt,
-                rungs=arguments.rungs,
+                stages=arguments.stages,
                 report=report,
                 progress=share,
             )
@@ -123,11 +123,11 @@ def ladder(arguments: Arguments) -> None:
     broken = measure_each(arguments.given, out, climb_one, report=report, progress=progress)
     progress(1.0, "Done")
     if rows:
-        print(markdown(rung_rows(rows)))
+        print(markdown(stage_rows(rows)))
         print(f"\nwritten: {out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")
         if arguments.publish is not None and not broken and not any(row.failed for row in rows):
             publish(rows, arguments.publish, command=" ".join(["scripts/evaluate.py", *arguments_of(__file__)]))
-    broken += [f"{row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
+    broken += [f"{row.scene}, {row.stage}: {row.failed}" for row in rows if row.failed]
     if broken:
         raise ConfigError(f"{len(broken)} could not be measured; the first: {broken[0]}")
 

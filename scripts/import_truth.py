@@ -33,7 +33,7 @@ def main(given: Sequence[str] | None = None) -> None:
         FruitLangsError: the data set cannot be read or the files cannot be written.
     """
     arguments = _parser().parse_args(arguments_of(__file__) if given is None else given)
-    _refuse_foreign_flags(arguments)
+    _refuse_other_flags(arguments)
     imported, cloud = _read(arguments)
     if arguments.transform is not None:
         imported = transformed(imported, read_similarity(arguments.transform))
@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _refuse_foreign_flags(arguments: argparse.Namespace) -> None:
+def _refuse_other_flags(arguments: argparse.Namespace) -> None:
     """Raise ConfigError for a flag that the layout would silently ignore."""
     flags = {
         "part": (pfuji.LAYOUT,),

@@ -30,7 +30,13 @@ from fruitlangs.fitting.encoder.batches import Material
 from fruitlangs.fitting.encoder.calibration import calibrate
 from fruitlangs.fitting.encoder.card import write_card
 from fruitlangs.fitting.encoder.learning import Course, check_course, learn
-from fruitlangs.fitting.encoder.lifted import FRUIT_SHARE, calibrate_lifted, lifted_measures, lifted_scene, walks
+from fruitlangs.fitting.encoder.lifted import (
+    FRUIT_SHARE,
+    calibrate_lifted,
+    lifted_measures,
+    lifted_scene,
+    rendered_scenes,
+)
 from fruitlangs.fitting.encoder.measures import Unseen, halves, measure
 from fruitlangs.fitting.encoder.pasting import cut_fruit
 from fruitlangs.fitting.encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
@@ -72,7 +78,7 @@ class Pictures:
     material: Material
     val_photos: Sequence[Picture]
     held_out: Sequence[Picture]
-    walks: Sequence[Path]
+    rendered_scenes: Sequence[Path]
     seeds: Sequence[int]
 
 
@@ -92,7 +98,7 @@ def main(options: Options) -> None:
 def read_pictures(options: Options) -> Pictures:
     """Read the photos and the renders, and cut the fruit out of those that are trained on."""
     photos, renders = read_photos(options.photos, "train"), read_renders(options.renders) if options.renders else []
-    lifted = walks(options.renders) if options.renders else []
+    lifted = rendered_scenes(options.renders) if options.renders else []
     learnt, held_out = split_scenes(renders)
     rendered = [options.renders / name for name in {p.source for p in learnt}] if options.renders else []
     seeds = training_seeds([*rendered, *lifted])
@@ -137,7 +143,11 @@ def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
     fitted, judged = halves(unseen)
     pixels = calibrate(encoder, fitted.photo_samples, fitted.render_samples)
     measures = measure(opened(pixels.calibration), unseen, judged, pixels)
-    scenes = [scene for walk in pictures.walks if (scene := lifted_scene(encoder, walk)).tells]
+    scenes = [
+        scene
+        for rendered_scene in pictures.rendered_scenes
+        if (scene := lifted_scene(encoder, rendered_scene)).is_informative
+    ]
     calibration = calibrate_lifted(scenes, pixels.calibration).calibration if scenes else pixels.calibration
     overlap = lifted_measures(scenes, pixels.calibration)
     opened(calibration)

@@ -14,10 +14,10 @@ from sklearn.cluster import DBSCAN, KMeans
 
 from ...engine.config import CountConfig
 from ...engine.counting.count import count_fruit, fruit_size, select_gaussians
-from ...engine.counting.evidence.candidates import OVERLAP, Skin, vote
+from ...engine.counting.evidence.candidates import OVERLAP, SurfaceIndex, vote
 from ...engine.counting.evidence.size import FruitSize
 from ...engine.counting.evidence.surface_points import SurfacePoints, sample_enough
-from ...engine.counting.evidence.visibility import Visibility, see
+from ...engine.counting.evidence.visibility import Visibility, find_visibility
 from ...engine.counting.geometry.sphere import REACH, fit_spheres
 from ...engine.scene.camera import Camera
 from ...engine.splatting.gaussians import Gaussians
@@ -54,15 +54,15 @@ class Surface:
 
 def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequence[Camera]) -> Surface:
     """The points and the size that the product's default starts from, by its own functions; probability: (N,)."""
-    chances, config = probability.double().numpy(), CountConfig()
-    visibility = see(gaussians, cameras)
-    selected = select_gaussians(gaussians, chances, config)
+    probabilities, config = probability.double().numpy(), CountConfig()
+    visibility = find_visibility(gaussians, cameras)
+    selected = select_gaussians(gaussians, probabilities, config)
     seen = selected[visibility.weights[selected] > 0]
-    size = fruit_size(gaussians, chances, visibility, seen, config) if len(seen) else None
+    size = fruit_size(gaussians, probabilities, visibility, seen, config) if len(seen) else None
     if size is None:
         return Surface(gaussians, probability, cameras, visibility, None)
     points = sample_enough(
-        gaussians, chances, visibility, seen, diameter=size.diameter, most=config.sample_budget, seed=config.seed
+        gaussians, probabilities, visibility, seen, diameter=size.diameter, most=config.sample_budget, seed=config.seed
     )
     return Surface(gaussians, probability, cameras, visibility, (points, size))
 
@@ -80,7 +80,7 @@ def ours(surface: Surface) -> Found:
     return counted.centers, counted.diameters
 
 
-def by_road(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
+def by_method(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
     """A published road of the product's, given the same size; it samples points of its own (the paper's eq. 12)."""
     if surface.sample is None:
         return NONE
@@ -121,10 +121,12 @@ def by_votes(surface: Surface) -> Found:
     if surface.sample is None:
         return NONE
     points, size = surface.sample
-    radius, skin = size.diameter / 2.0, Skin.of(points, size.diameter)
-    starts = vote(skin, radius, VOTE_SHARE)
+    radius, surface_points = size.diameter / 2.0, SurfaceIndex.of(points, size.diameter)
+    starts = vote(surface_points, radius, VOTE_SHARE)
     reaches, radii = np.full(len(starts), REACH * radius), np.full(len(starts), radius)
-    spheres = fit_spheres(skin.cells, skin.normals, starts, reaches, radii, prior=radius, prior_sd=PRIOR_SD)
+    spheres = fit_spheres(
+        surface_points.cells, surface_points.normals, starts, reaches, radii, prior=radius, prior_sd=PRIOR_SD
+    )
     chosen: list[int] = []
     for index in np.argsort(-spheres.support, kind="stable"):
         if spheres.support[index] < WEAKEST * spheres.support.max():
@@ -138,8 +140,8 @@ def by_votes(surface: Surface) -> Found:
 METHODS: Mapping[str, Callable[[Surface], Found]] = {
     "DBSCAN + mass ratio": by_mass,
     "plain centre voting": by_votes,
-    "FruitNeRF's clustering": partial(by_road, "fruitnerf"),
-    "paper's template road": partial(by_road, "template"),
+    "FruitNeRF's clustering": partial(by_method, "fruitnerf"),
+    "paper's template road": partial(by_method, "template"),
     "ours": ours,
 }
 """By name."""

@@ -14,7 +14,7 @@ from ...engine.evaluation.renders import DEPTH, INSTANCES
 from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 from ...engine.files import file_hash, files_hash
 from ...engine.scene.read import scene_hash
-from ..ladder.stages import Rungs
+from ..ladder.stages import LadderStages
 from ..orchards import TRUTH, read_origin
 from .baselines import Found, Surface, surface_of
 from .simulated import Setting, simulate
@@ -48,7 +48,7 @@ def simulated_crowns(settings: Mapping[str, Setting], seeds: Sequence[int]) -> I
             yield Crown(setting=name, seed=seed, key=keys[name], grown=partial(_grown, setting, seed))
 
 
-def scene_crown(folder: Path, out: Path, rung: str, config: Config) -> Crown:
+def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
     """The crown of a generated scene as it is given on one of the rungs with true masks; what is trained for it is kept
     in `out`, as the ladder's is (see `climb`).
 
@@ -60,19 +60,19 @@ def scene_crown(folder: Path, out: Path, rung: str, config: Config) -> Crown:
         raise FormatError(f"{folder} does not say what grows there; give a scene of make_orchard.py")
     truth = read_truth(folder / TRUTH, true_labels([origin.species]))
     masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
-    seen = [scene_hash(folder), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_RUNGS)]
-    rungs = Rungs(folder, out, truth, read_views(folder / TRUTH), [origin.species], config)
+    seen = [scene_hash(folder), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_STAGES)]
+    stages = LadderStages(folder, out, truth, read_views(folder / TRUTH), [origin.species], config)
 
     def grown() -> tuple[Surface, Truth]:
-        given = rungs.given(rung)
+        given = stages.given(stage)
         return surface_of(given.gaussians, given.probability, given.cameras), truth
 
     return Crown(
-        setting=origin.species, seed=origin.seed, key=code_key(stage_key((), config, rung, *seen)), grown=grown
+        setting=origin.species, seed=origin.seed, key=code_key(stage_key((), config, stage, *seen)), grown=grown
     )
 
 
-_RUNGS = Path(__file__).resolve().parents[1] / "ladder" / "stages.py"
+_STAGES = Path(__file__).resolve().parents[1] / "ladder" / "stages.py"
 
 
 def _grown(setting: Setting, seed: int) -> tuple[Surface, Truth]:

@@ -16,8 +16,8 @@ from ...engine.counting.accounts.ids import number
 from ...engine.counting.accounts.interval import estimate, evidence_of
 from ...engine.counting.count import fruit_size, select_gaussians
 from ...engine.counting.evidence.cluster import Clusters, Search, find_fruit, search
-from ...engine.counting.evidence.surface_points import LARGEST_SCALE, sample_skin
-from ...engine.counting.evidence.visibility import Picture, Visibility, draw, look_at, see
+from ...engine.counting.evidence.surface_points import LARGEST_SCALE, sample_surface
+from ...engine.counting.evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from ...engine.counting.regions.ground import lying_on_ground
 from ...engine.errors import CountingError
 from ...engine.progress import Progress, part, silent
@@ -67,9 +67,11 @@ class Stack:
 def one_crown() -> Stack:
     """A crown as its 36 cameras see it."""
     simulation = simulate(SETTINGS[CROWN], SEED)
-    chances = simulation.probability.double().numpy()
-    visibility = see(simulation.gaussians, simulation.cameras)
-    return Stack(simulation.gaussians, chances, visibility, draw(simulation.gaussians, chances, simulation.cameras))
+    probabilities = simulation.probability.double().numpy()
+    visibility = find_visibility(simulation.gaussians, simulation.cameras)
+    return Stack(
+        simulation.gaussians, probabilities, visibility, draw(simulation.gaussians, probabilities, simulation.cameras)
+    )
 
 
 def measure_counting(numbers: Sequence[int], *, progress: Progress = silent) -> list[Stage]:
@@ -96,7 +98,7 @@ def _timed(stack: Stack, wanted: int, progress: Progress) -> list[Stage]:
             size = fruit_size(stack.gaussians, stack.probability, stack.visibility, seen, config)
         assert size is not None
         with watch.stage("points"):
-            points = sample_skin(
+            points = sample_surface(
                 stack.gaussians, stack.probability, stack.visibility, seen,
                 budget=max(1, round(wanted / YIELD)), seed=config.seed, largest=LARGEST_SCALE * size.diameter,
             )  # fmt: skip
@@ -114,8 +116,8 @@ def _tell(stack: Stack, fruit: Clusters, searched: Search, config: CountConfig, 
         numbers = number(centers, np.arange(len(centers)), float(2.0 * radii.mean()))
         account = account_for(fruit, numbers)
     with watch.stage("describe"):
-        looks = look_at(stack.pictures, centers, radii, config.threshold)
-        describe(stack.gaussians, stack.seen, fruit, numbers, account.compound, looks, "apple")
+        view_evidence = gather_view_evidence(stack.pictures, centers, radii, config.threshold)
+        describe(stack.gaussians, stack.seen, fruit, numbers, account.compound, view_evidence, "apple")
     with watch.stage("ground"):
         others = stack.gaussians.select(torch.from_numpy(np.flatnonzero(stack.probability < config.threshold)))
         lying_on_ground(others, [picture.camera for picture in stack.pictures], centers, 2.0 * radii, UP)

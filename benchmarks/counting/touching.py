@@ -40,7 +40,7 @@ def touching_pairs(truth: Truth) -> IntArray:
     return near[chosen].astype(np.int64)
 
 
-def told_apart(centers: FloatArray, truth: Truth) -> Touching:
+def separated(centers: FloatArray, truth: Truth) -> Touching:
     """centers: (P, 3) of the counted fruit. Each belongs to the true fruit, seen or not, that is nearest to it in its
     diameters."""
     pairs = touching_pairs(truth)

@@ -16,7 +16,7 @@ from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visib
 from ...engine.evaluation.truth import Truth
 from ...engine.files import files_hash
 from .baselines import Found
-from .touching import Touching, told_apart
+from .touching import Touching, separated
 
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Bounds of the classes of visible fraction."""
@@ -49,7 +49,7 @@ def tried(setting: str, seed: int, method: str, key: str, found: Found, truth: T
         key=key,
         metrics=measured(judgement, truth),
         classes=tuple(by_visibility(judgement, truth, EDGES)),
-        touching=told_apart(found[0], truth),
+        touching=separated(found[0], truth),
     )
 
 

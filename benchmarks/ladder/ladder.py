@@ -27,7 +27,7 @@ from ...engine.progress import Progress, part, silent
 from ...engine.scene.read import scene_hash
 from ..orchards import TRUTH, read_origin
 from .mistakes import draw_mistakes
-from .stages import END_TO_END, RUNGS, TRUE_POSES, Counted, Rungs
+from .stages import END_TO_END, STAGES, TRUE_POSES, Counted, LadderStages
 
 WITHOUT_MASKS = (TRUE_POSES, END_TO_END)
 """The rungs that need no picture of what is fruit."""
@@ -35,7 +35,7 @@ _ROOMS = ("scene", "splatting", "language", "counting", "evaluation")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RungRow:
+class StageResult:
     """One rung of one scene.
 
     counted: how many fruit it gave, None where it failed; near, far: measured at half a diameter and at one, None
@@ -48,7 +48,7 @@ class RungRow:
     species: str
     seed: int | None
     scene: str
-    rung: str
+    stage: str
     counted: int | None
     near: CountMetrics | None = None
     far: CountMetrics | None = None
@@ -69,11 +69,11 @@ def climb(
     *,
     config: Config,
     prompts: Sequence[str] = (),
-    rungs: Collection[str] = tuple(RUNGS),
+    stages: Collection[str] = tuple(STAGES),
     report: Callable[[str], None] = lambda _: None,
     progress: Progress = silent,
-) -> list[RungRow]:
-    """Count a scene on every one of `rungs` into `out` and measure each against the scene's truth.
+) -> list[StageResult]:
+    """Count a scene on every one of `stages` into `out` and measure each against the scene's truth.
 
     prompts: what to count; the scene's own species when not given. A rung that an earlier run finished with the same
     inputs, settings and code is taken from `out`. A rung that fails is a row that says why; the others go on. A scene
@@ -91,18 +91,18 @@ def climb(
     if truth is None:
         report(f"{folder.name}: no {TRUTH}; counted and not measured")
     masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
-    chosen = [name for name in RUNGS if name in rungs and (name in WITHOUT_MASKS or (truth is not None and masks))]
-    dropped = [name for name in rungs if name not in chosen]
+    chosen = [name for name in STAGES if name in stages and (name in WITHOUT_MASKS or (truth is not None and masks))]
+    dropped = [name for name in stages if name not in chosen]
     if dropped:
         report(f"{folder.name}: no true masks for {', '.join(dropped)}")
-    bench = Rungs(folder, out, truth, read_views(truth_file) if truth else [], asked, config)
+    bench = LadderStages(folder, out, truth, read_views(truth_file) if truth else [], asked, config)
     inputs = [scene_hash(folder), file_hash(truth_file) if truth else "", files_hash(masks, folder)]
     made_by = _made_by(config)
     rows = []
     for number, name in enumerate(chosen):
         share = part(progress, number / len(chosen), (number + 1) / len(chosen))
         key = stage_key(_ROOMS, made_by, *inputs, config, name, *asked)
-        row = RungRow(species=origin.species, seed=origin.seed, scene=out.name, rung=name, counted=None)
+        row = StageResult(species=origin.species, seed=origin.seed, scene=out.name, stage=name, counted=None)
         try:
             counted = _kept(out / f"{name}.json", key)
             if counted is None:
@@ -132,7 +132,7 @@ def _made_by(config: Config) -> str:
     return f"{code} {open_encoder(config.embed).identity} {version('pycolmap')}"
 
 
-def _counted(row: RungRow, counted: Counted) -> RungRow:
+def _counted(row: StageResult, counted: Counted) -> StageResult:
     return dataclasses.replace(
         row,
         counted=len(counted.centers),
@@ -144,7 +144,7 @@ def _counted(row: RungRow, counted: Counted) -> RungRow:
     )
 
 
-def _measured(row: RungRow, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> RungRow:
+def _measured(row: StageResult, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> StageResult:
     return dataclasses.replace(
         row,
         near=measured(judgement, truth),
@@ -186,10 +186,10 @@ def _kept(path: Path, key: str) -> Counted | None:
         return None
 
 
-def _line(row: RungRow) -> str:
+def _line(row: StageResult) -> str:
     if row.failed:
-        return f"{row.scene}, {row.rung}: failed: {row.failed}"
-    told = f"{row.scene}, {row.rung}: {row.counted} counted"
+        return f"{row.scene}, {row.stage}: failed: {row.failed}"
+    text = f"{row.scene}, {row.stage}: {row.counted} counted"
     if row.near is None:
-        return told
-    return f"{told}, {row.near.visible} visible, F1 {row.near.f1:.3f}"
+        return text
+    return f"{text}, {row.near.visible} visible, F1 {row.near.f1:.3f}"

@@ -31,7 +31,7 @@ class _Mistake:
     """kind: what it is; told: how bad; center (3,), diameter: of the fruit that is shown; id: of a true one, else 0."""
 
     kind: str
-    told: str
+    text: str
     center: FloatArray
     diameter: float
     id: int = 0
@@ -76,7 +76,7 @@ def draw_mistakes(
         for column, mistake in enumerate(mistake for mistake in mistakes if mistake.kind == kind):
             left, top = column * (SIDE + 2), row * (SIDE + TITLE)
             crop = _crop(scene, truth, counted, mistake, instances)
-            title = f"{kind} {mistake.told}"
+            title = f"{kind} {mistake.text}"
             if crop is None:
                 title += ", in no view"
             else:
@@ -90,13 +90,13 @@ def _worst(truth: Truth, counted: Counted, judgement: Judgement) -> Iterator[_Mi
     """Missed and merged fruit, the best seen first; doubles and false ones, the surest first."""
     for kind, fruits in (("missed", judgement.missed), ("merged", judgement.merged)):
         for fruit in _largest(fruits, truth.visible_fractions):
-            told = f"{truth.visible_fractions[fruit]:.0%} seen"
+            text = f"{truth.visible_fractions[fruit]:.0%} seen"
             number = 0 if truth.ids is None else int(truth.ids[fruit])
-            yield _Mistake(kind, told, truth.centers[fruit], float(truth.diameters[fruit]), number)
+            yield _Mistake(kind, text, truth.centers[fruit], float(truth.diameters[fruit]), number)
     for kind, found in (("double", judgement.doubles), ("false", judgement.false)):
         for index in _largest(found, counted.probabilities):
-            told = f"p {counted.probabilities[index]:.2f}"
-            yield _Mistake(kind, told, counted.centers[index], float(counted.diameters[index]))
+            text = f"p {counted.probabilities[index]:.2f}"
+            yield _Mistake(kind, text, counted.centers[index], float(counted.diameters[index]))
 
 
 def _largest(index: NDArray[np.int64], values: FloatArray) -> NDArray[np.int64]:

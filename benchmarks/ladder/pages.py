@@ -13,15 +13,16 @@ from ...engine.evaluation.metrics import CountMetrics
 from ...engine.evaluation.summary import summarise
 from ...engine.files import replacing, write_text
 from ..markdown import markdown
-from .ladder import RungRow
-from .stages import COUNTING_ONLY, END_TO_END, RUNGS, TRUE_MASKS, TRUE_POSES
+from .ladder import StageResult
+from .stages import COUNTING_ONLY, END_TO_END, STAGES, TRUE_MASKS, TRUE_POSES
 
 COLUMNS = (
-    "species", "seed", "rung", "scene", "predicted", "visible", "total", "matched", "ignored", "precision", "recall",
-    "f1", "f1_at_1", "doubles", "merges", "count_error", "relative_count_error", "relative_total_error", "center_error",
-    "diameter_error", "diameter_bias", "ece", "interval_low", "interval_high", "psnr", "ssim", "views", "failed",
+    "species", "seed", "ablation_stage", "scene", "predicted", "visible", "total", "matched", "ignored", "precision",
+    "recall", "f1", "f1_at_1", "doubles", "merges", "count_error", "relative_count_error", "relative_total_error",
+    "center_error", "diameter_error", "diameter_bias", "ece", "interval_low", "interval_high", "psnr", "ssim", "views",
+    "failed",
 )  # fmt: skip
-STAGES = ("counting", "Gaussians", "masks", "poses")
+LOSS_NAMES = ("counting", "Gaussians", "masks", "poses")
 """What can lose fruit, in the order of the rungs that tell."""
 
 
@@ -34,15 +35,15 @@ class Loss:
 
     @property
     def largest(self) -> str:
-        known = [(loss, name) for loss, name in zip(self.stages, STAGES, strict=True) if loss > 0.0]
+        known = [(loss, name) for loss, name in zip(self.stages, LOSS_NAMES, strict=True) if loss > 0.0]
         return max(known, key=lambda pair: pair[0])[1] if known else ""
 
 
-def losses(f1_by_rung: dict[str, float]) -> Loss:
+def losses(f1_by_stage: dict[str, float]) -> Loss:
     """What each stage loses: the counting what it lacks of 1, the others what the rung with their truth has more."""
 
-    def of(rung: str) -> float:
-        return f1_by_rung.get(rung, math.nan)
+    def of(stage: str) -> float:
+        return f1_by_stage.get(stage, math.nan)
 
     return Loss(
         (
@@ -54,7 +55,7 @@ def losses(f1_by_rung: dict[str, float]) -> Loss:
     )
 
 
-def rows_csv(rows: Sequence[RungRow]) -> str:
+def rows_csv(rows: Sequence[StageResult]) -> str:
     """One line a rung; ratios as they are, lengths in mean true diameters, PSNR in dB; empty where not measured."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -62,7 +63,7 @@ def rows_csv(rows: Sequence[RungRow]) -> str:
     for row in rows:
         low, high = row.interval or (None, None)
         writer.writerow(
-            [row.species, _cell(row.seed), row.rung, row.scene, _cell(row.counted)]
+            [row.species, _cell(row.seed), row.stage, row.scene, _cell(row.counted)]
             + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[5:12]]
             + [_cell(row.far.f1 if row.far else None)]
             + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[13:21]]
@@ -72,40 +73,42 @@ def rows_csv(rows: Sequence[RungRow]) -> str:
     return text.getvalue()
 
 
-def times_csv(rows: Sequence[RungRow]) -> str:
+def times_csv(rows: Sequence[StageResult]) -> str:
     """Seconds by stage of every rung that trained; they differ between runs, so they stand apart."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["species", "seed", "rung", "scene", "stage", "seconds"])
+    writer.writerow(["species", "seed", "ablation_stage", "scene", "stage", "seconds"])
     for row in rows:
         for stage, seconds in row.seconds.items():
-            writer.writerow([row.species, _cell(row.seed), row.rung, row.scene, stage, f"{seconds:.2f}"])
+            writer.writerow([row.species, _cell(row.seed), row.stage, row.scene, stage, f"{seconds:.2f}"])
     return text.getvalue()
 
 
-def visibility_csv(rows: Sequence[RungRow]) -> str:
+def visibility_csv(rows: Sequence[StageResult]) -> str:
     """Recall and errors of every rung by how much of the fruit the best view shows."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = ("low", "high", "visible", "recall", "center_error", "diameter_error")
-    writer.writerow(["species", "seed", "rung", "scene", *(f"fraction_{name}" for name in names[:2]), *names[2:]])
+    writer.writerow(
+        ["species", "seed", "ablation_stage", "scene", *(f"fraction_{name}" for name in names[:2]), *names[2:]]
+    )
     for row in rows:
         for part in row.classes:
             cells = [_cell(getattr(part, name)) for name in names]
-            writer.writerow([row.species, _cell(row.seed), row.rung, row.scene, *cells])
+            writer.writerow([row.species, _cell(row.seed), row.stage, row.scene, *cells])
     return text.getvalue()
 
 
-def rung_rows(rows: Sequence[RungRow]) -> list[list[str]]:
+def stage_rows(rows: Sequence[StageResult]) -> list[list[str]]:
     """F1 at half a diameter by scene and rung, and the stage that loses most; then means over scenes.
 
     What loses most in the mean is judged on the scenes that every rung measured.
     """
-    names = _rungs_of(rows)
+    names = _stages_of(rows)
     lines = [["scene", "visible", *names, "loses most"]]
     whole = []
     for scene in dict.fromkeys(row.scene for row in rows):
-        own = {row.rung: row for row in rows if row.scene == scene}
+        own = {row.stage: row for row in rows if row.scene == scene}
         visible = next((str(row.near.visible) for row in own.values() if row.near), "")
         f1 = {name: row.near.f1 for name, row in own.items() if row.near}
         whole += [row for row in own.values() if len(f1) == len(names)]
@@ -120,18 +123,18 @@ def rung_rows(rows: Sequence[RungRow]) -> list[list[str]]:
     return lines
 
 
-def loss_rows(rows: Sequence[RungRow]) -> list[list[str]]:
+def loss_rows(rows: Sequence[StageResult]) -> list[list[str]]:
     """How much F1 each stage loses on each scene."""
-    lines = [["scene", *STAGES]]
+    lines = [["scene", *LOSS_NAMES]]
     for scene in dict.fromkeys(row.scene for row in rows):
-        loss = losses({row.rung: row.near.f1 for row in rows if row.scene == scene and row.near})
+        loss = losses({row.stage: row.near.f1 for row in rows if row.scene == scene and row.near})
         lines.append([scene, *(_number(value, sign=True) for value in loss.stages)])
     return lines
 
 
-def visibility_rows(rows: Sequence[RungRow]) -> list[list[str]]:
+def visibility_rows(rows: Sequence[StageResult]) -> list[list[str]]:
     """Recall by visible fraction and rung, all scenes together, with the number of fruit; nothing without a truth."""
-    names = [name for name in _rungs_of(rows) if any(row.rung == name and row.classes for row in rows)]
+    names = [name for name in _stages_of(rows) if any(row.stage == name and row.classes for row in rows)]
     if not names:
         return []
     classes = next(row.classes for row in rows if row.classes)
@@ -139,7 +142,7 @@ def visibility_rows(rows: Sequence[RungRow]) -> list[list[str]]:
     for number, part in enumerate(classes):
         cells = []
         for name in names:
-            own = [row.classes[number] for row in rows if row.rung == name and row.classes]
+            own = [row.classes[number] for row in rows if row.stage == name and row.classes]
             seen = sum(each.visible for each in own)
             found = sum(round(each.recall * each.visible) for each in own if each.visible)
             cells.append(f"{found / seen:.3f} of {seen}" if seen else "")
@@ -147,19 +150,19 @@ def visibility_rows(rows: Sequence[RungRow]) -> list[list[str]]:
     return lines
 
 
-def _rungs_of(rows: Sequence[RungRow]) -> list[str]:
-    return [name for name in RUNGS if any(row.rung == name for row in rows)]
+def _stages_of(rows: Sequence[StageResult]) -> list[str]:
+    return [name for name in STAGES if any(row.stage == name for row in rows)]
 
 
-def draw_ladder(rows: Sequence[RungRow], path: Path) -> None:
+def draw_ladder(rows: Sequence[StageResult], path: Path) -> None:
     """F1 at half a diameter from rung to rung, a line a scene."""
     from matplotlib.figure import Figure
 
-    names = _rungs_of(rows)
+    names = _stages_of(rows)
     figure = Figure(figsize=(max(6.0, 1.4 * len(names)), 4.5), layout="constrained")
     axes = figure.add_subplot()
     for scene in dict.fromkeys(row.scene for row in rows):
-        own = {row.rung: row.near.f1 for row in rows if row.scene == scene and row.near}
+        own = {row.stage: row.near.f1 for row in rows if row.scene == scene and row.near}
         axes.plot([own.get(name, math.nan) for name in names], marker="o", label=scene)
     axes.set_xticks(range(len(names)), names, fontsize=8)
     axes.set_ylabel("F1 at half a diameter")
@@ -170,24 +173,24 @@ def draw_ladder(rows: Sequence[RungRow], path: Path) -> None:
         figure.savefig(temporary, dpi=120, metadata={"Software": None})
 
 
-def write_pages(rows: Sequence[RungRow], out: Path, *, title: str) -> None:
+def write_pages(rows: Sequence[StageResult], out: Path, *, title: str) -> None:
     """Write ladder.csv, visibility.csv, times.csv, ladder.md, ladder.png and index.html into `out`."""
     from jinja2 import Environment
 
     for name, text in (("ladder", rows_csv(rows)), ("visibility", visibility_csv(rows)), ("times", times_csv(rows))):
         write_text(out / f"{name}.csv", text)
-    failed = [f"- {row.scene}, {row.rung}: {row.failed}" for row in rows if row.failed]
+    failed = [f"- {row.scene}, {row.stage}: {row.failed}" for row in rows if row.failed]
     parts = [f"# {title}", *table_parts(rows)] + (["Failed:", "\n".join(failed)] if failed else [])
     write_text(out / "ladder.md", "\n\n".join(parts) + "\n")
     draw_ladder(rows, out / "ladder.png")
     template = Environment(autoescape=True).from_string(_PAGE)
-    tables = [table for table in (rung_rows(rows), loss_rows(rows), visibility_rows(rows)) if table]
-    write_text(out / "index.html", template.render(title=title, tables=tables, rows=rows, rungs=RUNGS))
+    tables = [table for table in (stage_rows(rows), loss_rows(rows), visibility_rows(rows)) if table]
+    write_text(out / "index.html", template.render(title=title, tables=tables, rows=rows, stages=STAGES))
 
 
-def table_parts(rows: Sequence[RungRow]) -> list[str]:
+def table_parts(rows: Sequence[StageResult]) -> list[str]:
     """The tables in Markdown, each after its title."""
-    parts = ["F1 at half a diameter against visible fruit:", markdown(rung_rows(rows))]
+    parts = ["F1 at half a diameter against visible fruit:", markdown(stage_rows(rows))]
     parts += ["F1 that each stage loses:", markdown(loss_rows(rows))]
     by_visibility = visibility_rows(rows)
     if by_visibility:
@@ -195,18 +198,18 @@ def table_parts(rows: Sequence[RungRow]) -> list[str]:
     return parts
 
 
-def _metrics(rows: Sequence[RungRow], rung: str) -> list[CountMetrics]:
-    return [row.near for row in rows if row.rung == rung and row.near]
+def _metrics(rows: Sequence[StageResult], stage: str) -> list[CountMetrics]:
+    return [row.near for row in rows if row.stage == stage and row.near]
 
 
-def _some(rows: Sequence[RungRow], rung: str) -> str:
+def _some(rows: Sequence[StageResult], stage: str) -> str:
     """Says of a mean how many of the scenes it holds, where a rung failed on some."""
-    own = [row for row in rows if row.rung == rung]
+    own = [row for row in rows if row.stage == stage]
     failed = sum(bool(row.failed) for row in own)
     return f" ({len(own) - failed} of {len(own)})" if failed else ""
 
 
-def _f1_cell(row: RungRow | None) -> str:
+def _f1_cell(row: StageResult | None) -> str:
     if row is None:
         return ""
     if row.failed:
@@ -236,16 +239,16 @@ table { border-collapse: collapse; margin: 1em 0 } td, th { padding: .2em .8em; 
 td + td, th + th { text-align: right } img { max-width: 100% } dt { font-weight: 600 }
 </style>
 <h1>{{ title }}</h1>
-<dl>{% for name, text in rungs.items() %}<dt>{{ name }}</dt><dd>{{ text }}</dd>{% endfor %}</dl>
+<dl>{% for name, text in stages.items() %}<dt>{{ name }}</dt><dd>{{ text }}</dd>{% endfor %}</dl>
 {% for table in tables %}<table>
 <tr>{% for cell in table[0] %}<th>{{ cell }}</th>{% endfor %}</tr>
 {% for line in table[1:] %}<tr>{% for cell in line %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}
 </table>{% endfor %}
-<p><img src="ladder.png" alt="F1 by rung"></p>
+<p><img src="ladder.png" alt="F1 by ablation stage"></p>
 <h2>Worst mistakes</h2>
 <p>True visible fruit are ringed in green, counted fruit in orange; the cross marks the subject.</p>
-{% for row in rows if row.mistakes %}<h3>{{ row.scene }}, {{ row.rung }}</h3>
-<img src="{{ row.scene }}/{{ row.mistakes }}" alt="mistakes of {{ row.scene }}, {{ row.rung }}">{% endfor %}
-{% for row in rows if row.failed %}<p>{{ row.scene }}, {{ row.rung }}: {{ row.failed }}</p>{% endfor %}
+{% for row in rows if row.mistakes %}<h3>{{ row.scene }}, {{ row.stage }}</h3>
+<img src="{{ row.scene }}/{{ row.mistakes }}" alt="mistakes of {{ row.scene }}, {{ row.stage }}">{% endfor %}
+{% for row in rows if row.failed %}<p>{{ row.scene }}, {{ row.stage }}: {{ row.failed }}</p>{% endfor %}
 </html>
 """

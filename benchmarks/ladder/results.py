@@ -8,13 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ...engine.files import write_text
-from .ladder import RungRow
+from .ladder import StageResult
 from .pages import rows_csv, table_parts
 
 _ROOT = Path(__file__).resolve().parents[2]
 
 
-def publish(rows: Sequence[RungRow], folder: Path, *, command: str) -> None:
+def publish(rows: Sequence[StageResult], folder: Path, *, command: str) -> None:
     """Write results.csv and RESULTS.md into `folder`. command: what measured them, for who wants to repeat it."""
     commit = _commit()  # before anything is written, which would mark it
     write_text(folder / "results.csv", rows_csv(rows))

@@ -43,7 +43,7 @@ TRUE_GEOMETRY = "true-geometry"
 TRUE_MASKS = "true-masks"
 TRUE_POSES = "true-poses"
 END_TO_END = "end-to-end"
-RUNGS: Mapping[str, str] = {
+STAGES: Mapping[str, str] = {
     COUNTING_ONLY: "true surfaces as seen, true masks: only the counting can lose",
     TRUE_GEOMETRY: "true surfaces as seen, masks by the encoder",
     TRUE_MASKS: "trained Gaussians from true poses, true masks",
@@ -84,7 +84,7 @@ SAME_POSE = 1e-6
 """Poses that differ by no more than this are the same: what is written in text is rounded."""
 
 
-class Rungs:
+class LadderStages:
     """The rungs of one generated scene; what several of them need is made once, when first asked for.
 
     folder: the scene; out: where trained results go; truth: its fruit, None where only rungs without masks are

@@ -48,7 +48,7 @@ VARIANTS: Mapping[str, Variant] = {
 }
 """Trainings by name: as in 3DGS, with the paper's pruning of pairs and Gaussians, with its load term, with both."""
 OURS = "eq. 3 + 4"
-CLOUD, FOREIGN = "nerf.ply", "3dgs.ply"
+CLOUD, IMPORTED = "nerf.ply", "3dgs.ply"
 """Reconstructions of other programs that a scene's folder may hold, in the frame of its cameras."""
 LEAST_OPACITY, LARGEST, LEAST_HEIGHT = 0.1, 0.02, 0.03
 """Without language a Gaussian passes from this opacity on, up to this size and from this height above the ground, the
@@ -118,15 +118,15 @@ def measure_tables(
         )
     scene, ours = read_scene(folder, config.scene), results[OURS]
     report(f"{folder.name}: counting in other reconstructions")
-    foreign = folder / FOREIGN if (folder / FOREIGN).is_file() else results["3DGS"].out / "gaussians.ply"
-    note = "" if foreign.name == FOREIGN else "our training without eq. 3 and 4"
-    from_foreign = _in_other(folder, foreign, asked, out / "foreign", config, truth, note)
+    imported = folder / IMPORTED if (folder / IMPORTED).is_file() else results["3DGS"].out / "gaussians.ply"
+    note = "" if imported.name == IMPORTED else "our training without eq. 3 and 4"
+    from_imported = _in_other(folder, imported, asked, out / "foreign", config, truth, note)
     return SceneTables(
         name=folder.name,
         reconstruction={name: _quality(result) for name, result in results.items()},
         counts={
             "NeRF+Ours": _from_cloud(folder, scene, asked, out, config, truth),
-            "3DGS+Ours": from_foreign,
+            "3DGS+Ours": from_imported,
             "FruitNeRF": NOT_YET,
             "Ours": _tally(ours, truth),
         },
@@ -159,7 +159,7 @@ def _in_other(
 ) -> Tally:
     """A count in another program's reconstruction, or why there is none."""
     try:
-        return replace(_tally(count_scene(folder, prompts, out, config=config, foreign=file), truth), note=note)
+        return replace(_tally(count_scene(folder, prompts, out, config=config, imported=file), truth), note=note)
     except FruitLangsError as error:
         return _not_measured(error)
 

@@ -98,7 +98,7 @@ def _named(progress: Progress, name: str) -> Progress:
     return lambda fraction, message: progress(fraction, f"{name}: {message}")
 
 
-_sparse_update, _fused_pull = Parameters.update, PhotometricLoss.pull
+_sparse_update, _fused_backward = Parameters.update, PhotometricLoss.backward
 
 
 def _update_all(
@@ -114,7 +114,7 @@ def _update_all(
     _sparse_update(parameters, gradients, rates, sh_degree, np.ones_like(drawn))
 
 
-def _pull_by_autograd(
+def _backward_by_autograd(
     loss: PhotometricLoss,
     image: NDArray[np.float32],
     photo: NDArray[np.uint8],
@@ -125,7 +125,7 @@ def _pull_by_autograd(
 ) -> float:
     """The loss and its gradient as the peer takes them, where no mask is: SSIM anew, by convolutions and autograd."""
     if mask is not None:
-        return _fused_pull(loss, image, photo, mask, gradient, key=key)
+        return _fused_backward(loss, image, photo, mask, gradient, key=key)
     color = torch.from_numpy(image).permute(1, 2, 0).clone().requires_grad_()
     truth = torch.from_numpy(np.ascontiguousarray(photo)).float() / 255
     value = plain_rasterizer.loss(color, truth, loss.ssim_weight)
@@ -137,6 +137,6 @@ def _pull_by_autograd(
 
 _REPLACED: dict[str, tuple[type, str, Callable[..., Any]]] = {
     DENSE_ADAM: (Parameters, "update", _update_all),
-    AUTOGRAD_LOSS: (PhotometricLoss, "pull", _pull_by_autograd),
+    AUTOGRAD_LOSS: (PhotometricLoss, "backward", _backward_by_autograd),
 }
 """The variants that are no settings: whose method each of them replaces, and by what."""

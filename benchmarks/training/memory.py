@@ -10,7 +10,7 @@ import numpy as np
 from ...engine.config import TrainConfig
 from ...engine.scene.camera import ArrayPhoto, Scene
 from ...engine.splatting.training.checkpoint import TrainingState
-from ...engine.splatting.training.densify import Pulls
+from ...engine.splatting.training.densify import GradientStats
 from ...engine.splatting.training.memory import training_bytes
 from ...engine.splatting.training.parameters import Parameters
 from ...engine.splatting.training.photos import PhotoShelf
@@ -47,7 +47,7 @@ def training_peak(gaussians: int, views: int, width: int, height: int) -> tuple[
         densify_until=1.0,
     )
     start = orchard_like(gaussians)
-    state = TrainingState(Parameters.start(start), Pulls.none(gaussians))
+    state = TrainingState(Parameters.start(start), GradientStats.none(gaussians))
     step, shelf = Step(Schedule(config, scene)), PhotoShelf(scene)
     for view in range(views):
         step.take(state, shelf.picture(view))

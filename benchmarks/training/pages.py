@@ -31,8 +31,8 @@ def stage_table(rows: Sequence[Row]) -> str:
         ]
         for name in (FORWARD_AND_BACKWARD, STEP):
             row = by_stage[name]
-            ratio = "" if row.peer_ratio is None else f"{row.peer_ratio:.1f}"
-            cells += [_milliseconds(row.peer), ratio]
+            ratio = "" if row.baseline_ratio is None else f"{row.baseline_ratio:.1f}"
+            cells += [_milliseconds(row.baseline), ratio]
         lines.append(cells)
     return _table("Milliseconds a stage, medians.", head, lines, named=False)
 
@@ -76,7 +76,7 @@ def watched_table(title: str, rows: Sequence[Stage]) -> str:
     lines = []
     for row in rows:
         each = row.seconds / max(row.times, 1)
-        cells = [row.road, row.name, str(row.times), f"{row.seconds:.2f}", f"{each:.3f}", f"{row.peak / 2**20:.0f}"]
+        cells = [row.pipeline, row.name, str(row.times), f"{row.seconds:.2f}", f"{each:.3f}", f"{row.peak / 2**20:.0f}"]
         lines.append(cells)
     return _table(title, head, lines)
 
@@ -104,7 +104,7 @@ def draw_stages(rows: Sequence[Row], path: Path) -> None:
         axes.bar(range(len(settings)), heights, bottom=bottom, label=stage)
         bottom = [low + height for low, height in zip(bottom, heights, strict=True)]
     for place, setting in enumerate(settings):
-        ratio = table[(*setting, STEP)].peer_ratio
+        ratio = table[(*setting, STEP)].baseline_ratio
         if ratio is not None:
             axes.text(place, bottom[place], f"{ratio:.0f}×", ha="center", va="bottom", fontsize=8)
     names = [f"{n // 1000}k\n{width}×{height}\n{threads} thr." for n, width, height, threads in settings]

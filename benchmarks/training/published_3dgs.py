@@ -56,7 +56,7 @@ class Trained:
     ssim: float
 
 
-def beside_published(
+def compare_with_published(
     scene_folder: Path,
     *,
     steps: int | None = None,
@@ -111,7 +111,7 @@ class _Model:
     them; widest (N,) px.
     """
 
-    pulls: Tensor
+    mean_gradients: Tensor
     counts: Tensor
     widest: Tensor
 
@@ -150,7 +150,7 @@ class _Model:
         if done < LONGEST // 2:
             self._watch(splats, camera)
             if done > DENSIFY_FROM and done % DENSIFY_EVERY == 0:
-                self._come_and_go(after_reset=done > RESET_EVERY)
+                self._densify_and_prune(after_reset=done > RESET_EVERY)
             if done % RESET_EVERY == 0:
                 logits = self.values["opacity_logits"].detach().clamp(max=math.log(RESET_TO / (1 - RESET_TO)))
                 self._replace("opacity_logits", logits, torch.zeros_like)
@@ -173,17 +173,17 @@ class _Model:
         assert splats.means.grad is not None
         seen = (splats.radii > 0) & (splats.means.grad != 0).any(1)
         halves = splats.means.grad * torch.tensor([0.5 * camera.width, 0.5 * camera.height])
-        self.pulls += torch.where(seen, halves.norm(dim=1), 0.0)
+        self.mean_gradients += torch.where(seen, halves.norm(dim=1), 0.0)
         self.counts += seen
         self.widest = torch.maximum(self.widest, torch.where(seen, splats.radii, 0.0))
 
     @torch.no_grad()
-    def _come_and_go(self, *, after_reset: bool) -> None:
+    def _densify_and_prune(self, *, after_reset: bool) -> None:
         values = {name: value.detach() for name, value in self.values.items()}
-        pull = self.pulls / self.counts.clamp_min(1)
+        gradient = self.mean_gradients / self.counts.clamp_min(1)
         chosen = torch.zeros(len(self), dtype=torch.bool)
         room = max(self.most - len(self), 0)
-        chosen[pull.argsort(descending=True, stable=True)[: min(int((pull >= GRADIENT).sum()), room)]] = True
+        chosen[gradient.argsort(descending=True, stable=True)[: min(int((gradient >= GRADIENT).sum()), room)]] = True
         sizes = values["log_scales"].exp().amax(1)
         cloned, split = chosen & (sizes <= SMALL * self.extent), chosen & (sizes > SMALL * self.extent)
         halves = {name: value[split].repeat(2, *[1] * (value.dim() - 1)) for name, value in values.items()}
@@ -215,7 +215,7 @@ class _Model:
             self.adam.state[self.values[name]] = state
 
     def _forget(self) -> None:
-        self.pulls, self.counts, self.widest = (torch.zeros(len(self)) for _ in range(3))
+        self.mean_gradients, self.counts, self.widest = (torch.zeros(len(self)) for _ in range(3))
 
 
 def _kept(moments: Tensor, *, keep: Tensor, added: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from ...engine.errors import ConfigError
 from ...engine.progress import Progress, silent
 from ...engine.scene.camera import Camera
 from ...engine.splatting.gaussians import PARAMETERS, Gaussians
-from ...engine.splatting.rendering.render import DrawRules, blend_view, project_view, pull_view, tile_view
+from ...engine.splatting.rendering.render import DrawRules, blend_view, project_view, tile_view, view_backward
 from ...engine.splatting.rendering.workspace import Workspace
 from ...engine.splatting.training.losses import PhotometricLoss
 from ...engine.splatting.training.parameters import Parameters, Rates
@@ -58,8 +58,8 @@ class Row:
     height: int
     threads: int
     seconds: float
-    peer: float | None
-    peer_ratio: float | None
+    baseline: float | None
+    baseline_ratio: float | None
 
 
 def orchard_like(n: int, seed: int = 0) -> Gaussians:
@@ -107,11 +107,11 @@ def ahead(width: int, height: int) -> Camera:
 
 
 def measure(
-    settings: Sequence[Setting], *, repeats: int = 7, peer_memory: float = 8e9, progress: Progress = silent
+    settings: Sequence[Setting], *, repeats: int = 7, baseline_memory: float = 8e9, progress: Progress = silent
 ) -> list[Row]:
     """Rows of all stages, and of forward+backward and the whole step, for every setting.
 
-    The peer runs once to warm up and then twice; where its tables would need more than `peer_memory` bytes it
+    The peer runs once to warm up and then twice; where its tables would need more than `baseline_memory` bytes it
     is left out.
 
     Raises:
@@ -121,12 +121,21 @@ def measure(
     for k, setting in enumerate(settings):
         progress(k / len(settings), f"{setting.gaussians:,} Gaussians at {setting.width}×{setting.height}")
         with _threads(setting.threads):
-            ours, theirs = _ours(setting, repeats), _peer(setting, peer_memory)
+            ours, theirs = _ours(setting, repeats), _baseline(setting, baseline_memory)
         for stage in (*STAGES, FORWARD_AND_BACKWARD, STEP):
-            peer = None if theirs is None else theirs[stage]
-            ratio = None if peer is None else peer / ours[stage]
+            baseline = None if theirs is None else theirs[stage]
+            ratio = None if baseline is None else baseline / ours[stage]
             rows.append(
-                Row(stage, setting.gaussians, setting.width, setting.height, setting.threads, ours[stage], peer, ratio)
+                Row(
+                    stage,
+                    setting.gaussians,
+                    setting.width,
+                    setting.height,
+                    setting.threads,
+                    ours[stage],
+                    baseline,
+                    ratio,
+                )
             )
     return rows
 
@@ -189,16 +198,16 @@ def _ours(setting: Setting, repeats: int) -> dict[str, float]:
         projection = watch.time("project", project_view, arrays, camera, rules, workspace)
         tiles = watch.time("sort", tile_view, projection, camera, rules, workspace)
         planes = watch.time("blend", blend_view, tiles, features, camera, workspace)
-        watch.time("loss", loss.pull, planes[:3], photo, None, gradients[:3], key=0)
-        pulled = watch.time(
-            "backward", pull_view, arrays, camera, rules, tiles, planes, gradients, workspace,
+        watch.time("loss", loss.backward, planes[:3], photo, None, gradients[:3], key=0)
+        parameter_gradients = watch.time(
+            "backward", view_backward, arrays, camera, rules, tiles, planes, gradients, workspace,
             features=features, background=background, with_depth=False,
         )  # fmt: skip
-        watch.time("optimiser", parameters.update, pulled, RATES, SH_DEGREE, tiles.counts)
+        watch.time("optimiser", parameters.update, parameter_gradients, RATES, SH_DEGREE, tiles.counts)
     return watch.medians()
 
 
-def _peer(setting: Setting, memory: float) -> dict[str, float] | None:
+def _baseline(setting: Setting, memory: float) -> dict[str, float] | None:
     gaussians, camera = orchard_like(setting.gaussians), ahead(setting.width, setting.height)
     leaves: dict[str, Tensor] = {name: getattr(gaussians, name).requires_grad_() for name in PARAMETERS}
     view = plain_rasterizer.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
@@ -213,7 +222,7 @@ def _peer(setting: Setting, memory: float) -> dict[str, float] | None:
             return None
         color = watch.time("blend", plain_rasterizer.blend, splats, gaussian, sizes, view.width, view.height)
         held = color.detach().requires_grad_()
-        watch.time("loss", _pull_peer_loss, held, photo)
+        watch.time("loss", _baseline_loss_backward, held, photo)
         watch.time("backward", color.backward, held.grad)
         watch.time("optimiser", optimiser.step)
         del splats, color, held
@@ -221,5 +230,5 @@ def _peer(setting: Setting, memory: float) -> dict[str, float] | None:
     return watch.medians()
 
 
-def _pull_peer_loss(color: Tensor, photo: Tensor) -> None:
+def _baseline_loss_backward(color: Tensor, photo: Tensor) -> None:
     plain_rasterizer.loss(color, photo).backward()  # type: ignore[no-untyped-call]

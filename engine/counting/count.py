@@ -24,8 +24,8 @@ from .accounts.ids import NOBODY, KnownFruit, number
 from .accounts.interval import Estimate, estimate, evidence_of
 from .evidence.cluster import Clusters, Search, find_fruit, search
 from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
-from .evidence.surface_points import LARGEST_SCALE, SKIN, SurfacePoints, sample_enough, sample_skin, sample_volume
-from .evidence.visibility import Picture, Visibility, draw, look_at, see
+from .evidence.surface_points import LARGEST_SCALE, SURFACE, SurfacePoints, sample_enough, sample_surface, sample_volume
+from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from .fruit import NO_TREE, AuditEntry, FruitCount
 from .published.fruitnerf import cluster_as_fruitnerf
 from .published.template import split_by_template
@@ -87,48 +87,48 @@ def count_fruit(
             fewer fruit, or places with fruit, than trees asked for, or the diameter is larger than all that may be
             fruit.
     """
-    chances = _checked(gaussians, probability, cameras)
+    probabilities = _checked(gaussians, probability, cameras)
     up = _mean_top(cameras) if up is None else _checked_up(up)
     region = region_of(config, up)
     check_trees(config, up)
     inside = _inside(region, gaussians)
-    highest = float(chances[inside].max())
+    highest = float(probabilities[inside].max())
 
     def nothing(reason: str, points: int = 0, diameter: float | None = None) -> FruitCount:
         return _on_trees(_none(highest, known, reason, points, diameter), [], config, up, cameras)
 
-    selected = select_gaussians(gaussians, chances, config)
+    selected = select_gaussians(gaussians, probabilities, config)
     if highest < config.threshold:
         return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     if not inside[selected].any():
-        sure = int((chances[inside] >= config.threshold).sum())
+        sure = int((probabilities[inside] >= config.threshold).sum())
         return nothing(f"all {sure} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}")
     progress(0.0, "Rendering the Gaussians in each view")
     if visibility is None:
-        visibility = see(gaussians, cameras, progress=part(progress, 0.0, 0.3))
+        visibility = find_visibility(gaussians, cameras, progress=part(progress, 0.0, 0.3))
     seen = selected[visibility.weights[selected] > 0]
     own = seen[inside[seen]]
     if len(own) == 0:
         return nothing(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}")
-    notices = _check_diameter(gaussians, chances, visibility, own, config, part(progress, 0.3, 0.4))
-    sized = fruit_size(gaussians, chances, visibility, own, config, part(progress, 0.4, 0.5))
+    notices = _check_diameter(gaussians, probabilities, visibility, own, config, part(progress, 0.3, 0.4))
+    sized = fruit_size(gaussians, probabilities, visibility, own, config, part(progress, 0.4, 0.5))
     if sized is None:
-        return nothing(_why_no_size(gaussians, chances, visibility, own, config, label), len(own))
-    points = _sampled(gaussians, chances, visibility, seen, sized.diameter, config)
+        return nothing(_why_no_size(gaussians, probabilities, visibility, own, config, label), len(own))
+    points = _sampled(gaussians, probabilities, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
         none = nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own), sized.diameter)
         return replace(none, notices=notices)
-    pictures = draw(gaussians, chances, cameras, progress=part(progress, 0.5, 0.7))
+    pictures = draw(gaussians, probabilities, cameras, progress=part(progress, 0.5, 0.7))
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
     spheres = clusters.spheres
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
     numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)
     account = account_for(clusters, numbers, beyond=len(found.spheres) - len(spheres))
-    looks = look_at(pictures, spheres.centers, spheres.radii, config.threshold)
+    view_evidence = gather_view_evidence(pictures, spheres.centers, spheres.radii, config.threshold)
     counted = FruitCount(
-        fruits=describe(gaussians, seen, clusters, numbers, account.compound, looks, label),
+        fruits=describe(gaussians, seen, clusters, numbers, account.compound, view_evidence, label),
         audit=account.entries,
         max_probability=highest,
         mean_diameter=mean,
@@ -138,7 +138,7 @@ def count_fruit(
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
         notices=notices,
     )
-    others = gaussians.select(torch.from_numpy(np.flatnonzero(chances < config.threshold)))
+    others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     return placed if searched is None else _with_intervals(placed, searched, region, pictures, config.seed)
@@ -201,20 +201,22 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
     """The probabilities as (N,) float64, once everything that goes in has a sound shape and finite values."""
     if isinstance(probability, torch.Tensor):
         probability = probability.detach().cpu().numpy()
-    chances = np.asarray(probability, dtype=np.float64)
+    probabilities = np.asarray(probability, dtype=np.float64)
     if len(gaussians) == 0:
         raise CountingError("there are no Gaussians to count in; train the scene first")
     if len(cameras) == 0:
         raise CountingError("there are no cameras; counting needs the views that saw the scene")
-    if chances.shape != (len(gaussians),):
+    if probabilities.shape != (len(gaussians),):
         raise CountingError(
-            f"the probability has shape {chances.shape}; give one value for each of the {len(gaussians)} Gaussians"
+            f"the probability has shape {probabilities.shape}; give one for each of the {len(gaussians)} Gaussians"
         )
-    if not np.isfinite(chances).all():
-        raise CountingError(f"{(~np.isfinite(chances)).sum()} probabilities are not finite; lift the features again")
-    if chances.min() < -ROUNDING or chances.max() > 1.0 + ROUNDING:
+    if not np.isfinite(probabilities).all():
         raise CountingError(
-            f"the probabilities lie between {chances.min():.6g} and {chances.max():.6g}; give values from 0 to 1"
+            f"{(~np.isfinite(probabilities)).sum()} probabilities are not finite; lift the features again"
+        )
+    if probabilities.min() < -ROUNDING or probabilities.max() > 1.0 + ROUNDING:
+        raise CountingError(
+            f"the probabilities lie between {probabilities.min():.6g} and {probabilities.max():.6g}, not from 0 to 1"
         )
     for name in PARAMETERS:
         bad = int((~torch.isfinite(getattr(gaussians, name))).sum())
@@ -225,7 +227,7 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
             f"all {len(gaussians)} Gaussians lie at the same position, "
             f"{spaced(gaussians.means[0].detach().cpu().numpy())}. Train the scene again"
         )
-    return chances
+    return probabilities
 
 
 def _checked_up(up: FloatArray) -> FloatArray:
@@ -238,16 +240,16 @@ def _checked_up(up: FloatArray) -> FloatArray:
     return upward
 
 
-def select_gaussians(gaussians: Gaussians, chances: FloatArray, config: CountConfig) -> IntArray:
+def select_gaussians(gaussians: Gaussians, probabilities: FloatArray, config: CountConfig) -> IntArray:
     """Which Gaussians may give surface points: opaque, and with a probability (N,) that is high enough."""
     opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
     least = config.threshold * (FAINT if config.method == "voting" else 1.0)
-    return np.flatnonzero((chances >= least) & opaque)
+    return np.flatnonzero((probabilities >= least) & opaque)
 
 
 def fruit_size(
     gaussians: Gaussians,
-    chances: FloatArray,
+    probabilities: FloatArray,
     visibility: Visibility,
     seen: IntArray,
     config: CountConfig,
@@ -259,19 +261,19 @@ def fruit_size(
     """
     if config.diameter is not None:
         return FruitSize(config.diameter, DEFAULT_SPREAD)
-    return _measured_size(gaussians, chances, visibility, seen, config, progress)
+    return _measured_size(gaussians, probabilities, visibility, seen, config, progress)
 
 
 def _measured_size(
     gaussians: Gaussians,
-    chances: FloatArray,
+    probabilities: FloatArray,
     visibility: Visibility,
     seen: IntArray,
     config: CountConfig,
     progress: Progress = silent,
 ) -> FruitSize | None:
     """The size that the scene itself tells."""
-    points = _sizing_points(gaussians, chances, visibility, seen, config)
+    points = _sizing_points(gaussians, probabilities, visibility, seen, config)
     typical = float(np.median(_widths(gaussians, seen)))
     estimate = estimate_diameter(points, typical, progress=progress)
     if estimate is None or estimate.evidence < LEAST_EVIDENCE:
@@ -281,7 +283,7 @@ def _measured_size(
 
 def _check_diameter(
     gaussians: Gaussians,
-    chances: FloatArray,
+    probabilities: FloatArray,
     visibility: Visibility,
     seen: IntArray,
     config: CountConfig,
@@ -295,13 +297,13 @@ def _check_diameter(
     if config.diameter is None:
         return []
     places = gaussians.means.detach().double().cpu().numpy()[seen]
-    extent = float(np.linalg.norm(np.ptp(places, axis=0)) + 2.0 * SKIN * _widths(gaussians, seen).max())
+    extent = float(np.linalg.norm(np.ptp(places, axis=0)) + 2.0 * SURFACE * _widths(gaussians, seen).max())
     if config.diameter > extent:
         raise CountingError(
             f"--count.diameter {config.diameter:.4g} is larger than all that may be fruit, which extends over "
             f"{extent:.4g} scene units; give the diameter in scene units, or leave it out"
         )
-    measured = _measured_size(gaussians, chances, visibility, seen, config, progress)
+    measured = _measured_size(gaussians, probabilities, visibility, seen, config, progress)
     if measured is None or abs(np.log(config.diameter / measured.diameter)) < np.log(UNLIKE):
         return []
     return [
@@ -311,12 +313,12 @@ def _check_diameter(
 
 
 def _sizing_points(
-    gaussians: Gaussians, chances: FloatArray, visibility: Visibility, seen: IntArray, config: CountConfig
+    gaussians: Gaussians, probabilities: FloatArray, visibility: Visibility, seen: IntArray, config: CountConfig
 ) -> SurfacePoints:
     """The points that tell the size."""
-    return sample_skin(
+    return sample_surface(
         gaussians,
-        chances,
+        probabilities,
         visibility,
         seen,
         budget=min(max(SIZING_POINTS, int(SIZING_SHARE * len(seen))), config.sample_budget),
@@ -333,14 +335,14 @@ def _widths(gaussians: Gaussians, index: IntArray) -> FloatArray:
 
 def _why_no_size(
     gaussians: Gaussians,
-    chances: FloatArray,
+    probabilities: FloatArray,
     visibility: Visibility,
     seen: IntArray,
     config: CountConfig,
     label: str,
 ) -> str:
     """Why the Gaussians that are seen tell no size."""
-    if len(_sizing_points(gaussians, chances, visibility, seen, config)) == 0:
+    if len(_sizing_points(gaussians, probabilities, visibility, seen, config)) == 0:
         return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
     return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
 
@@ -350,13 +352,13 @@ def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label:
     large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
     if large == len(seen):
         return f"all {large} Gaussians of {label} are larger than the expected fruit"
-    told = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
-    return told + (f"; {large} others are larger than the expected fruit" if large else "")
+    text = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
+    return text + (f"; {large} others are larger than the expected fruit" if large else "")
 
 
 def _sampled(
     gaussians: Gaussians,
-    chances: FloatArray,
+    probabilities: FloatArray,
     visibility: Visibility,
     seen: IntArray,
     diameter: float,
@@ -365,10 +367,10 @@ def _sampled(
     """The points that are counted in: of the skin, or spread through the volume as the published roads have them."""
     if config.method == "voting":
         return sample_enough(
-            gaussians, chances, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed
+            gaussians, probabilities, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed
         )
     return sample_volume(
-        gaussians, chances, visibility, seen,
+        gaussians, probabilities, visibility, seen,
         budget=min(VOLUME_POINTS, config.sample_budget), seed=config.seed, largest=LARGEST_SCALE * diameter,
     )  # fmt: skip
 

@@ -42,21 +42,21 @@ def reliability(
     Raises:
         CountingError: shapes differ, or a probability is not in [0, 1].
     """
-    chances = np.asarray(probabilities, np.float64).reshape(-1)
+    probabilities = np.asarray(probabilities, np.float64).reshape(-1)
     hits = np.asarray(outcomes, bool).reshape(-1)
-    if len(chances) != len(hits):
-        raise CountingError(f"there are {len(chances)} probabilities and {len(hits)} outcomes; give as many")
-    if not ((chances >= 0.0) & (chances <= 1.0)).all():  # also NaN
+    if len(probabilities) != len(hits):
+        raise CountingError(f"there are {len(probabilities)} probabilities and {len(hits)} outcomes; give as many")
+    if not ((probabilities >= 0.0) & (probabilities <= 1.0)).all():  # also NaN
         raise CountingError("a probability is not a number from 0 to 1")
-    mass = np.ones(len(chances)) if weights is None else np.asarray(weights, np.float64).reshape(-1)
+    mass = np.ones(len(probabilities)) if weights is None else np.asarray(weights, np.float64).reshape(-1)
     mass = mass / mass.sum()
-    level_of = np.unique(chances, return_inverse=True)[1]
+    level_of = np.unique(probabilities, return_inverse=True)[1]
     of_level = np.bincount(level_of, mass)
     # The bin of a level is where the middle of its mass falls.
     bin_of = np.minimum((bins * (np.cumsum(of_level) - 0.5 * of_level)).astype(np.int64), bins - 1)[level_of]
     masses = np.asarray(np.bincount(bin_of, mass, bins), np.float64)
     filled = masses > 0
-    predicted, observed = (np.bincount(bin_of, mass * values, bins)[filled] for values in (chances, hits))
+    predicted, observed = (np.bincount(bin_of, mass * values, bins)[filled] for values in (probabilities, hits))
     return Reliability(masses[filled], predicted / masses[filled], observed / masses[filled])
 
 

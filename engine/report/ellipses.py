@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..counting.evidence.visibility import draw, look_at
+from ..counting.evidence.visibility import draw, gather_view_evidence
 from ..counting.fruit import Fruit
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
@@ -63,13 +63,13 @@ def ellipses(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> l
 
 def shown(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> FloatArray:
     """(F,) the share of each fruit that nothing hides from the camera; 0 where half of it is out of the picture."""
-    looks = look_at(
+    view_evidence = gather_view_evidence(
         draw(gaussians, np.zeros(len(gaussians)), [camera]),
         np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3),
         np.array([fruit.diameter / 2.0 for fruit in fruits], np.float64),
         threshold=0.0,  # what lies on a fruit's skin is taken for the fruit: only depths tell
     )
-    return np.nan_to_num(looks.visible_fractions)
+    return np.nan_to_num(view_evidence.visible_fractions)
 
 
 def projected(center: FloatArray, axes: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray] | None:

@@ -67,9 +67,9 @@ def drawing(bars: Histogram, *, axis: str) -> Markup:
     parts.append(f'<text x="{middle:g}" y="{HEIGHT - 6:g}" text-anchor="middle">{escape(axis)}</text>')
     upright = f'transform="rotate(-90 11 {_TOP + high / 2:g})"'
     parts.append(f'<text x="11" y="{_TOP + high / 2:g}" text-anchor="middle" {upright}>fruit</text>')
-    told = escape(f"Histogram: {axis}")
+    name = escape(f"Histogram: {axis}")
     # Every text in it is a number or escaped above.
     return Markup(
-        f'<svg class="histogram" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" fill="{_INK}" role="img" aria-label="{told}">'
+        f'<svg class="histogram" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" fill="{_INK}" role="img" aria-label="{name}">'
         f"{''.join(parts)}</svg>"
     )

@@ -29,7 +29,7 @@ from ...engine.scene.camera import Camera, Scene
 from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...orchard.config import FIRST_TRAINING_SEED
-from ..encoder.lifted import trained, true_fruit, walks
+from ..encoder.lifted import rendered_scenes, trained, true_fruit
 from ..encoder.pictures import training_seeds
 
 
@@ -66,10 +66,10 @@ def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterat
     progress(1.0, "crowns done")
 
 
-def walk_cases(renders: Path) -> Iterator[Case]:
+def rendered_cases(renders: Path) -> Iterator[Case]:
     """Gaussians trained on rendered walks, with true masks and with the encoder of the package."""
     encoder = EmbeddedEncoder.open()
-    for folder, scene, species, truth in _walks(renders):
+    for folder, scene, species, truth in _rendered_scenes(renders):
         gaussians = trained(folder)
         features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
         by_kind = {
@@ -82,20 +82,20 @@ def walk_cases(renders: Path) -> Iterator[Case]:
 
 def surface_cases(renders: Path) -> Iterator[Case]:
     """The true surfaces of rendered walks as their views see them, with true masks."""
-    for folder, scene, _, truth in _walks(renders):
+    for folder, scene, _, truth in _rendered_scenes(renders):
         surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
         probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
         kind = "walk, true surfaces"
         yield Case(kind, f"walk {folder.name}", surface.gaussians, probability, scene.cameras, truth, truth.visible)
 
 
-def _walks(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
+def _rendered_scenes(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
     """Folder, scene, species and truth of each walk.
 
     Raises:
         FormatError: a walk's seed is not recorded, or is kept for tests.
     """
-    progress, folders = terminal_progress(), walks(renders)
+    progress, folders = terminal_progress(), rendered_scenes(renders)
     training_seeds(folders)
     for place, folder in enumerate(folders):
         progress(place / len(folders), f"walk {folder.name}")

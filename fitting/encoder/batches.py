@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ...engine.language.vocabulary import CONCEPTS
 from .pasting import Cutout, paste
-from .pictures import Labels, Picture, plain_picture, put_thing
+from .pictures import Labels, Picture, plain_picture, put_object
 
 CROP = 256
 """Side of a training crop, pixels."""
@@ -56,11 +56,11 @@ def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple
             crop = _plain(material, rng)
         elif kind < PLAIN + PHOTOS or not material.renders:
             crop = _crop(material.photos[rng.integers(len(material.photos))], rng, PHOTO_ZOOMS)
-            _paste_some(crop, material, rng, chance=0.6, native=0.7)
+            _paste_some(crop, material, rng, probability=0.6, native=0.7)
         else:
             zooms = USUAL_ZOOMS if rng.random() < USUAL else RENDER_ZOOMS
             crop = _crop(material.renders[rng.integers(len(material.renders))], rng, zooms, focus=FOCUS)
-            _paste_some(crop, material, rng, chance=0.15, native=0.7)
+            _paste_some(crop, material, rng, probability=0.15, native=0.7)
         images.append(changed_light(torch.from_numpy(crop.pixels).permute(2, 0, 1).float() / 255.0, rng))
         labels.append(torch.from_numpy(crop.labels))
     return torch.stack(images), torch.stack(labels).long()
@@ -97,19 +97,19 @@ def _plain(material: Material, rng: np.random.Generator) -> Crop:
     picture = plain_picture(rng, CROP)
     crop = Crop(picture.pixels.copy(), picture.labels.copy())
     for _ in range(rng.integers(0, 3)):
-        put_thing(crop.pixels, rng)
-    _paste_some(crop, material, rng, chance=0.9, native=0.0)
+        put_object(crop.pixels, rng)
+    _paste_some(crop, material, rng, probability=0.9, native=0.0)
     return crop
 
 
-def _paste_some(crop: Crop, material: Material, rng: np.random.Generator, *, chance: float, native: float) -> None:
+def _paste_some(crop: Crop, material: Material, rng: np.random.Generator, *, probability: float, native: float) -> None:
     """native: chance that a fruit keeps about the size that it had beside what else its picture showed."""
-    if rng.random() > chance:
+    if rng.random() > probability:
         return
     kinds = [cutouts for cutouts in material.bank if cutouts]
-    chances = np.sqrt([len(cutouts) for cutouts in kinds])
+    probabilities = np.sqrt([len(cutouts) for cutouts in kinds])
     for _ in range(rng.integers(1, 6)):
-        cutouts = kinds[rng.choice(len(kinds), p=chances / chances.sum())]
+        cutouts = kinds[rng.choice(len(kinds), p=probabilities / probabilities.sum())]
         cutout = cutouts[rng.integers(len(cutouts))]
         if rng.random() < native:
             size = max(cutout.labels.shape) * crop.zoom * float(np.exp(rng.normal(0.0, 0.2)))

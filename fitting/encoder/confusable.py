@@ -45,13 +45,13 @@ def distinctions(
     general: the words that a general one stands for; none of them is its rival, and it is nobody's.
     """
     general = general or {}
-    rivals = [word for word in answers if (truth == word).sum() >= least]
+    candidates = [word for word in answers if (truth == word).sum() >= least]
     found = {}
     for word, mine in answers.items():
         own = general.get(word, (word,))
-        meant, others = np.isin(truth, own), [rival for rival in rivals if rival not in own]
+        meant, others = np.isin(truth, own), [candidate for candidate in candidates if candidate not in own]
         if others and meant.sum() >= least:
-            against = (Distinction(_auc(mine[meant], mine[truth == rival]), rival) for rival in others)
+            against = (Distinction(_auc(mine[meant], mine[truth == candidate]), candidate) for candidate in others)
             found[word] = min(against, key=lambda each: each.auc)
     return found
 

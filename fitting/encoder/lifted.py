@@ -45,7 +45,7 @@ class LiftedScene:
     weights: FloatArray
 
     @property
-    def tells(self) -> bool:
+    def is_informative(self) -> bool:
         """Whether it shows fruit and other things: without both there is nothing to calibrate or to judge."""
         return bool(self.fruit.any() and not self.fruit.all())
 
@@ -54,12 +54,12 @@ class LiftedScene:
 class LiftedMeasures:
     """Means over walks of the calibration error of "fruit" (see `reliability`) and of `intersection_over_union`."""
 
-    walks: int
+    rendered_scenes: int
     calibration_error: float
     iou: float
 
 
-def walks(folder: Path) -> list[Path]:
+def rendered_scenes(folder: Path) -> list[Path]:
     """Every finished scene below `folder` with pictures enough to train Gaussians from."""
     scenes = (path.parent for path in sorted(folder.glob("*/truth.json")))
     return [scene for scene in scenes if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
@@ -75,7 +75,7 @@ def trained(folder: Path) -> Gaussians:
 
 
 def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
-    """One of the `walks`, seen by the encoder."""
+    """One of the `rendered_scenes`, seen by the encoder."""
     scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
     fruit = true_fruit(folder, scene, gaussians)

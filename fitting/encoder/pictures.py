@@ -228,11 +228,11 @@ def plain_pictures() -> list[Picture]:
     rng = np.random.default_rng(23)
     pictures = [plain_picture(rng, 256) for _ in range(24)]
     for picture in pictures:
-        put_thing(picture.pixels, rng)
+        put_object(picture.pixels, rng)
     return pictures
 
 
-def put_thing(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
+def put_object(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
     """Draw a long bent thing in place, round in section and of any colour, that is none of the fruit."""
     size = pixels.shape[0]
     y, x = np.mgrid[:size, :size].astype(np.float32)

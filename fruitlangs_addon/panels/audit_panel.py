@@ -32,7 +32,7 @@ class FRUITLANGS_PT_review_why(SidebarPanel, bpy.types.Panel):
         if not audit:
             draw_text(self.layout, "No audit here. Count again or import the result", context)
             return
-        for text in told_of_active(context.view_layer.objects.active, audit, metres):
+        for text in texts_of_active(context.view_layer.objects.active, audit, metres):
             draw_text(self.layout, text, context)
         _draw_dropped(self.layout, [entry for entry in audit if entry.verdict == "dropped"], metres, context)
 
@@ -56,17 +56,17 @@ def _draw_cluster(box: Any, entry: AuditEntry, metres: float | None, context: bp
     draw_text(box, audit_reason(entry, metres), context)
 
 
-def told_of_active(item: Any, audit: Sequence[AuditEntry], metres_per_unit: float | None) -> list[str]:
+def texts_of_active(item: Any, audit: Sequence[AuditEntry], metres_per_unit: float | None) -> list[str]:
     """What the audit says of the active object, a text each cluster: 'split, 3287 points, fruit 16, 17: …'."""
     if item is None or item.get(OWNER) != "fruit":
         return ["Select a fruit to see why it was counted"]
     if item.get(REVIEW) == ADDED:
         return [f"{item.name} was added by the user"]
-    return [_told(entry, metres_per_unit) for entry in about_fruit(audit, int(item.get("id", 0)))] or [
+    return [_entry_text(entry, metres_per_unit) for entry in about_fruit(audit, int(item.get("id", 0)))] or [
         f"The audit has no entry for {item.name}"
     ]
 
 
-def _told(entry: AuditEntry, metres_per_unit: float | None) -> str:
+def _entry_text(entry: AuditEntry, metres_per_unit: float | None) -> str:
     numbers = ", ".join(map(str, entry.fruit_ids))
     return f"{entry.verdict}, {entry.points} points, fruit {numbers}: {audit_reason(entry, metres_per_unit)}"

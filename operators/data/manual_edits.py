@@ -60,20 +60,20 @@ def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
     root, known = owned_object(bpy_scene, "root"), spots_of(bpy_scene.fruitlangs.review.known)
     if root is None:
         return []
-    items, told = _originals(bpy_scene, root, known), []
+    items, notices = _originals(bpy_scene, root, known), []
     missing = [spot for spot in known if spot.id not in items]
     if missing:
         write_log(bpy_scene, Decision("reject", now(), "deleted", before=tuple(missing)))
-        told.append(f"deleted by hand and rejected in the log: {_numbers([spot.id for spot in missing])}")
+        notices.append(f"deleted by hand and rejected in the log: {_numbers([spot.id for spot in missing])}")
     own = set(items.values())
     copies = [item for item in standing(bpy_scene) if item not in own]
     for item, number in zip(copies, next_ids(bpy_scene, len(copies)), strict=True):
         _make_own(bpy_scene, item, number)
         write_log(bpy_scene, Decision("add", now(), "copied", after=(spot_of(item, root),)))
     if copies:
-        told.append(f"copied by hand and added in the log: {_numbers([item['id'] for item in copies])}")
+        notices.append(f"copied by hand and added in the log: {_numbers([item['id'] for item in copies])}")
     remember_fruit(bpy_scene)
-    return told
+    return notices
 
 
 def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[Spot]) -> dict[int, bpy.types.Object]:

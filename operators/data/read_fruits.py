@@ -45,7 +45,7 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
     unit = metres_per_unit(bpy_scene) or 1.0
     fruits = [_fruit(item, root, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
     shown = bpy_scene.fruitlangs.result
-    told = shown.total >= 0.0 and not is_reviewed(bpy_scene) and len(fruits) == shown.count
+    has_total = shown.total >= 0.0 and not is_reviewed(bpy_scene) and len(fruits) == shown.count
     return FruitCount(
         fruits=fruits,
         audit=read_audit(bpy_scene),
@@ -53,8 +53,8 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
         mean_diameter=float(np.mean([fruit.diameter for fruit in fruits])) if fruits else None,
         last_id=max([int(bpy_scene.get(LAST_ID, 0)), *numbers]),
         interval=reviewed_interval(bpy_scene),
-        total=float(shown.total) if told else None,
-        total_interval=(shown.total_low, shown.total_high) if told else None,
+        total=float(shown.total) if has_total else None,
+        total_interval=(shown.total_low, shown.total_high) if has_total else None,
         trees=_trees(fruits),
     )
 

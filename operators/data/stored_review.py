@@ -39,14 +39,14 @@ def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
     root = owned_object(bpy_scene, "root")
     if root is None:
         return []
-    told = log_by_hand(bpy_scene)
+    notices = log_by_hand(bpy_scene)
     made = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == ADDED]
     spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
     for row in _rows(bpy_scene):
         spot = spots.get(row.number)
         if spot is not None:
             row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
-    return told
+    return notices
 
 
 def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
@@ -108,14 +108,14 @@ def _give_members(bpy_scene: bpy.types.Scene, gone: dict[int, bpy.types.Object],
 
 
 def _not_applied(lost: Sequence[Decision], others: Sequence[Decision]) -> list[str]:
-    told = [
+    notices = [
         f"{decision.action} of {', '.join(str(spot.id) for spot in decision.before)}: no longer found"
         for decision in lost
     ]
     if others:
         labels = sorted({spot.label for decision in others for spot in decision.before or decision.after})
-        told.append(f"decisions on {', '.join(labels)}, which hold when that is counted again: {len(others)}")
-    return told
+        notices.append(f"decisions on {', '.join(labels)}, which hold when that is counted again: {len(others)}")
+    return notices
 
 
 def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
@@ -134,11 +134,11 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
     if shown.high < 0:
         return None
     own = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) in (None, CONFIRMED, REJECTED)]
-    chances = np.array([float(item.get("probability", 1.0)) for item in own])
+    probabilities = np.array([float(item.get("probability", 1.0)) for item in own])
     reviewed = np.array([REVIEW in item for item in own], bool)
     rejected = sum(item.get(REVIEW) == REJECTED for item in own)
     after = len(standing(bpy_scene))
-    return corrected_interval(shown.count, (shown.low, shown.high), chances, reviewed, rejected, after)
+    return corrected_interval(shown.count, (shown.low, shown.high), probabilities, reviewed, rejected, after)
 
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:
@@ -150,12 +150,12 @@ def review_line(bpy_scene: bpy.types.Scene) -> str:
 def counts_line(bpy_scene: bpy.types.Scene) -> str:
     """'machine 182, after review 185'; without the second where nothing was reviewed."""
     shown = bpy_scene.fruitlangs.result
-    told = [f"machine {shown.count}"] if shown.count >= 0 else []
+    parts = [f"machine {shown.count}"] if shown.count >= 0 else []
     if is_reviewed(bpy_scene):
-        told.append(f"after review {len(standing(bpy_scene))}")
-    elif not told:  # a .blend that the command line wrote
-        told.append(f"{len(standing(bpy_scene))} fruit")
-    return ", ".join(told)
+        parts.append(f"after review {len(standing(bpy_scene))}")
+    elif not parts:  # a .blend that the command line wrote
+        parts.append(f"{len(standing(bpy_scene))} fruit")
+    return ", ".join(parts)
 
 
 def entry_text(entry: bpy.types.PropertyGroup) -> str:
@@ -163,6 +163,6 @@ def entry_text(entry: bpy.types.PropertyGroup) -> str:
     numbers = [", ".join(str(spot.number) for spot in spots) for spots in (entry.before, entry.after)]
     if entry.action == "relabel":
         numbers[1] = entry.after[0].label
-    told = " → ".join(number for number in numbers if number)
+    text = " → ".join(number for number in numbers if number)
     reason = f" ({entry.reason})" if entry.reason else ""
-    return f"{entry.time[:16].replace('T', ' ')} {entry.action} {told}{reason}"
+    return f"{entry.time[:16].replace('T', ' ')} {entry.action} {text}{reason}"

@@ -138,10 +138,10 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
             item.id_properties_ui(key).update(min=0.0, max=1.0, description=text)
     item.id_properties_ui("views").update(min=0, description="Number of photos that show at least a tenth of the fruit")
     item.id_properties_ui("color").update(subtype="COLOR", min=0.0, max=1.0, description="Mean colour of its surface")
-    tell_unit(item, metres_per_unit)
+    set_unit(item, metres_per_unit)
 
 
-def tell_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
+def set_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
     """Say in a fruit's custom properties in which unit its lengths are."""
     for key in (key for key in MEASURED if key in item):
         item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")

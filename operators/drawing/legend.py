@@ -9,7 +9,7 @@ import bpy
 
 from ..blender_data import owned_object
 from ..data.write_gaussians import ASKED
-from ..viewport.appearance import look_of
+from ..viewport.appearance import appearance_of
 from ..viewport.gaussian_nodes import PROBABILITY_RAMP, RAMP_START
 from ..viewport.viewport import Drawing
 from .splat_drawing import has_preview
@@ -35,7 +35,7 @@ class Legend:
 
 def legend_of(bpy_scene: bpy.types.Scene) -> Legend | None:
     """The legend of what this Blender scene's viewports show; None where no Gaussian is lit."""
-    item, look = owned_object(bpy_scene, "gaussians"), look_of(bpy_scene)
+    item, look = owned_object(bpy_scene, "gaussians"), appearance_of(bpy_scene)
     if item is None or not look.highlight or look.style == "NONE" or has_preview(bpy_scene):
         return None
     words = str(item.data.get(ASKED, "")).partition(" | ")[0]

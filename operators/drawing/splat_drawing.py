@@ -16,7 +16,7 @@ from mathutils import Matrix
 
 from ..blender_data import OWNER, owned_objects
 from ..photos.photo_backgrounds import photo_cover
-from ..viewport.appearance import look_changed, look_of
+from ..viewport.appearance import appearance_changed, appearance_of
 from ..viewport.gaussian_nodes import get_input, shown_by
 from ..viewport.splats import Splats, splats_of_mesh, splats_of_points
 from ..viewport.viewport import Drawing, redraw_viewports
@@ -106,12 +106,12 @@ def _redraw() -> None:
     redraw_viewports()
 
 
-def look_edited(settings: Any, context: Any = None) -> None:
+def edit_appearance_soon(settings: Any, context: Any = None) -> None:
     """Called when the look was edited: splats that could not be drawn are tried again, from the start."""
     global _drawn
     if _drawn.problem:
         _drawn = Drawn(previews=_drawn.previews)
-    look_changed(settings, context)
+    appearance_changed(settings, context)
 
 
 _drawing = Drawing(draw_viewport, "POST_VIEW")
@@ -128,7 +128,7 @@ def _draw(
     if picture is None or picture.size != size:
         picture = Picture(size)
     _drawn.pictures[key] = picture
-    look = look_of(bpy_scene)
+    look = appearance_of(bpy_scene)
     view = View(view_data.view_matrix.copy(), view_data.window_matrix.copy(), size)
     highlight = Highlight(look.highlight, look.threshold, look.dimming)
     picture.draw(layers, view, highlight, read_depths(size), key)
@@ -145,7 +145,7 @@ def _layers(bpy_scene: Any, view_layer: Any, space: Any) -> list[tuple[SplatText
     preview = _drawn.previews.get(bpy_scene.session_uid)
     if preview is not None:
         return [(_preview_textures(bpy_scene.session_uid, preview), preview.matrix)]
-    if look_of(bpy_scene).style != "SPLATS":
+    if appearance_of(bpy_scene).style != "SPLATS":
         return []
     items = [*owned_objects(bpy_scene, "points"), *owned_objects(bpy_scene, "gaussians")]
     visible = [item for item in items if item.visible_get(view_layer=view_layer, viewport=space)]

@@ -70,11 +70,11 @@ class ExportFile(JobOperator):
 
     def prepare(self: Any, context: bpy.types.Context) -> Work:
         path = chosen_file(self.filepath, self.suffixes)
-        told = keep_corrections(context.scene)
+        notices = keep_corrections(context.scene)
         fruit_count = read_fruits(context.scene)
         write = self.writing(context, fruit_count)
         self._path = path
-        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}", *told])
+        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}", *notices])
         return lambda progress: write(path, progress)
 
     def finish(self: Any, context: bpy.types.Context, result: Any) -> None:

@@ -64,10 +64,10 @@ class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
         if stored is None:
             raise SceneError("There are no Gaussians to draw; count again or import the result")
         camera = active_camera(context.scene) if self.view == "CAMERA" else None
-        width, told = int(self.width), what(context.scene)
+        width, text = int(self.width), what(context.scene)
 
         def write(path: Path, progress: Progress) -> None:
-            save(path, draw(scene, stored, fruit_count, told, camera, width, progress))
+            save(path, draw(scene, stored, fruit_count, text, camera, width, progress))
 
         return write
 
@@ -85,7 +85,7 @@ class FRUITLANGS_OT_export_report(ExportFile, bpy.types.Operator):
     def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         bpy_scene = context.scene
         scene, stored = read_scene(bpy_scene), read_gaussians(bpy_scene)
-        told, scale, made = what(bpy_scene), metres_per_unit(bpy_scene), provenance(bpy_scene)
+        text, scale, made = what(bpy_scene), metres_per_unit(bpy_scene), provenance(bpy_scene)
         line = counts_line(bpy_scene) if is_reviewed(bpy_scene) else ""
         decisions = [entry_text(entry) for entry in bpy_scene.fruitlangs.review.log]
 
@@ -96,9 +96,9 @@ class FRUITLANGS_OT_export_report(ExportFile, bpy.types.Operator):
             write_page(
                 path,
                 fruit_count,
-                title=told,
+                title=text,
                 metres_per_unit=scale,
-                still=None if stored is None else draw(scene, stored, fruit_count, told, None, WIDTH, drawing),
+                still=None if stored is None else draw(scene, stored, fruit_count, text, None, WIDTH, drawing),
                 reviewed=Reviewed(line=line, interval=fruit_count.interval, decisions=decisions) if line else None,
                 provenance=made,
             )
@@ -110,7 +110,7 @@ def draw(
     scene: Scene,
     stored: StoredGaussians,
     fruit_count: FruitCount,
-    told: str,
+    text: str,
     camera: Camera | None,
     width: int,
     progress: Progress,
@@ -130,7 +130,7 @@ def draw(
         fruits,
         camera,
         metres_per_unit=scene.metres_per_unit,
-        title=headline(fruit_count, told),
+        title=headline(fruit_count, text),
         progress=part(progress, 0.5, 1.0),
     )
 
@@ -158,7 +158,7 @@ def provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
     Folders are told by name alone: a report is passed on, and where a person keeps things is nobody else's business.
     """
     settings, shown = bpy_scene.fruitlangs, bpy_scene.fruitlangs.result
-    told = {
+    rows = {
         "blend": Path(bpy.data.filepath).name,
         "scene": PurePath(settings.source.rstrip("/\\")).name,
         "result folder": PurePath(shown.folder.rstrip("/\\")).name,
@@ -172,4 +172,4 @@ def provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
     notices = [shown.notices] if shown.notices else []
     if shown.count == 0 and shown.zero_reason:
         notices.append(f"nothing was counted: {shown.zero_reason}")
-    return {"notices": notices, **{name: value for name, value in told.items() if value}}
+    return {"notices": notices, **{name: value for name, value in rows.items() if value}}

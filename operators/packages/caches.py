@@ -16,7 +16,7 @@ from ...engine.user_folders import KERNELS, checkpoints_folder, kernels_folder
 from ..jobs.jobs import busy
 from ..settings.settings import result_folder
 
-STAGES = ("photos-", "train-", "embed-", "foreign-", "segments-", "publish-")
+STAGES = ("photos-", "train-", "embed-", "imported-", "segments-", "publish-")
 """How the names of the folders begin that a run keeps in its results' cache."""
 LOST = "Training goes on from the start; what was reconstructed and not counted cannot be asked until then"
 """What deleting the work on a scene costs."""

@@ -174,14 +174,14 @@ class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):
 
 def printed(progress: Progress = silent) -> Progress:
     """A `Progress` that also prints every new step, for background mode, where nobody sees a bar."""
-    told = ""
+    last_step = ""
 
     def report(fraction: float, message: str) -> None:
-        nonlocal told
+        nonlocal last_step
         step = message.partition(",")[0]
-        if step != told:
+        if step != last_step:
             print(f"{fraction:4.0%} {step}", flush=True)
-            told = step
+            last_step = step
         progress(fraction, message)
 
     return report

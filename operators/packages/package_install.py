@@ -78,12 +78,12 @@ def _resolve(
     constraints.write_text("".join(f"{name}=={version}\n" for name, version in fixed.items()), encoding="utf-8")
     command = ["--dry-run", "--report", str(report), "--constraint", str(constraints)]
 
-    def told(_: str) -> None:
+    def on_output(_: str) -> None:
         progress(0.02, "finding out what is needed")
 
     failure = ""
     for source in _sources(packages, wheels):
-        failure = _pip([*command, *source, *packages], folder, stage, told)
+        failure = _pip([*command, *source, *packages], folder, stage, on_output)
         if not failure:
             break
     else:
@@ -106,7 +106,7 @@ def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | 
 
     furthest = 0.0
 
-    def told(output: str) -> None:
+    def on_output(output: str) -> None:
         nonlocal furthest
         size = _size(stage)
         furthest = max(furthest, min(size / expected, 1.0))  # pip deletes what it has unpacked
@@ -114,7 +114,7 @@ def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | 
 
     failure = ""
     for source in _sources(found, wheels):
-        failure = _pip([*command, *source, *pins], folder, stage, told)
+        failure = _pip([*command, *source, *pins], folder, stage, on_output)
         if not failure:
             break
     else:
@@ -129,11 +129,11 @@ def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: P
     modules = [module for module, package in REQUIRED.items() if package in packages]
     code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + ["print(numpy.__version__)"])
 
-    def told(_: str) -> None:
+    def on_output(_: str) -> None:
         progress(0.9, "trying what was installed")
 
     command = [sys.executable, "-s", "-c", code]
-    lines = _watch(command, _environment(folder, stage, stage / "packages"), stage / "imports.log", told)
+    lines = _watch(command, _environment(folder, stage, stage / "packages"), stage / "imports.log", on_output)
     if lines.code:
         raise InstallError(f"the packages were got but do not work here ({lines.last}); nothing was installed")
     if lines.last != np.__version__:
@@ -150,19 +150,21 @@ class _Lines:
         self.last = (errors or lines or [f"it ended with code {code}"])[0 if errors else -1]
 
 
-def _pip(arguments: Sequence[str], folder: Path, stage: Path, told: Callable[[str], None]) -> str:
+def _pip(arguments: Sequence[str], folder: Path, stage: Path, on_output: Callable[[str], None]) -> str:
     """Run `pip install` of Blender's Python; returns why it failed, '' if it did not."""
     environment = _environment(folder, stage)
     if importlib.util.find_spec("pip") is None:
         environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], _bundled_pip()])
     options = ["--only-binary=:all:", "--no-input", "--disable-pip-version-check", "--no-warn-conflicts"]
     command = [sys.executable, "-s", "-m", "pip", "install", *options, *arguments]
-    done = _watch(command, environment, stage / "pip.log", told)
+    done = _watch(command, environment, stage / "pip.log", on_output)
     return done.last if done.code else ""
 
 
-def _watch(command: Sequence[str], environment: Mapping[str, str], log: Path, told: Callable[[str], None]) -> _Lines:
-    """Run a process to its end, telling what it printed now and then; whatever `told` raises ends it."""
+def _watch(
+    command: Sequence[str], environment: Mapping[str, str], log: Path, on_output: Callable[[str], None]
+) -> _Lines:
+    """Run a process to its end, telling what it printed now and then; whatever `on_output` raises ends it."""
     with log.open("wb") as output:
         try:
             child = subprocess.Popen(
@@ -172,7 +174,7 @@ def _watch(command: Sequence[str], environment: Mapping[str, str], log: Path, to
             raise InstallError(f"Blender's Python, {command[0]}, cannot be started ({error.strerror})") from error
     try:
         while child.poll() is None:
-            told(_text(log))
+            on_output(_text(log))
             try:
                 child.wait(POLL_SECONDS)
             except subprocess.TimeoutExpired:

@@ -234,7 +234,7 @@ def source_folder(settings: Any) -> Path:
     return folder
 
 
-def foreign_file(settings: Any) -> Path | None:
+def imported_file(settings: Any) -> Path | None:
     """The .ply that is counted in instead of training, absolute; None where none is given.
 
     Raises:

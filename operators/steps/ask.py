@@ -27,7 +27,7 @@ from ..jobs.jobs import describe_error, linked, redraw_sidebars
 from ..jobs.preload import preload_libraries
 from ..jobs.target_scene import find_scene
 from ..settings.settings import read_config, read_prompts, read_words, stored_file
-from ..viewport.appearance import apply_look, look_changed
+from ..viewport.appearance import appearance_changed, apply_appearance
 from ..viewport.viewport import in_window, redraw_viewports
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
         return None
     try:
         if item.data.get(ASKED) == asked_words(read_prompts(settings), read_words(settings.negative)):
-            tell_answer(bpy_scene)
+            show_answer_text(bpy_scene)
             return None
         worker = Worker(question_of(bpy_scene), _means(bpy_scene))
     except FruitLangsError as error:
@@ -251,12 +251,12 @@ def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], wo
     set_attribute(item.data, "probability", "FLOAT", probability)
     item.data.update()
     item.data[ASKED] = words
-    apply_look(bpy_scene)
-    tell_answer(bpy_scene)
+    apply_appearance(bpy_scene)
+    show_answer_text(bpy_scene)
     redraw_viewports()
 
 
-def tell_answer(bpy_scene: bpy.types.Scene) -> None:
+def show_answer_text(bpy_scene: bpy.types.Scene) -> None:
     """Say in the panel how many Gaussians reach the threshold; nothing where none was asked yet."""
     settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
     found = gaussian_attributes(bpy_scene, "probability")
@@ -270,8 +270,8 @@ def tell_answer(bpy_scene: bpy.types.Scene) -> None:
 
 def threshold_changed(settings: Any, _context: Any = None) -> None:
     """Called when the threshold was edited."""
-    tell_answer(settings.id_data)
-    look_changed(settings)
+    show_answer_text(settings.id_data)
+    appearance_changed(settings)
 
 
 def _tell(bpy_scene: bpy.types.Scene, problem: str) -> None:

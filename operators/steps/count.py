@@ -10,7 +10,7 @@ import bpy
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
 from ..settings.settings import (
-    foreign_file,
+    imported_file,
     read_config,
     read_prompts,
     read_words,
@@ -45,7 +45,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
-        source, out, foreign = source_folder(settings), result_folder(settings), foreign_file(settings)
+        source, out, imported = source_folder(settings), result_folder(settings), imported_file(settings)
         prompts, negatives = read_prompts(settings), read_words(settings.negative)
         config = read_config(settings, source)
         opened = Path(bpy.data.filepath) if bpy.data.filepath else None
@@ -63,7 +63,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
                 negatives=negatives,
                 config=config,
                 keep=opened,
-                foreign=foreign,
+                imported=imported,
                 watch=watch,
                 progress=progress,
             )

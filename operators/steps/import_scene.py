@@ -77,13 +77,13 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         self._show(context, self._target.scene(context), result)
 
     def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Any) -> None:
-        told = show_scene(context, bpy_scene, scene)
+        notices = show_scene(context, bpy_scene, scene)
         shown = f"{len(scene.cameras)} cameras and {len(scene.points)} points imported"
-        self.report({"INFO"}, "; ".join([shown, *told]))
+        self.report({"INFO"}, "; ".join([shown, *notices]))
 
     def _show_reconstruction(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
-        told = show_reconstruction(context, bpy_scene, *result)
-        self.report({"INFO"}, "; ".join([f"{len(result[0].gaussians):,} Gaussians imported", *told]))
+        notices = show_reconstruction(context, bpy_scene, *result)
+        self.report({"INFO"}, "; ".join([f"{len(result[0].gaussians):,} Gaussians imported", *notices]))
 
     def _show_result(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
         settings = bpy_scene.fruitlangs

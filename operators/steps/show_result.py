@@ -22,9 +22,9 @@ from ..data.write_gaussians import asked_words, write_gaussians
 from ..data.write_points import hide_points, write_points
 from ..data.write_root import write_root
 from ..settings.settings import source_folder, stored_path
-from ..viewport.appearance import apply_look, look_of
+from ..viewport.appearance import appearance_of, apply_appearance
 from ..viewport.viewport import look_at_scene, show_colors, shown_screens
-from .ask import ask_soon, tell_answer
+from .ask import ask_soon, show_answer_text
 from .shown_source import enter_source, forget_count
 
 if TYPE_CHECKING:
@@ -39,20 +39,20 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
     Where fruit are shown their scale stays.
     """
     settings = bpy_scene.fruitlangs
-    told = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
+    notices = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
     if scene.metres_per_unit is None and owned_objects(bpy_scene, "fruit"):
         scene = dataclasses.replace(scene, metres_per_unit=metres_per_unit(bpy_scene))
     root = write_root(bpy_scene, scene)
     if len(scene.points):
         write_points(bpy_scene, scene, root)
-    apply_look(bpy_scene)
+    apply_appearance(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(settings.result, scene)
-    if told:  # else what an earlier import or the shown count told still holds
-        settings.result.notices = "; ".join(told)
-    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    if notices:  # else what an earlier import or the shown count told still holds
+        settings.result.notices = "; ".join(notices)
+    show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
-    return told
+    return notices
 
 
 def show_reconstruction(
@@ -63,46 +63,46 @@ def show_reconstruction(
 
     A count of the same Gaussians at the same scale stays; one of others goes, its decisions hold at the next.
     """
-    told = _enter(bpy_scene, made.origin)
+    notices = _enter(bpy_scene, made.origin)
     owners = _owners(bpy_scene, made)
     if owners is None and counted(bpy_scene):
         forget_count(bpy_scene)
-        told.append("the count of other Gaussians, or at another scale, was removed; count again")
+        notices.append("the count of other Gaussians, or at another scale, was removed; count again")
     first = owned_object(bpy_scene, "root") is None
     root = write_root(bpy_scene, made.scene)
     item = write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
     if owners is not None:
         set_attribute(item.data, "fruit_id", "INT", owners)
     hide_points(bpy_scene)
-    apply_look(bpy_scene)
+    apply_appearance(bpy_scene)
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
     _keep_scene(shown, made.scene)
     _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
-    shown.notices = "; ".join([*stages.notices, *told])
-    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    shown.notices = "; ".join([*stages.notices, *notices])
+    show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
     if not bpy.app.background:
         ask_soon(bpy_scene)
-    return told
+    return notices
 
 
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Everything of a count."""
-    told = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
+    notices = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
     first = owned_object(bpy_scene, "root") is None
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
     hide_points(bpy_scene)
-    apply_look(bpy_scene)
+    apply_appearance(bpy_scene)
     bpy_scene[SET_ID] = result.set_id
     keep_result(bpy_scene.fruitlangs, result)
-    told += keep_decisions(bpy_scene, result.fruit_count, result.origin["prompts"])
+    notices += keep_decisions(bpy_scene, result.fruit_count, result.origin["prompts"])
     shown = bpy_scene.fruitlangs.result
-    shown.notices = "; ".join([*filter(None, [shown.notices]), *told])
-    tell_answer(bpy_scene)
-    show_colors(shown_screens(context, bpy_scene), splats=look_of(bpy_scene).style == "SPLATS")
+    shown.notices = "; ".join([*filter(None, [shown.notices]), *notices])
+    show_answer_text(bpy_scene)
+    show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
 

@@ -25,9 +25,9 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
 
     Decisions wait until their source is shown again; objects, count and measures go.
     """
-    settings, told = bpy_scene.fruitlangs, []
+    settings, notices = bpy_scene.fruitlangs, []
     if is_of_another(settings, source):
-        told = _leave_source(bpy_scene)
+        notices = _leave_source(bpy_scene)
     true, review = true_source(source), settings.review
     settings.result.source = stored_path(true)
     settings.result.mark = source_mark(true) or settings.result.mark
@@ -36,7 +36,7 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
         if is_same_source(Path(kept.source), kept.mark, source):
             _move_log(kept.log, review.log)
             review.aside.remove(index)
-    return told
+    return notices
 
 
 def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
@@ -54,10 +54,10 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
         root[METRES] = 0.0
     for name in OF_SOURCE:
         settings.result.property_unset(name)
-    told = [f"your decisions on {source} ({decisions}) wait until it is shown again"] if decisions else []
+    notices = [f"your decisions on {source} ({decisions}) wait until it is shown again"] if decisions else []
     if measured:
-        told.append(f"scale, ground and region of {source} do not hold here and were removed")
-    return told
+        notices.append(f"scale, ground and region of {source} do not hold here and were removed")
+    return notices
 
 
 def forget_count(bpy_scene: bpy.types.Scene) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...engine.errors import FruitLangsError
 from ...engine.report.words import length_unit, three_digits
 from ..blender_data import owned_object, owned_objects
-from ..data.write_fruits import MEASURED, tell_unit
+from ..data.write_fruits import MEASURED, set_unit
 from ..jobs.jobs import busy, linked
 from ..settings.settings import read_config
 from .pick_tool import PickTool
@@ -45,7 +45,7 @@ def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
     for item in owned_objects(bpy_scene, "fruit"):
         for key in (key for key in MEASURED if key in item):
             item[key] = item[key] * ratio
-        tell_unit(item, metres_per_unit)
+        set_unit(item, metres_per_unit)
     for item in owned_objects(bpy_scene, "camera"):
         item.data.clip_start *= ratio
         item.data.clip_end *= ratio

@@ -20,7 +20,7 @@ Style = Literal["SPLATS", "ELLIPSOIDS", "NONE"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class Appearance:
     """style: how viewports show Gaussians; highlight: whether those that fit the prompt are lit and others dimmed;
     threshold: probability from which one fits; dimming: share of its brightness that another loses."""
 
@@ -30,13 +30,13 @@ class Look:
     dimming: float = DIMMING
 
 
-def look_of(bpy_scene: bpy.types.Scene) -> Look:
+def appearance_of(bpy_scene: bpy.types.Scene) -> Appearance:
     """What the panel says of this Blender scene; the defaults where the extension is not registered."""
     settings = getattr(bpy_scene, "fruitlangs", None)
     if settings is None:
-        return Look()
+        return Appearance()
     chosen = settings.look
-    return Look(
+    return Appearance(
         style=chosen.style,
         highlight=chosen.highlight,
         threshold=settings.config.count.threshold,
@@ -44,9 +44,9 @@ def look_of(bpy_scene: bpy.types.Scene) -> Look:
     )
 
 
-def apply_look(bpy_scene: bpy.types.Scene) -> None:
+def apply_appearance(bpy_scene: bpy.types.Scene) -> None:
     """Give this Blender scene's modifiers its look; those of an older version get the present nodes."""
-    look = look_of(bpy_scene)
+    look = appearance_of(bpy_scene)
     as_splats = look.style == "SPLATS" and in_window()
     for item in owned_objects(bpy_scene, "points"):
         for modifier in shown_by(item):
@@ -76,10 +76,10 @@ def is_answered(mesh: bpy.types.Mesh) -> bool:
     return not mesh.is_editmode and "probability" in mesh.attributes and bool(get_attribute(mesh, "probability").any())
 
 
-def look_changed(settings: Any, _context: Any = None) -> None:
+def appearance_changed(settings: Any, _context: Any = None) -> None:
     """Called when the look or the threshold was edited."""
     if settings.id_data.library is None:
-        apply_look(settings.id_data)
+        apply_appearance(settings.id_data)
         redraw_viewports()
 
 
@@ -93,18 +93,18 @@ def _set_inputs(item: bpy.types.Object, modifier: Any, values: dict[str, Any]) -
 
 
 @persistent
-def apply_looks(_file: Any = None, _unused: Any = None) -> None:
+def apply_appearances(_file: Any = None, _unused: Any = None) -> None:
     """After loading, saving, undo and redo: the look decides what viewports show."""
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
-            apply_look(bpy_scene)
+            apply_appearance(bpy_scene)
 
 
 @persistent
 def show_ellipsoids(_file: Any = None, _unused: Any = None) -> None:
     """Before saving, and when the extension goes: without it nothing else would show Gaussians and points."""
     for bpy_scene in bpy.data.scenes:
-        if look_of(bpy_scene).style != "SPLATS" or not in_window():
+        if appearance_of(bpy_scene).style != "SPLATS" or not in_window():
             continue
         for item in [*owned_objects(bpy_scene, "gaussians"), *owned_objects(bpy_scene, "points")]:
             for modifier in shown_by(item):
@@ -112,12 +112,12 @@ def show_ellipsoids(_file: Any = None, _unused: Any = None) -> None:
 
 
 HANDLERS = {
-    "load_post": apply_looks,
-    "undo_post": apply_looks,
-    "redo_post": apply_looks,
+    "load_post": apply_appearances,
+    "undo_post": apply_appearances,
+    "redo_post": apply_appearances,
     "save_pre": show_ellipsoids,
-    "save_post": apply_looks,
-    "save_post_fail": apply_looks,
+    "save_post": apply_appearances,
+    "save_post_fail": apply_appearances,
 }
 
 
@@ -126,13 +126,13 @@ def register_handlers() -> None:
     for name, function in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
     if in_window():  # while an extension is registered nothing of the .blend may be changed
-        bpy.app.timers.register(apply_looks, first_interval=0.0)
+        bpy.app.timers.register(apply_appearances, first_interval=0.0)
 
 
 def unregister_handlers() -> None:
     """Take back what `register_handlers` added; the viewports show ellipsoids again."""
-    if bpy.app.timers.is_registered(apply_looks):
-        bpy.app.timers.unregister(apply_looks)
+    if bpy.app.timers.is_registered(apply_appearances):
+        bpy.app.timers.unregister(apply_appearances)
     for name, function in HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if function in handlers:

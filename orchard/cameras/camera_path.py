@@ -40,14 +40,14 @@ class Place:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stand:
+class CameraPlace:
     """Where a picture is taken from and towards, before the hand shakes."""
 
     place: FloatArray
     target: FloatArray
 
 
-def walk(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
+def camera_places(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
     """The views of the configured path, jittered in place and aim; one focal length for all."""
     size = species.tree_height / 2.3
     if place.part is not None:
@@ -119,17 +119,17 @@ def _level(place: Place, climb: float) -> float:
     return float(_middle(place)[2] + tall * np.interp(climb, [0.0, 1.0], LEVELS))
 
 
-def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> Stand:
+def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
     """The i-th picture of a way around the trees or half around them."""
     step = _step(rng, config, i)
     turn = np.pi + np.pi * step.share if config.path == "half-ring" else 2 * np.pi * step.share
     away = distance * rng.uniform(0.95, 1.05)
     middle = _middle(place)
     x, y = middle[:2] + away * np.array([np.cos(turn), np.sin(turn)])
-    return Stand(place=np.array([x, y, _level(place, step.climb)]), target=middle)
+    return CameraPlace(place=np.array([x, y, _level(place, step.climb)]), target=middle)
 
 
-def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> Stand:
+def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
     """The i-th picture of a walk past the row, to at the first height, back at the second, and so on."""
     step = _step(rng, config, i)
     back = i // _per_ring(config) % 2 == 1
@@ -139,14 +139,14 @@ def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, di
     yaw = np.radians(rng.uniform(-12, 12))
     away = distance * rng.uniform(0.97, 1.03)
     target = np.array([x + away * np.tan(yaw), middle[1], middle[2]])
-    return Stand(place=np.array([x, middle[1] - away, _level(place, step.climb)]), target=target)
+    return CameraPlace(place=np.array([x, middle[1] - away, _level(place, step.climb)]), target=target)
 
 
-def _before_part(rng: np.random.Generator, config: OrchardConfig, part: Part, distance: float, i: int) -> Stand:
+def _before_part(rng: np.random.Generator, config: OrchardConfig, part: Part, distance: float, i: int) -> CameraPlace:
     """The i-th picture of arcs before a part of the crown."""
     step = _step(rng, config, i)
     turn = np.radians(ARCS[config.path] * (2 * step.share - 1))
     rise = np.radians(np.interp(step.climb, [0.0, 1.0], RISES))
     away = distance * rng.uniform(0.95, 1.05)
     direction = np.array([np.sin(turn) * np.cos(rise), -np.cos(turn) * np.cos(rise), np.sin(rise)])
-    return Stand(place=part.center + away * direction, target=part.center)
+    return CameraPlace(place=part.center + away * direction, target=part.center)

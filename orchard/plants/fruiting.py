@@ -71,11 +71,11 @@ class Fruiting:
 
     def _bearing(self) -> FloatArray:
         """(S,) each spur's chance of the next clump."""
-        chance = np.ones(len(self.spurs))
+        weights = np.ones(len(self.spurs))
         if self.habit.middle is not None:
             away = np.linalg.norm(self.spurs - self.habit.middle, axis=1)
-            chance = np.exp(-0.5 * (away / self.habit.reach) ** 2) + 1e-9
-        return chance / max(chance.sum(), 1e-12)
+            weights = np.exp(-0.5 * (away / self.habit.reach) ** 2) + 1e-9
+        return weights / max(weights.sum(), 1e-12)
 
     def _body(self, center: FloatArray, axis: FloatArray) -> tuple[Body, float]:
         """A fruit of random size and slightly random shape."""
@@ -111,8 +111,8 @@ class Fruiting:
     def _clump_size(self) -> int:
         if self.habit.clump > 0:
             return min(1 + int(self.rng.poisson(self.habit.clump - 1)), LARGEST_CLUMP)
-        chances = np.array(self.species.clump_sizes)
-        return int(self.rng.choice(np.arange(1, len(chances) + 1), p=chances / chances.sum()))
+        weights = np.array(self.species.clump_sizes)
+        return int(self.rng.choice(np.arange(1, len(weights) + 1), p=weights / weights.sum()))
 
     def hang(self, count: int) -> None:
         """Hang `count` fruit, clump after clump; raises OrchardError when the tree has no room for them."""

@@ -24,16 +24,16 @@ _WALLS = ("#c9c1b0", "#a9523a", "#d8d5cc", "#8c8a84", "#b98a5e")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thing:
+class SceneObject:
     """One thing in the world: its word and its surface, metres."""
 
     word: str
     mesh: Mesh
 
 
-def leave_things(
+def place_objects(
     rng: np.random.Generator, branches: Sequence[Branch], ground: Ground, size: float, count: int, x0: float
-) -> list[Thing]:
+) -> list[SceneObject]:
     """So many things about the trunk at x = x0 of a tree of height 2.3 m times `size`, kind after kind."""
     makers: dict[str, Callable[[], Mesh]] = {
         "bucket": lambda: _bucket(rng, branches),
@@ -44,7 +44,7 @@ def leave_things(
     }
     first = int(rng.integers(len(WORDS)))
     words = [WORDS[(first + i) % len(WORDS)] for i in range(count)]
-    return [Thing(word=word, mesh=makers[word]()) for word in words]
+    return [SceneObject(word=word, mesh=makers[word]()) for word in words]
 
 
 def _bucket(rng: np.random.Generator, branches: Sequence[Branch]) -> Mesh:

@@ -23,7 +23,7 @@ import numpy as np
 
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import Gaussians
-from fruitlangs.engine.splatting.rendering.agreement import compare_with_twin
+from fruitlangs.engine.splatting.rendering.agreement import compare_with_reference
 
 LIMIT = 1e-3
 
@@ -62,7 +62,7 @@ def main() -> int:
     worst = 0.0
     for degree, antialiased in ((0, False), (1, False), (2, False), (3, False), (3, True)):
         scene = replace(random_gaussians(options.gaussians, degree, options.seed), antialiased=antialiased)
-        errors = compare_with_twin(scene, camera(), seed=options.seed)
+        errors = compare_with_reference(scene, camera(), seed=options.seed)
         if degree == 0:
             print("SH  " + "".join(f"{name:>18}" for name in errors))
         print(f"{degree:2}{'a ' if antialiased else '  '}" + "".join(f"{error:18.1e}" for error in errors.values()))

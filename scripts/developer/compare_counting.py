@@ -84,9 +84,9 @@ def compare_on_scenes(options: Options) -> None:
     """Both rungs with true masks, one after the other."""
     assert options.out is not None
     folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
-    for rung in (COUNTING_ONLY, TRUE_MASKS):
-        crowns = [scene_crown(folder, options.out / folder.name, rung, Config()) for folder in folders]
-        print(f"{rung}\n\n{compared(crowns, chosen_methods(options), options.out, rung)}\n")
+    for stage in (COUNTING_ONLY, TRUE_MASKS):
+        crowns = [scene_crown(folder, options.out / folder.name, stage, Config()) for folder in folders]
+        print(f"{stage}\n\n{compared(crowns, chosen_methods(options), options.out, stage)}\n")
 
 
 def chosen_methods(options: Options) -> Methods:

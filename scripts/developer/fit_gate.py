@@ -34,7 +34,7 @@ from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.counting.evidence.gate import STORED, WEIGHED, Gate, weighed
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.files import write_text
-from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, searched, surface_cases, walk_cases
+from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched, surface_cases
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
@@ -76,7 +76,7 @@ class Example:
 def main(options: Options) -> None:
     check_seed(options.first)
     crowns = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
-    rendered = (walk_cases(options.renders), surface_cases(options.renders)) if options.renders else ()
+    rendered = (rendered_cases(options.renders), surface_cases(options.renders)) if options.renders else ()
     cases = itertools.chain(crowns, *rendered)
     examples = [found for case in cases for found in example(case)]
     print(table(examples))
@@ -91,10 +91,10 @@ def example(case: Case) -> Iterator[Example]:
         return
     found, _ = result
     judged = judge(found.found.spheres.centers, 2.0 * found.found.spheres.radii, case.truth)
-    told = np.setdiff1d(np.arange(len(found.chances)), judged.ignored)  # on fruit that is not to be counted
-    fruit, surest = np.isin(told, judged.pairs.predicted), found.features["surest"][told]
+    own = np.setdiff1d(np.arange(len(found.probabilities)), judged.ignored)  # on fruit that is not to be counted
+    fruit, surest = np.isin(own, judged.pairs.predicted), found.features["surest"][own]
     visible = int(case.truth.visible.sum())
-    yield Example(case.kind, case.family, weighed(found.features)[told], fruit, surest, visible)
+    yield Example(case.kind, case.family, weighed(found.features)[own], fruit, surest, visible)
 
 
 def fit(examples: Sequence[Example]) -> Gate:
@@ -140,11 +140,18 @@ def table(examples: Sequence[Example]) -> str:
 
 def judged(example: Example, gate: Gate) -> tuple[float, float, float, float]:
     """Precision, recall, F1, and how many fruit the probabilities promise for each one among the candidates."""
-    chances = gate.chances({**dict(zip(WEIGHED, example.features.T, strict=True)), "surest": example.surest})
-    kept = chances > LIKELY
+    probabilities = gate.probabilities(
+        {**dict(zip(WEIGHED, example.features.T, strict=True)), "surest": example.surest}
+    )
+    kept = probabilities > LIKELY
     right = int((kept & example.fruit).sum())
     precision, recall = right / max(int(kept.sum()), 1), right / example.visible
-    return precision, recall, 2.0 * right / (int(kept.sum()) + example.visible), chances.sum() / example.fruit.sum()
+    return (
+        precision,
+        recall,
+        2.0 * right / (int(kept.sum()) + example.visible),
+        probabilities.sum() / example.fruit.sum(),
+    )
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ from fruitlangs.engine.counting.accounts.interval import (
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.files import write_text
-from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, searched, walk_cases
+from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
@@ -89,7 +89,7 @@ def main(options: Options) -> None:
     check_seed(options.first)
     named = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
     drawn = drawn_cases(options.first + 1000, options.drawn)
-    cases = itertools.chain(named, drawn, walk_cases(options.renders) if options.renders else ())
+    cases = itertools.chain(named, drawn, rendered_cases(options.renders) if options.renders else ())
     examples = [found for case in cases for found in example(case)]
     fitted = {name: fit(examples, truth) for name, truth in TRUTHS.items()}
     ratios = {name: ratio for name, (ratio, _) in fitted.items()}
@@ -117,7 +117,7 @@ def example(case: Case) -> list[Example]:
         return []
     found, pictures = result
     spheres = found.found.spheres
-    kept = found.chances > LIKELY
+    kept = found.probabilities > LIKELY
     measured = count_metrics(spheres.centers[kept], 2.0 * spheres.radii[kept], replace(case.truth, visible=case.shown))
     evidence = evidence_of(found, np.ones(len(spheres), bool), pictures, seed=0)
     visible = int(case.shown.sum()) + measured.ignored
@@ -142,13 +142,13 @@ def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Rat
 
 def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
     n, weights = len(TELLING), _weights(examples)
-    telling = np.array([e.evidence.telling for e in examples])
-    chance = np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples])
+    covariates = np.array([e.evidence.covariates for e in examples])
+    variance_share = np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples])
     ratios = np.array([_log_ratio(e, truth(e)) for e in examples])
 
     def loss(x: FloatArray) -> float:
-        errors = ratios - x[0] - telling @ x[1 : n + 1]
-        squares = np.exp(2.0 * x[n + 1]) + chance + ((x[n + 2 :] * telling) ** 2).sum(axis=1)
+        errors = ratios - x[0] - covariates @ x[1 : n + 1]
+        squares = np.exp(2.0 * x[n + 1]) + variance_share + ((x[n + 2 :] * covariates) ** 2).sum(axis=1)
         terms = 0.5 * np.log(squares) + 0.5 * errors**2 / squares
         return float(weights @ terms + HELD * ((x[1 : n + 1] ** 2).sum() + (x[n + 2 :] ** 2).sum()))
 
@@ -171,8 +171,8 @@ def _needed(ratio: Ratio, example: Example, truth: int) -> float:
 
 def _weights(examples: Sequence[Example]) -> FloatArray:
     """(E,) with crowns and walks alike in sum, 1 on the mean."""
-    walk = np.array([example.kind.startswith("walk") for example in examples])
-    shares = np.where(walk, 1.0 / max(walk.sum(), 1), 1.0 / max((~walk).sum(), 1))
+    rendered_scene = np.array([example.kind.startswith("walk") for example in examples])
+    shares = np.where(rendered_scene, 1.0 / max(rendered_scene.sum(), 1), 1.0 / max((~rendered_scene).sum(), 1))
     return shares / shares.mean()
 
 

@@ -1,4 +1,4 @@
-"""Small made-up point clouds as .ply for the tests of foreign reconstructions."""
+"""Small made-up point clouds as .ply for the tests of imported reconstructions."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from fruitlangs.engine.errors import ConfigError, SceneError
 from fruitlangs.engine.files import write_text
 from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
 from fruitlangs.engine.scene.camera import Camera, looking
-from fruitlangs.engine.scene.formats.cameras_json import camera_names, read_cameras, told_anew
+from fruitlangs.engine.scene.formats.cameras_json import camera_names, read_cameras, with_scene_facts
 from fruitlangs.engine.scene.scale import scale_by_length
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
 from fruitlangs.engine.splatting.subject.extent import longest_side
@@ -182,9 +182,9 @@ def test_a_cameras_file_with_another_scale_and_up_differs_in_nothing_else(tmp_pa
     scene = Scene(cameras(), photos, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), UP)
     path = tmp_path / "cameras.json"
     write_text(path, dump_cameras(scene))
-    assert told_anew(path, scene) == path.read_text()
+    assert with_scene_facts(path, scene) == path.read_text()
     other = dataclasses.replace(scene, metres_per_unit=0.1 + 0.2, up=np.array([0.0, 0.0, 1.0]))
-    write_text(path, told_anew(path, other))
+    write_text(path, with_scene_facts(path, other))
     assert path.read_text() == dump_cameras(other)
     assert read_cameras(path).metres_per_unit == 0.1 + 0.2
     assert camera_names(path) == NAMES

@@ -28,7 +28,7 @@ from fruitlangs.benchmarks.training.pages import (
     stage_table,
     watched_table,
 )
-from fruitlangs.benchmarks.training.published_3dgs import DENSIFY_EVERY, DENSIFY_FROM, beside_published
+from fruitlangs.benchmarks.training.published_3dgs import DENSIFY_EVERY, DENSIFY_FROM, compare_with_published
 from fruitlangs.benchmarks.training.step_times import (
     FORWARD_AND_BACKWARD,
     STAGES,
@@ -88,16 +88,16 @@ def test_every_setting_has_a_row_a_stage_and_the_sums(tmp_path: Path) -> None:
     assert [row.threads for row in rows] == [1] * 8 + [2] * 8
     for row in rows:
         assert row.seconds > 0
-        assert row.peer is not None
-        assert row.peer_ratio == pytest.approx(row.peer / row.seconds)
+        assert row.baseline is not None
+        assert row.baseline_ratio == pytest.approx(row.baseline / row.seconds)
     assert stage_table(rows).count("\n| 300 |") == 2
     draw_stages(rows, tmp_path / "stages.png")
     assert (tmp_path / "stages.png").stat().st_size > 1000
 
 
 def test_a_peer_that_does_not_fit_leaves_its_columns_empty() -> None:
-    rows = measure([Setting(300, 64, 48, 1)], repeats=1, peer_memory=1000)
-    assert all(row.peer is None and row.peer_ratio is None for row in rows)
+    rows = measure([Setting(300, 64, 48, 1)], repeats=1, baseline_memory=1000)
+    assert all(row.baseline is None and row.baseline_ratio is None for row in rows)
     assert "|  |" in stage_table(rows)
 
 
@@ -127,9 +127,9 @@ def test_every_variant_is_a_setting_of_training() -> None:
 
 
 def test_3dgs_as_published_learns_a_tiny_scene_and_ours_takes_as_many_gaussians() -> None:
-    barely, *_ = beside_published(SAMPLE, steps=1, gaussians=300, downscale=10)
+    barely, *_ = compare_with_published(SAMPLE, steps=1, gaussians=300, downscale=10)
     steps = DENSIFY_FROM + 2 * DENSIFY_EVERY
-    theirs, standard, ours = beside_published(SAMPLE, steps=steps, gaussians=300, downscale=10)
+    theirs, standard, ours = compare_with_published(SAMPLE, steps=steps, gaussians=300, downscale=10)
     assert theirs.psnr > barely.psnr + 2.0
     assert 100 < theirs.gaussians <= 300
     assert max(standard.gaussians, ours.gaussians) <= theirs.gaussians
@@ -144,8 +144,8 @@ def test_both_roads_of_the_language_are_timed_stage_by_stage(tmp_path: Path) -> 
     clip = write_clip(tmp_path / "clip")
     configs = [EmbedConfig(), EmbedConfig(encoder="clip", clip=str(clip), code_epochs=1)]
     rows = measure_language(SAMPLE, tmp_path / "gaussians.ply", configs, views=2)
-    assert {row.road for row in rows} == {"embedded", "clip, classical masks"}
-    by_name = {(row.road, row.name): row for row in rows}
+    assert {row.method for row in rows} == {"embedded", "clip, classical masks"}
+    by_name = {(row.method, row.name): row for row in rows}
     assert by_name["embedded", "encode a photo"].times == 2
     assert by_name["clip, classical masks", "find a photo's masks"].times == 2
     assert all(row.seconds >= 0.0 < row.peak for row in rows)
@@ -197,7 +197,7 @@ def test_a_setting_below_one_is_one_line() -> None:
 def test_counting_is_timed_from_the_size_to_what_is_told_of_the_fruit() -> None:
     rows = measure_counting([100_000])
     assert [row.name for row in rows] == ["size", "points", "fruit", "account", "describe", "ground", "interval"]
-    points, fruit = (int(word.replace(",", "")) for word in rows[0].road.split() if word[0].isdigit())
+    points, fruit = (int(word.replace(",", "")) for word in rows[0].method.split() if word[0].isdigit())
     assert 0.95 < points / 100_000 < 1.05
     assert 650 < fruit < 800  # of 762 true ones
     with pytest.raises(CountingError, match="numbers of points from 1 on"):

@@ -17,9 +17,9 @@ from fruitlangs.benchmarks.counting.baselines import METHODS, NONE, Found, Surfa
 from fruitlangs.benchmarks.counting.crowns import scene_crown
 from fruitlangs.benchmarks.counting.pages import counting_table, figures_table, visibility_table
 from fruitlangs.benchmarks.counting.simulated import AXES, SETTINGS, Setting, Simulation, simulate
-from fruitlangs.benchmarks.counting.touching import Touching, told_apart
+from fruitlangs.benchmarks.counting.touching import Touching, separated
 from fruitlangs.benchmarks.counting.trials import Trial, read_trials, trials_csv, tried
-from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, TRUE_MASKS, Rungs
+from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, TRUE_MASKS, LadderStages
 from fruitlangs.engine.config import Config, CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.errors import ConfigError, FormatError
@@ -82,10 +82,10 @@ def test_ours_on_a_scene_counts_what_its_rung_counts(tmp_path: Path):
     scene, config = ball_scene.write_scene(tmp_path / "balls", views=10), Config()
     crown = scene_crown(scene, tmp_path / "out", COUNTING_ONLY, config)
     truth = read_truth(scene / "truth.json")
-    rung = Rungs(scene, tmp_path / "out", truth, [], ["apple"], config).run(COUNTING_ONLY, silent)
+    stage = LadderStages(scene, tmp_path / "out", truth, [], ["apple"], config).run(COUNTING_ONLY, silent)
     assert (crown.setting, crown.seed) == ("apple", 7)
     assert crown.key != scene_crown(scene, tmp_path / "out", TRUE_MASKS, config).key
-    assert crown.counted({"ours": ours})[0].metrics == count_metrics(rung.centers, rung.diameters, truth)
+    assert crown.counted({"ours": ours})[0].metrics == count_metrics(stage.centers, stage.diameters, truth)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_pair_is_told_apart_where_each_fruit_is_counted_once():
     )
 
     def apart(*places: float) -> Touching:
-        return told_apart(np.array([[x, 0.0, 0.0] for x in places]).reshape(-1, 3), truth)
+        return separated(np.array([[x, 0.0, 0.0] for x in places]).reshape(-1, 3), truth)
 
     assert apart() == Touching(1, 0)  # the third has no neighbour, and the last is seen too well
     assert apart(0.1, 1.1) == Touching(1, 1)

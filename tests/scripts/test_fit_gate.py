@@ -16,7 +16,7 @@ import pytest
 from fruitlangs.benchmarks.counting.simulated import Setting, simulate
 from fruitlangs.engine.counting.evidence.gate import WEIGHED
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.fitting.counting.cases import Case, surface_cases, walk_cases
+from fruitlangs.fitting.counting.cases import Case, rendered_cases, surface_cases
 from fruitlangs.fitting.encoder.pictures import LEAST_WALK
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,7 +85,7 @@ def test_true_surfaces_of_a_rendered_walk_are_fitted_to_beside_what_was_trained_
     assert (example.fruit.sum(), example.visible) == (len(ball_scene.BALLS), len(ball_scene.BALLS))
 
 
-@pytest.mark.parametrize("cases", [walk_cases, surface_cases])
+@pytest.mark.parametrize("cases", [rendered_cases, surface_cases])
 def test_rendered_walks_of_seeds_for_tests_are_refused_before_anything_is_trained(
     tmp_path: Path, cases: Callable[[Path], Iterator[Case]]
 ):

@@ -20,10 +20,10 @@ ROOT = Path(__file__).resolve().parents[2]
 def scene(seed: int, spread: float = 0.1, faint: float = 0.0) -> fit_interval.Example:
     """A scene whose fruit are 1.2 times what is expected where it is in doubt by 0.2, give or take `spread`."""
     rng = np.random.default_rng(seed)
-    telling = np.array([rng.uniform(0.0, 0.3), faint, 0.0])
+    covariates = np.array([rng.uniform(0.0, 0.3), faint, 0.0])
     expected = float(rng.uniform(50.0, 500.0))
-    number = expected * np.exp(telling[0] * np.log(1.2) / 0.2 + rng.normal(0.0, spread))
-    evidence = Evidence(expected, 0.0, telling)
+    number = expected * np.exp(covariates[0] * np.log(1.2) / 0.2 + rng.normal(0.0, spread))
+    evidence = Evidence(expected, 0.0, covariates)
     return fit_interval.Example("drawn", f"crown {seed}", evidence, round(number), round(2 * number))
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fruitlangs.benchmarks.ladder.ladder import RungRow, climb
-from fruitlangs.benchmarks.ladder.pages import losses, rung_rows
-from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, Rungs
+from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
+from fruitlangs.benchmarks.ladder.pages import losses, stage_rows
+from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, LadderStages
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import FormatError, SceneError, VocabularyError
@@ -26,7 +26,7 @@ from fruitlangs.engine.evaluation.truth import read_truth, read_views
 COUNT = CountConfig(diameter=0.2, sample_budget=5000)
 QUICK = Config(train=TrainConfig(steps=60, max_gaussians=4000), count=COUNT)
 FLAGS = ["--train.steps", "60", "--train.max-gaussians", "4000", "--count.diameter", "0.2"]
-FLAGS += ["--count.sample-budget", "5000", "--rungs", COUNTING_ONLY, TRUE_MASKS]
+FLAGS += ["--count.sample-budget", "5000", "--stages", COUNTING_ONLY, TRUE_MASKS]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def copied(scene: Path, to: Path) -> Path:
 
 
 def test_true_masks_on_true_and_on_trained_geometry_find_the_balls(evaluated: Path) -> None:
-    rows = {row["rung"]: row for row in rows_of(evaluated)}
+    rows = {row["ablation_stage"]: row for row in rows_of(evaluated)}
     assert [rows[COUNTING_ONLY][name] for name in ("species", "seed", "visible", "f1")] == ["apple", "7", "5", "1.0000"]
     assert float(rows[TRUE_MASKS]["f1"]) >= 0.8
     assert float(rows[TRUE_MASKS]["psnr"]) > 5
@@ -75,18 +75,20 @@ def test_a_second_run_takes_what_the_first_counted_and_writes_the_same_bytes(
     def refuse(*_: object) -> None:
         raise AssertionError("a finished rung was run again")
 
-    monkeypatch.setattr(Rungs, "run", refuse)
+    monkeypatch.setattr(LadderStages, "run", refuse)
     importlib.import_module("evaluate").main([str(scene), "--out", str(evaluated), *FLAGS])
     assert {name: (evaluated / name).read_bytes() for name in before} == before
 
 
 def test_other_settings_are_counted_anew(evaluated: Path, scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr(Rungs, "run", lambda self, name, progress: asked.append(name) or (_ for _ in ()).throw(STOP))
+    monkeypatch.setattr(
+        LadderStages, "run", lambda self, name, progress: asked.append(name) or (_ for _ in ()).throw(STOP)
+    )
     out = evaluated / "balls"
-    climb(scene, out, config=QUICK, rungs=[COUNTING_ONLY])
+    climb(scene, out, config=QUICK, stages=[COUNTING_ONLY])
     assert asked == []
-    climb(scene, out, config=replace(QUICK, train=TrainConfig(steps=61, max_gaussians=4000)), rungs=[COUNTING_ONLY])
+    climb(scene, out, config=replace(QUICK, train=TrainConfig(steps=61, max_gaussians=4000)), stages=[COUNTING_ONLY])
     assert asked == [COUNTING_ONLY]
 
 
@@ -96,19 +98,19 @@ STOP = SceneError("stopped here")
 def test_a_rung_that_fails_is_no_count_and_the_others_go_on(scene: Path, tmp_path: Path) -> None:
     broken = copied(scene, tmp_path / "broken")
     (broken / "depth" / "003.png").unlink()
-    rows = climb(broken, tmp_path / "out", config=QUICK, rungs=[COUNTING_ONLY, TRUE_MASKS])
+    rows = climb(broken, tmp_path / "out", config=QUICK, stages=[COUNTING_ONLY, TRUE_MASKS])
     assert (rows[0].counted, rows[0].near) == (None, None)
     assert "003.png is missing" in rows[0].failed
     assert rows[1].near is not None
-    assert "failed" in markdown(rung_rows(rows))
+    assert "failed" in markdown(stage_rows(rows))
 
 
 def test_a_scene_without_truth_is_counted_and_not_measured(scene: Path, tmp_path: Path) -> None:
     bare = copied(scene, tmp_path / "bare")
     (bare / "truth.json").unlink()
     said: list[str] = []
-    rows = climb(bare, tmp_path / "out", config=QUICK, rungs=[COUNTING_ONLY, TRUE_POSES], report=said.append)
-    assert [(row.rung, row.near) for row in rows] == [(TRUE_POSES, None)]
+    rows = climb(bare, tmp_path / "out", config=QUICK, stages=[COUNTING_ONLY, TRUE_POSES], report=said.append)
+    assert [(row.stage, row.near) for row in rows] == [(TRUE_POSES, None)]
     assert rows[0].counted is not None
     assert "no truth.json" in said[0]
 
@@ -119,7 +121,7 @@ def test_a_truth_of_other_images_fails_before_anything_is_counted(scene: Path, t
     for fruit in document["fruits"]:
         fruit["center"][0] += 1.0
     (other / "truth.json").write_text(json.dumps(document))
-    row = climb(other, tmp_path / "out", config=QUICK, rungs=[COUNTING_ONLY])[0]
+    row = climb(other, tmp_path / "out", config=QUICK, stages=[COUNTING_ONLY])[0]
     assert "the truth of another scene" in row.failed
 
 
@@ -149,10 +151,10 @@ def test_noisy_poses_are_put_right_by_the_truths_own(scene: Path, tmp_path: Path
         frame["transform_matrix"][0][3] += 0.05
     (noisy / "transforms.json").write_text(json.dumps(model))
     truth_file = noisy / "truth.json"
-    rungs = Rungs(noisy, tmp_path / "out", read_truth(truth_file), read_views(truth_file), ["apple"], QUICK)
-    for camera, pose in zip(rungs.scene.cameras, ball_scene.poses(10), strict=True):
+    stages = LadderStages(noisy, tmp_path / "out", read_truth(truth_file), read_views(truth_file), ["apple"], QUICK)
+    for camera, pose in zip(stages.scene.cameras, ball_scene.poses(10), strict=True):
         np.testing.assert_allclose(camera.world_to_camera, pose, atol=1e-9)
-    assert rungs.run(COUNTING_ONLY, lambda *_: None).centers.shape == (5, 3)
+    assert stages.run(COUNTING_ONLY, lambda *_: None).centers.shape == (5, 3)
 
 
 def test_the_stage_that_loses_most_is_named() -> None:
@@ -164,10 +166,10 @@ def test_the_stage_that_loses_most_is_named() -> None:
 def test_means_leave_out_what_failed(scene: Path) -> None:
     truth = read_truth(scene / "truth.json")
     all_found = count_metrics(truth.centers, truth.diameters, truth)
-    common = {"species": "apple", "seed": 1, "rung": TRUE_POSES}
+    common = {"species": "apple", "seed": 1, "ablation_stage": TRUE_POSES}
     rows = [
-        RungRow(scene="a", counted=5, near=all_found, **common),
-        RungRow(scene="b", counted=None, failed="no", **common),
+        StageResult(scene="a", counted=5, near=all_found, **common),
+        StageResult(scene="b", counted=None, failed="no", **common),
     ]
-    mean = next(line for line in rung_rows(rows) if line[0] == "mean F1")
+    mean = next(line for line in stage_rows(rows) if line[0] == "mean F1")
     assert "1.000 (1 of 2)" in mean

@@ -26,7 +26,7 @@ from fruitlangs.fitting.encoder.lifted import (
     calibrate_lifted,
     intersection_over_union,
     lifted_measures,
-    walks,
+    rendered_scenes,
 )
 from fruitlangs.fitting.encoder.losses import concept_loss, overlap_loss
 from fruitlangs.fitting.encoder.pasting import cut_fruit, paste
@@ -133,14 +133,14 @@ def test_a_walk_is_calibrated_on_and_not_trained_on_and_its_seed_is_checked(phot
     for number in range(LEAST_WALK):
         (walk / "images" / f"{number:03}.jpg").touch()
     (walk / "classes.json").write_text("{}")
-    assert walks(walk.parent) == []  # not finished
+    assert rendered_scenes(walk.parent) == []  # not finished
     (walk / "truth.json").touch()
-    assert walks(walk.parent) == [walk]
+    assert rendered_scenes(walk.parent) == [walk]
     with pytest.raises(FormatError, match="has no scene"):
         read_renders(walk.parent)
     (walk / "orchard.json").write_text(json.dumps({"config": {"seed": 2}}))
     with pytest.raises(FormatError, match="has seed 2"):
-        training_seeds(walks(walk.parent))
+        training_seeds(rendered_scenes(walk.parent))
 
 
 def test_held_out_scenes_are_no_training_scenes(renders: Path):
@@ -205,15 +205,15 @@ def test_no_fruit_is_content_with_any_word_of_the_surroundings():
 
 def test_a_pixel_outside_all_boxes_that_is_surely_fruit_hardly_teaches():
     labels = torch.full((1, 8, 8), NOT_FRUIT)
-    pulls = []
+    mean_gradients = []
     for sure in (4.0, 9.0):
         logits = torch.zeros(1, len(CONCEPTS), 8, 8)
         logits[:, APPLE] = sure
         logits.requires_grad_()
         concept_loss(logits.log_softmax(1), labels).backward()
         assert logits.grad is not None
-        pulls.append(float(logits.grad[:, APPLE].sum()))
-    assert pulls[0] > 5.0 * pulls[1] > 0.0
+        mean_gradients.append(float(logits.grad[:, APPLE].sum()))
+    assert mean_gradients[0] > 5.0 * mean_gradients[1] > 0.0
 
 
 def test_the_loss_of_overlap_is_the_share_of_the_union_that_is_missed():

@@ -35,13 +35,13 @@ def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Ac
     homes = np.array([commonest(clusters.components[each]) for each in own], np.int64)
     sizes = np.bincount(clusters.components)
     points, spheres = members(clusters.components, len(sizes)), members(homes, len(sizes))
-    told = (sizes >= DUST) | (np.bincount(homes, minlength=len(sizes)) > 0)
+    kept = (sizes >= DUST) | (np.bincount(homes, minlength=len(sizes)) > 0)
     entries = [
         _entry(clusters, component, points[component], spheres[component], numbers)
         for component in np.argsort(-sizes, kind="stable").tolist()
-        if told[component]
+        if kept[component]
     ]
-    dust = sizes[~told]
+    dust = sizes[~kept]
     if len(dust):
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
         entries.append(_of_many(len(sizes), reason, int(dust.sum())))
@@ -74,13 +74,13 @@ def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArr
     if component in clusters.findings:
         return AuditEntry(component, verdict, clusters.findings[component], center, size, ids, diameter)
     fits = clusters.spheres.select(spheres)
-    told = (
+    text = (
         f"covered from {fits.coverage.mean():.0%} of directions, {fits.shell.mean():.0%} of points on the surface, "
         f"{explained:.0%} of the cluster's points explained"
     )
     if len(spheres) == 1:
-        return AuditEntry(component, verdict, f"one sphere, {told}", center, size, ids, diameter)
-    return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {told}", center, size, ids, diameter)
+        return AuditEntry(component, verdict, f"one sphere, {text}", center, size, ids, diameter)
+    return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {text}", center, size, ids, diameter)
 
 
 def _listed(numbers: tuple[int, ...]) -> str:

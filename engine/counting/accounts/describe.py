@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ...splatting.gaussians import Gaussians
 from ..evidence.claims import members
 from ..evidence.cluster import Clusters
-from ..evidence.visibility import Looks
+from ..evidence.visibility import ViewEvidence
 from ..fruit import NO_TREE, Fruit, FruitCount, FruitKind, Tree
 from ..regions.row import Row
 
@@ -33,7 +33,7 @@ def describe(
     clusters: Clusters,
     numbers: IntArray,
     compound: NDArray[np.bool_],
-    looks: Looks,
+    view_evidence: ViewEvidence,
     label: str,
 ) -> list[Fruit]:
     """The F fruit, by rising id.
@@ -48,7 +48,7 @@ def describe(
     own = members(clusters.owners, len(spheres))
     fruits = []
     for index in np.argsort(numbers):
-        diameter, shown = float(2.0 * spheres.radii[index]), float(looks.visible_fractions[index])
+        diameter, shown = float(2.0 * spheres.radii[index]), float(view_evidence.visible_fractions[index])
         kind: FruitKind = "compound-part" if compound[index] else "single"
         fruits.append(
             Fruit(
@@ -61,7 +61,7 @@ def describe(
                 axes=0.5 * diameter * (np.eye(3) if clusters.axes is None else clusters.axes[index]),
                 probability=float(clusters.probabilities[index]),
                 visible_fraction=None if np.isnan(shown) else shown,
-                views=int(looks.views[index]),
+                views=int(view_evidence.views[index]),
                 color=colors[own[index]].mean(axis=0).round().astype(np.uint8),
                 kind="small" if index in clusters.small or diameter < SMALL * mean else kind,
                 members=seen[near[index]],

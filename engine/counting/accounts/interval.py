@@ -43,12 +43,12 @@ class Evidence:
 
     expected: float
     variance: float
-    telling: FloatArray
+    covariates: FloatArray
 
     @property
     def faint(self) -> float:
         """How far the fruit's points are from sure of the prompt, 0…1."""
-        return float(self.telling[TELLING.index("faint")])
+        return float(self.covariates[TELLING.index("faint")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +76,14 @@ class Ratio:
 
     def mean(self, evidence: Evidence) -> float:
         """The predicted log ratio."""
-        return self.bias + float(self.weights @ evidence.telling)
+        return self.bias + float(self.weights @ evidence.covariates)
 
     def deviation(self, evidence: Evidence) -> float:
         """Standard deviation of the log ratio."""
-        chance = evidence.variance / max(evidence.expected, 1.0) ** 2
-        spread = ((self.slopes * evidence.telling) ** 2).sum()
+        variance_share = evidence.variance / max(evidence.expected, 1.0) ** 2
+        spread = ((self.slopes * evidence.covariates) ** 2).sum()
         stretch = float(np.interp(evidence.faint, [0.0, TRAINED], self.stretches))
-        return stretch * float(np.sqrt(self.floor**2 + chance + spread))
+        return stretch * float(np.sqrt(self.floor**2 + variance_share + spread))
 
     def likeliest(self, evidence: Evidence) -> float:
         """The predicted number of fruit."""
@@ -123,13 +123,13 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
 
 def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
     """What the weighed candidates that lie `inside` (C,) the region, and the views, tell of a count."""
-    chances = np.where(inside, found.chances, 0.0)
-    expected = float(chances.sum())
+    probabilities = np.where(inside, found.probabilities, 0.0)
+    expected = float(probabilities.sum())
     if expected <= 0.0:
         return Evidence(0.0, 0.0, np.zeros(len(TELLING)))
-    variance = float((chances * (1.0 - chances)).sum())
-    faint = 1.0 - float(chances @ found.features["mean"]) / expected
-    kept = chances > LIKELY
+    variance = float((probabilities * (1.0 - probabilities)).sum())
+    faint = 1.0 - float(probabilities @ found.features["mean"]) / expected
+    kept = probabilities > LIKELY
     amid = _within(found.found.spheres.centers[kept], np.random.default_rng(seed))
     unseen = hull_share(int(kept.sum())) * (1.0 - _shown(pictures, amid, found.size.diameter / 2.0))
     return Evidence(expected, variance, np.array([variance / expected, faint, -np.log(1.0 - unseen)]))

@@ -188,7 +188,12 @@ def _add(state: Reviewed, spot: Spot, origins: frozenset[int]) -> None:
 
 
 def corrected_interval(
-    count: int, interval: tuple[int, int], chances: FloatArray, reviewed: NDArray[np.bool_], rejected: int, after: int
+    count: int,
+    interval: tuple[int, int],
+    probabilities: FloatArray,
+    reviewed: NDArray[np.bool_],
+    rejected: int,
+    after: int,
 ) -> tuple[int, int]:
     """90 % interval of the visible fruit after a review.
 
@@ -198,7 +203,7 @@ def corrected_interval(
     machine may have missed fruit: that distance shrinks by those that the person made. The count after the review lies
     within; where nothing was looked at the interval is the machine's.
     """
-    doubt = np.maximum(chances * (1.0 - chances), LEAST_DOUBT)
+    doubt = np.maximum(probabilities * (1.0 - probabilities), LEAST_DOUBT)
     share = float(np.sqrt(doubt[~reviewed].sum() / doubt.sum())) if len(doubt) else 1.0
     below = (count - interval[0]) * share
     above = max(interval[1] - count - max(after - (count - rejected), 0), 0)

@@ -14,7 +14,7 @@ from ..geometry.sphere import REACH, Spheres, fit_spheres
 from .claims import claim
 from .size import FruitSize
 from .surface_points import SurfacePoints
-from .visibility import Looks, Picture, look_at
+from .visibility import Picture, ViewEvidence, gather_view_evidence
 from .vote_kernels import middles, turn_normals
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +47,7 @@ LEAST_FREE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
+class SurfaceIndex:
     """P surface points in the order of their cells, with normals (P, 3) that their neighbours had a say in."""
 
     points: SurfacePoints
@@ -55,7 +55,7 @@ class Skin:
     normals: FloatArray
 
     @classmethod
-    def of(cls, points: SurfacePoints, diameter: float) -> Skin:
+    def of(cls, points: SurfacePoints, diameter: float) -> SurfaceIndex:
         """Sort the points into cells and mend their normals; diameter: of a fruit, scene units."""
         cells = Cells.of(points.positions, CELL * diameter / 2.0, points.turns)
         ordered, normals = points.select(cells.index), np.empty_like(points.normals)
@@ -73,7 +73,7 @@ class Candidates:
     """
 
     spheres: Spheres
-    looks: Looks
+    view_evidence: ViewEvidence
     shares: FloatArray
     free: FloatArray
     owners: IntArray
@@ -82,18 +82,20 @@ class Candidates:
         return len(self.spheres)
 
 
-def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Candidates:
+def find_candidates(
+    surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture], threshold: float
+) -> Candidates:
     """Spheres that explain the points, whether they look like fruit or not."""
     radius = size.diameter / 2.0
     steps = int(VOTED * size.spread / VOTE_STEP)
     radii = radius * np.exp(VOTE_STEP * np.arange(-steps, steps + 1))
-    voted = [vote(skin, each) for each in radii]
+    voted = [vote(surface, each) for each in radii]
     starts, start_radii = np.concatenate(voted), np.repeat(radii, [len(each) for each in voted])
     spheres = fit_spheres(
-        skin.cells, skin.normals, starts, REACH * start_radii, start_radii,
+        surface.cells, surface.normals, starts, REACH * start_radii, start_radii,
         prior=radius, prior_sd=size.spread, same=SAME,
     )  # fmt: skip
-    looks = look_at(pictures, spheres.centers, spheres.radii, threshold)
+    view_evidence = gather_view_evidence(pictures, spheres.centers, spheres.radii, threshold)
     off = np.log(2.0 * np.maximum(spheres.radii, 1e-12) / size.diameter) / size.spread
     shares = support_shares(spheres)
     possible = (
@@ -102,24 +104,24 @@ def find_candidates(skin: Skin, size: FruitSize, pictures: Sequence[Picture], th
         & (spheres.shell > LEAST_SHELL)
         & (spheres.agreement > LEAST_AGREEMENT)
         & (shares > LEAST_SUPPORT)
-        & (looks.solidity > LEAST_SOLIDITY)
-        & (looks.probabilities > LEAST_PROBABILITY)
+        & (view_evidence.solidity > LEAST_SOLIDITY)
+        & (view_evidence.probabilities > LEAST_PROBABILITY)
         & (np.abs(off) < MOST_OFF)
     )
     # A sphere over two fruit explains more points than one of them, but is of an unlikely size and off the surface, and
     # its points face elsewhere; one in the gap between fruit is seen through.
     fitting = np.maximum(spheres.agreement, 0.0) ** 2 * np.exp(-0.5 * (spheres.residual / RESIDUAL) ** 2)
-    merit = np.exp(-0.5 * off**2) * fitting * looks.solidity * looks.probabilities
-    chosen, owners, free = cover(skin, spheres.select(possible), merit[possible])
+    merit = np.exp(-0.5 * off**2) * fitting * view_evidence.solidity * view_evidence.probabilities
+    chosen, owners, free = cover(surface, spheres.select(possible), merit[possible])
     index = np.flatnonzero(possible)[chosen]
-    return Candidates(spheres.select(index), looks.select(index), shares[index], free, owners)
+    return Candidates(spheres.select(index), view_evidence.select(index), shares[index], free, owners)
 
 
-def vote(skin: Skin, radius: float, least_share: float = LEAST_VOTE_SHARE) -> FloatArray:
+def vote(surface: SurfaceIndex, radius: float, least_share: float = LEAST_VOTE_SHARE) -> FloatArray:
     """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart; least_share:
     of the votes of the densest tenth."""
-    cells = Cells.of(skin.points.positions - radius * skin.normals, 0.35 * radius, skin.points.turns)
-    density = cells.numbers(cells.positions, np.full(len(skin.points), 0.25 * radius))
+    cells = Cells.of(surface.points.positions - radius * surface.normals, 0.35 * radius, surface.points.turns)
+    density = cells.numbers(cells.positions, np.full(len(surface.points), 0.25 * radius))
     least = max(LEAST_VOTES, least_share * float(np.quantile(density, 0.9)))
     order = np.lexsort((cells.turns, -density))
     peaks = apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
@@ -136,13 +138,13 @@ def support_shares(spheres: Spheres) -> FloatArray:
     return density / max(float(whole), 1e-12)
 
 
-def cover(skin: Skin, spheres: Spheres, merit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+def cover(surface: SurfaceIndex, spheres: Spheres, merit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
     """Choose spheres greedily by merit (C,) times the points that no better sphere has.
 
     Returns which are chosen (F,), the one that owns each point (P,), and the share of its points that each kept (F,).
     """
-    claims = claim(skin.cells, skin.normals, spheres.centers, spheres.radii)
-    owners = np.full(len(skin.points), -1, np.int64)
+    claims = claim(surface.cells, surface.normals, spheres.centers, spheres.radii)
+    owners = np.full(len(surface.points), -1, np.int64)
     own = [claims.value(index, owners)[0] for index in range(len(spheres))]
     heap = [(-own[index] * spheres.shell[index] * merit[index], index) for index in range(len(spheres))]
     heapq.heapify(heap)

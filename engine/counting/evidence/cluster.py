@@ -12,7 +12,7 @@ from ...progress import Progress, silent
 from ..geometry.cells import Cells, linked
 from ..geometry.ellipsoid import fit_ellipsoids
 from ..geometry.sphere import REACH, Spheres, fit_spheres
-from .candidates import Candidates, Skin, find_candidates
+from .candidates import Candidates, SurfaceIndex, find_candidates
 from .claims import commonest, members
 from .gate import Features, features_of, stored_gate
 from .size import FruitSize
@@ -85,11 +85,11 @@ class Clusters:
 class Search:
     """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit."""
 
-    skin: Skin
+    surface: SurfaceIndex
     size: FruitSize
     found: Candidates
     features: Features
-    chances: FloatArray
+    probabilities: FloatArray
 
 
 def search(
@@ -110,40 +110,40 @@ def search(
     if not given:
         unit = distance_of([picture.camera for picture in pictures])
         size = rounded(size, unit)
-        skin = Skin.of(points.thinned(1.0 / COARSE), size.diameter)
+        surface = SurfaceIndex.of(points.thinned(1.0 / COARSE), size.diameter)
         for step in range(ROUNDS):
             progress(0.1 + 0.1 * step, f"Searching fruit of diameter {size.diameter:.3g}")
-            coarse = _searched(skin, size, pictures, threshold)
+            coarse = _searched(surface, size, pictures, threshold)
             loose = _refitted(coarse, coarse.found.spheres, LOOSE, FAR)
-            before, size = size, rounded(refine(size, coarse.found.spheres, coarse.chances, loose), unit)
+            before, size = size, rounded(refine(size, coarse.found.spheres, coarse.probabilities, loose), unit)
             change = np.log([size.diameter / before.diameter, size.spread / before.spread])
             if (np.abs(change) < SETTLED).all():
                 break
     progress(0.5, f"Searching all fruit of diameter {size.diameter:.3g}")
-    return _searched(Skin.of(points, size.diameter), size, pictures, threshold)
+    return _searched(SurfaceIndex.of(points, size.diameter), size, pictures, threshold)
 
 
-def _searched(skin: Skin, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
-    found = find_candidates(skin, size, pictures, threshold)
-    features = features_of(found, skin, size, threshold)
-    return Search(skin, size, found, features, stored_gate().chances(features))
+def _searched(surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
+    found = find_candidates(surface, size, pictures, threshold)
+    features = features_of(found, surface, size, threshold)
+    return Search(surface, size, found, features, stored_gate().probabilities(features))
 
 
 def find_fruit(result: Search) -> Clusters:
     """The likely fruit among the candidates, and what became of every cluster of points."""
-    found, chances = result.found, result.chances
-    components = connected(result.skin.points, LINK * result.size.diameter)
-    kept = chances > LIKELY
+    found, probabilities = result.found, result.probabilities
+    components = connected(result.surface.points, LINK * result.size.diameter)
+    kept = probabilities > LIKELY
     owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
     settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
-    fitted = fit_ellipsoids(result.skin.cells, result.skin.normals, owners, settled)
+    fitted = fit_ellipsoids(result.surface.cells, result.surface.normals, owners, settled)
     untold = UNTOLD * result.size.spread * fitted.spheres.radii
     return Clusters(
-        result.skin.points,
+        result.surface.points,
         replace(fitted.spheres, radius_sds=np.hypot(fitted.spheres.radius_sds, untold)),
         owners,
         components,
-        chances[kept],
+        probabilities[kept],
         _refusals(result, kept, components),
         axes=fitted.axes,
     )
@@ -153,14 +153,14 @@ def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) 
     """The spheres, each fitted from its own place, held to the size by a deviation `spread` of log radius; one that
     moves by `farthest` of its radius or more stays as it was."""
     fitted = fit_spheres(
-        result.skin.cells, result.skin.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
+        result.surface.cells, result.surface.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
         prior=result.size.diameter / 2.0, prior_sd=spread,
     )  # fmt: skip
     moved = np.linalg.norm(fitted.centers - spheres.centers, axis=1) + np.abs(fitted.radii - spheres.radii)
     return fitted.where(moved < farthest * spheres.radii, spheres)
 
 
-def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Spheres) -> FruitSize:
+def refine(size: FruitSize, spheres: Spheres, probabilities: FloatArray, loose: Spheres) -> FruitSize:
     """The mean and spread of log diameter of the likely fruit (C,), a step of expectation maximisation.
 
     A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Where the
@@ -168,7 +168,7 @@ def refine(size: FruitSize, spheres: Spheres, chances: FloatArray, loose: Sphere
     choice of likely fruit has cut the ends off. Of a few fruit that are alike by chance, another one would be refused
     for its size: the spread is held near the usual one.
     """
-    weights = np.where(chances > LIKELY, chances, 0.0)
+    weights = np.where(probabilities > LIKELY, probabilities, 0.0)
     if np.count_nonzero(weights) < FEWEST:
         return size
     mean, variance = _moments(spheres, weights)
@@ -208,10 +208,10 @@ def connected(points: SurfacePoints, link: float) -> IntArray:
 
 def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> dict[int, str]:
     """By cluster, why the likeliest of its candidates that are not kept was refused."""
-    gate, told, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
-    for index in np.argsort(-result.chances, kind="stable"):
+    gate, reasons, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
+    for index in np.argsort(-result.probabilities, kind="stable"):
         if not kept[index]:
             home = commonest(components[own[index]])
             reason = gate.reason(result.features, int(index))
-            told.setdefault(home, f"the best sphere is {result.chances[index]:.0%} likely a fruit: {reason}")
-    return told
+            reasons.setdefault(home, f"the best sphere is {result.probabilities[index]:.0%} likely a fruit: {reason}")
+    return reasons

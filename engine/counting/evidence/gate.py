@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .candidates import Candidates, Skin
+from .candidates import Candidates, SurfaceIndex
 from .claims import members
 from .size import FruitSize
 
@@ -77,7 +77,7 @@ class Gate:
         scores: FloatArray = self.bias + x @ self.linear + ((x @ self.quadratic) * x).sum(axis=1)
         return scores
 
-    def chances(self, features: Features) -> FloatArray:
+    def probabilities(self, features: Features) -> FloatArray:
         """(C,) probability of a fruit; 0 where not even the surest tenth of the points come near the threshold."""
         return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-self.score(weighed(features)))), 0.0)
 
@@ -96,8 +96,8 @@ class Gate:
             name for name, loss in sorted(zip(_TOLD, lost, strict=True), key=lambda pair: -pair[1])[:2] if loss > 0
         ]
         values = {name: float(own[WEIGHED.index(name)]) for name in worst}
-        told = [_TOLD[name][1].format(np.exp(values[name]) if name in _LOGS else values[name]) for name in worst]
-        return ", ".join(told) or "of an unlikely form"
+        reasons = [_TOLD[name][1].format(np.exp(values[name]) if name in _LOGS else values[name]) for name in worst]
+        return ", ".join(reasons) or "of an unlikely form"
 
 
 def weighed(features: Features) -> FloatArray:
@@ -120,37 +120,37 @@ _TOLD = {
 """Each feature of a fruit that is well seen, and what is said of a candidate that lacks it."""
 
 
-def features_of(found: Candidates, skin: Skin, size: FruitSize, threshold: float) -> Features:
+def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, threshold: float) -> Features:
     """What speaks for and against the candidates.
 
     Solidity and curvature are relative to those of the scene's well covered spheres, because they depend on how opaque
     and how even training made the Gaussians. skin: of the points that `found.owners` tells of; threshold: of the
     Gaussians' probability.
     """
-    spheres, looks = found.spheres, found.looks
+    spheres, view_evidence = found.spheres, found.view_evidence
     well = spheres.coverage > WELL
-    scaled = np.minimum(skin.points.probabilities * (HALF / threshold), 1.0)
+    scaled = np.minimum(surface.points.probabilities * (HALF / threshold), 1.0)
     owned = [scaled[own] for own in members(found.owners, len(found))]
     return {
         "coverage": np.log(np.maximum(spheres.coverage, 0.01)),
-        "solidity": np.minimum(_beside(looks.solidity, well), 1.2),
+        "solidity": np.minimum(_beside(view_evidence.solidity, well), 1.2),
         "thinness": np.log(np.maximum(spheres.thinness, 0.02)),
         "residual": spheres.residual,
         "agreement": spheres.agreement,
         "share": np.log(np.maximum(found.shares, 0.01)),
         "free": found.free,
         "off": (np.log(2.0 * spheres.radii / size.diameter) / size.spread) ** 2,
-        "shown": np.log(np.maximum(np.nan_to_num(looks.visible_fractions, nan=1.0), 0.02)),
-        "looked": np.log1p(np.where(looks.free > 0, looks.free, LOOKS)),
+        "shown": np.log(np.maximum(np.nan_to_num(view_evidence.visible_fractions, nan=1.0), 0.02)),
+        "looked": np.log1p(np.where(view_evidence.free > 0, view_evidence.free, LOOKS)),
         "shell": spheres.shell,
         "spread": np.full(len(found), size.spread),
-        "curvature": _beside(curvatures(found, skin), well),
+        "curvature": _beside(curvatures(found, surface), well),
         "mean": np.array([each.mean() for each in owned]),
         "surest": np.array([np.quantile(each, 0.9) for each in owned]),
     }
 
 
-def curvatures(found: Candidates, skin: Skin) -> FloatArray:
+def curvatures(found: Candidates, surface: SurfaceIndex) -> FloatArray:
     """(C,) how fast the normals n turn along each candidate's own points x, in radii of it: 1 on a sphere, 0 on a leaf.
 
     The slope Σ (x - x̄)·(n - n̄) / Σ |x - x̄|² tells a piece of a sphere from a flat one however small it is.
@@ -164,8 +164,8 @@ def curvatures(found: Candidates, skin: Skin) -> FloatArray:
         means: FloatArray = np.stack(sums, axis=1) / np.maximum(number, 1)[:, None]
         return means
 
-    x = (skin.points.positions[owned] - found.spheres.centers[owner]) / found.spheres.radii[owner, None]
-    n = skin.normals[owned]
+    x = (surface.points.positions[owned] - found.spheres.centers[owner]) / found.spheres.radii[owner, None]
+    n = surface.normals[owned]
     turned = mean(x * n).sum(axis=1) - (mean(x) * mean(n)).sum(axis=1)
     spread = mean(x**2).sum(axis=1) - (mean(x) ** 2).sum(axis=1)
     slopes: FloatArray = np.where(spread > SPOT**2, turned / np.maximum(spread, SPOT**2), 1.0)

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from ...splatting.gaussians import Gaussians
 from ..geometry.cells import Cells
-from ..geometry.random_streams import Lots, even_turns
+from ..geometry.random_streams import RandomStreams, even_turns
 from .surface_point_kernels import cover
 from .visibility import Visibility
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SKIN = 2.0
+SURFACE = 2.0
 """Standard deviations from its mean at which an opaque Gaussian is seen to end."""
 FACING = 0.1
 """Least cosine between a skin point's normal and the mean direction to the cameras that saw its Gaussian."""
@@ -97,7 +97,7 @@ def sample_volume(
     return chosen.points(positions, normals, owner, even_turns(len(owner)))
 
 
-def sample_skin(
+def sample_surface(
     gaussians: Gaussians,
     probability: FloatArray,
     visibility: Visibility,
@@ -113,29 +113,29 @@ def sample_skin(
     make fruit look a fifth too small. These points lie on the ellipsoids of SKIN standard deviations, on the side that
     the seeing cameras face and outside the other Gaussians; the normal is the ellipsoid's. N_i ∝ the pixels that
     Gaussian i draws in a view that sees it: fruit that few views see have as many points as the others. Gaussians wider
-    than `largest` give none. Where a Gaussian's points lie depends on its place in the cameras' frame alone (`lots`).
+    than `largest` give none. Where a Gaussian's points lie depends only on its position in the cameras' frame.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
-    return _skin(chosen, chosen.lots(visibility.frame, seed), budget)
+    return _surface(chosen, chosen.streams(visibility.frame, seed), budget)
 
 
-def _skin(chosen: _Chosen, lots: Lots, budget: int) -> SurfacePoints:
+def _surface(chosen: _Chosen, streams: RandomStreams, budget: int) -> SurfacePoints:
     pixels = chosen.weights / np.maximum(chosen.views, 1) * (chosen.opacities >= LEAST_OPACITY)
     owner = np.repeat(np.arange(len(chosen)), share_out(pixels, SPARE * budget))
-    numbers = lots.number(owner)
+    numbers = streams.number(owner)
     blocks = [slice(start, start + BLOCK) for start in range(0, max(len(owner), 1), BLOCK)]
-    return SurfacePoints.join([_skin_of(chosen, lots, owner[block], numbers[block]) for block in blocks])
+    return SurfacePoints.join([_surface_of(chosen, streams, owner[block], numbers[block]) for block in blocks])
 
 
-def _skin_of(chosen: _Chosen, lots: Lots, owner: IntArray, numbers: IntArray) -> SurfacePoints:
+def _surface_of(chosen: _Chosen, streams: RandomStreams, owner: IntArray, numbers: IntArray) -> SurfacePoints:
     """Of a point for each entry of `owner`, with its number in that Gaussian's place, those that are seen."""
-    own, turns = lots.directions(owner, numbers), lots.turns(owner, numbers)
+    own, turns = streams.directions(owner, numbers), streams.turns(owner, numbers)
     axes, scales = chosen.axes[owner], chosen.scales[owner]
     normals = np.einsum("pij,pj->pi", axes, own / scales)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     faced = np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING
     owner, normals, turns = owner[faced], normals[faced], turns[faced]
-    positions = chosen.means[owner] + SKIN * np.einsum("pij,pj->pi", axes[faced], (own * scales)[faced])
+    positions = chosen.means[owner] + SURFACE * np.einsum("pij,pj->pi", axes[faced], (own * scales)[faced])
     free = ~covered(positions, chosen)
     return chosen.points(positions[free], normals[free], owner[free], turns[free])
 
@@ -155,11 +155,11 @@ def sample_enough(
     A first sample tells how dense its points lie on the fruit; density grows with the budget.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, LARGEST_SCALE * diameter)
-    lots, budget = chosen.lots(visibility.frame, seed), min(SURVEY, most)
-    points = _skin(chosen, lots, budget)
+    streams, budget = chosen.streams(visibility.frame, seed), min(SURVEY, most)
+    points = _surface(chosen, streams, budget)
     if len(points) == 0:
         return points
-    return _skin(chosen, lots, min(most, int(budget * ENOUGH / max(density(points, diameter), 1.0))))
+    return _surface(chosen, streams, min(most, int(budget * ENOUGH / max(density(points, diameter), 1.0))))
 
 
 def density(points: SurfacePoints, diameter: float) -> float:
@@ -206,14 +206,14 @@ class _Chosen:
             directions=visibility.directions[index],
         )
 
-    def lots(self, frame: FloatArray, seed: int) -> Lots:
+    def streams(self, frame: FloatArray, seed: int) -> RandomStreams:
         """What is drawn for each in the cameras' frame (3, 4)."""
-        return Lots.draw(self.means @ frame[:, :3].T + frame[:, 3], seed)
+        return RandomStreams.draw(self.means @ frame[:, :3].T + frame[:, 3], seed)
 
     def points(self, positions: FloatArray, normals: FloatArray, owner: IntArray, turns: FloatArray) -> SurfacePoints:
         """Points whose Gaussians are `owner` (P,), counted in this order."""
-        chances, directions = self.probabilities[owner], self.directions[owner]
-        return SurfacePoints(positions, normals, self.index[owner], chances, directions, turns)
+        probabilities, directions = self.probabilities[owner], self.directions[owner]
+        return SurfacePoints(positions, normals, self.index[owner], probabilities, directions, turns)
 
 
 def covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from ...scene.camera import Camera
 from ...splatting.gaussians import Gaussians
 from ...splatting.kernels.surface import NOTHING
 from ...splatting.rendering.rasterize import accumulate, draw_surface
-from .visibility_kernels import look
+from .visibility_kernels import measure_discs
 
 FloatArray = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Visibility:
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class ViewEvidence:
     """How C spheres look in the views.
 
     visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
@@ -77,12 +77,12 @@ class Looks:
     probabilities: FloatArray
     views: NDArray[np.int64]
 
-    def select(self, index: NDArray) -> Looks:
+    def select(self, index: NDArray) -> ViewEvidence:
         """The looks at the spheres at `index`."""
-        return Looks(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
+        return ViewEvidence(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
 
 
-def see(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
+def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
     """Sum every view's blending weights α·T into the Gaussians that drew its pixels."""
     means = gaussians.means.detach().double().cpu().numpy()
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
@@ -118,25 +118,27 @@ def draw(
     gaussians: Gaussians, probability: FloatArray, cameras: Sequence[Camera], *, progress: Progress = silent
 ) -> list[Picture]:
     """Depth and blended probability (N,) in every view."""
-    chances = torch.from_numpy(probability).float()[:, None]
+    probabilities = torch.from_numpy(probability).float()[:, None]
     pictures = []
     for index, camera in enumerate(_at_drawing_size(cameras)):
         progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
-        drawn = draw_surface(gaussians, camera, chances)
+        drawn = draw_surface(gaussians, camera, probabilities)
         pictures.append(Picture(camera, drawn.depth, np.ascontiguousarray(drawn.features[:, :, 0])))
     return pictures
 
 
-def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray, threshold: float) -> Looks:
+def gather_view_evidence(
+    pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray, threshold: float
+) -> ViewEvidence:
     """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
-    best, sums = _looked(pictures, centers, radii, tolerance=TOLERANCE, stop=STOP, shown=SHOWN * threshold)
-    stopped, free, chance, views = sums.T
+    best, sums = _measure_discs(pictures, centers, radii, tolerance=TOLERANCE, stop=STOP, shown=SHOWN * threshold)
+    stopped, free, probable, views = sums.T
     unknown = free == 0
-    return Looks(
+    return ViewEvidence(
         visible_fractions=np.where(best < 0.0, np.nan, best),
         free=free,
         solidity=np.where(unknown, 1.0, stopped / np.maximum(free, 1.0)),
-        probabilities=np.where(unknown, 1.0, chance / np.maximum(stopped, 1.0)),
+        probabilities=np.where(unknown, 1.0, probable / np.maximum(stopped, 1.0)),
         views=views.astype(np.int64),
     )
 
@@ -144,11 +146,11 @@ def look_at(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray,
 def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
     """(C,) views that have nothing in front of at least LEAST_SHARE of the disc of each of C spheres, which need not be
     there: how many would show a fruit in that place."""
-    _, sums = _looked(pictures, centers, radii, tolerance=0.0, stop=float(NOTHING), shown=-1.0)
+    _, sums = _measure_discs(pictures, centers, radii, tolerance=0.0, stop=float(NOTHING), shown=-1.0)
     return sums[:, 3].astype(np.int64)
 
 
-def _looked(
+def _measure_discs(
     pictures: Sequence[Picture],
     centers: FloatArray,
     radii: FloatArray,
@@ -157,13 +159,13 @@ def _looked(
     stop: float,
     shown: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see `look_kernels.look`."""
+    """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see `look_kernels.measure_discs`."""
     disc = np.stack(_disc(SPOTS), axis=1)
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
     best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
     for picture in pictures:
         camera = picture.camera
-        look(
+        measure_discs(
             picture.depth, picture.fruit, camera.world_to_camera, camera.K, centers, radii, disc,
             RIM, tolerance, stop, shown, LEAST_SHARE, best, sums,
         )  # fmt: skip

@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 
 
 @kernel
-def look(
+def measure_discs(
     depth: NDArray[np.float32],
     fruit: NDArray[np.float32],
     pose: FloatArray,
@@ -29,7 +29,7 @@ def look(
     best: FloatArray,
     sums: FloatArray,
 ) -> None:
-    """Add one picture's looks at C spheres; see `visibility.Looks`.
+    """Add one picture's looks at C spheres; see `visibility.ViewEvidence`.
 
     best: (C,) visible share, -1 for none; sums: (C, 4) spots that are stopped, that are free, the probability of those
     stopped, and pictures that show at least `least_share`; disc: (S, 2) spots of the unit disc; shown: least

@@ -23,7 +23,7 @@ FLAT = 0.5
 def turn_normals(
     table: Table, normals: FloatArray, directions: FloatArray, reach: float, limit: int, turned: FloatArray
 ) -> None:
-    """See `candidates.Skin`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
+    """See `candidates.SurfaceIndex`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
     positions = table[0]
     for p in prange(len(positions)):
         near = np.empty(room(limit), np.int64)

@@ -21,14 +21,14 @@ FARTHEST = 1e15
 
 
 @dataclass(frozen=True, eq=False)
-class Lots:
+class RandomStreams:
     """Three numbers of [0, 1) for each of G Gaussians (G, 3), and a key (G,) that those in one place share."""
 
     starts: FloatArray
     keys: NDArray[np.uint64]
 
     @classmethod
-    def draw(cls, places: FloatArray, seed: int) -> Lots:
+    def draw(cls, places: FloatArray, seed: int) -> RandomStreams:
         """Draw for places (G, 3) in the cameras' frame."""
         cells = np.floor((places * FINENESS).clip(-FARTHEST, FARTHEST)).astype(np.int64).view(np.uint64)
         keys = np.full(len(places), seed, np.uint64)

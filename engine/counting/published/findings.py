@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evidence.candidates import Skin
+from ..evidence.candidates import SurfaceIndex
 from ..evidence.cluster import Clusters
 from ..geometry.sphere import weighed
 from .parts import Part, hausdorff
@@ -45,10 +45,13 @@ class Finding:
         return cls(index, [], f"{reason}, γ = 0")
 
 
-def clusters_of(skin: Skin, diameter: float, findings: Sequence[Finding]) -> Clusters:
+def clusters_of(surface: SurfaceIndex, diameter: float, findings: Sequence[Finding]) -> Clusters:
     """The fruit of all clusters of the skin's points, each of `diameter` scene units."""
     parts = [part for finding in findings for part in finding.parts]
-    owners, components = np.full(len(skin.points), -1, np.int64), np.full(len(skin.points), len(findings), np.int64)
+    owners, components = (
+        np.full(len(surface.points), -1, np.int64),
+        np.full(len(surface.points), len(findings), np.int64),
+    )
     for number, part in enumerate(parts):
         owners[part.index] = number
     for number, finding in enumerate(findings):
@@ -56,11 +59,11 @@ def clusters_of(skin: Skin, diameter: float, findings: Sequence[Finding]) -> Clu
     centers = np.array([diameter * part.fit.center for part in parts]).reshape(-1, 3)
     radii = np.full(len(parts), diameter / 2.0)
     return Clusters(
-        points=skin.points,
-        spheres=weighed(skin.cells, skin.normals, centers, radii, RADIUS_SD * radii),
+        points=surface.points,
+        spheres=weighed(surface.cells, surface.normals, centers, radii, RADIUS_SD * radii),
         owners=owners,
         components=components,
-        probabilities=np.array([skin.points.probabilities[part.index].mean() for part in parts]),
+        probabilities=np.array([surface.points.probabilities[part.index].mean() for part in parts]),
         refusals={len(findings): "too thin to be part of any cluster"}
         | {number: finding.reason for number, finding in enumerate(findings) if not finding.parts},
         findings={number: finding.reason for number, finding in enumerate(findings) if finding.parts},

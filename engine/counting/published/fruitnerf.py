@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...progress import Progress, silent
-from ..evidence.candidates import Skin
+from ..evidence.candidates import SurfaceIndex
 from ..evidence.claims import members
 from ..evidence.cluster import Clusters
 from ..evidence.surface_points import SurfacePoints
@@ -39,9 +39,9 @@ FRUIT = 0.7 * 0.08
 VOXEL, LINK, MERGED = 0.001 / FRUIT, 0.01 / FRUIT, 0.04 / FRUIT
 """Side of the voxels, DBSCAN's ε (and radius of cleaning), and how far apart small clusters of one fruit are, all in
 diameters."""
-SKIN_POINTS = 3 * np.pi * (LINK / VOXEL) ** 2
+SURFACE_POINTS = 3 * np.pi * (LINK / VOXEL) ** 2
 """Voxels within ε of a point on a fruit whose skin is three voxels thick, as its radiance field draws it."""
-CLEAN_SHARE, CORE_SHARE = 200 / SKIN_POINTS, 100 / SKIN_POINTS
+CLEAN_SHARE, CORE_SHARE = 200 / SURFACE_POINTS, 100 / SURFACE_POINTS
 """Neighbours that a point needs to be kept (200) and min_samples (100), as shares of the usual number within ε."""
 LEAST_VOLUME, SPLIT_VOLUME, MOST_PARTS = 0.3, 0.9, 6
 """In template volumes, below which a cluster is discarded and above which it is split, into so many parts at most."""
@@ -51,15 +51,15 @@ def cluster_as_fruitnerf(
     points: SurfacePoints, diameter: float, template: Template | None = None, *, progress: Progress = silent
 ) -> Clusters:
     """Cluster the points, of fruit of `diameter` scene units; template: the fruit's shape, a ball without one."""
-    skin = Skin.of(_one_a_voxel(points, VOXEL * diameter), diameter)
-    positions = skin.points.positions / diameter
+    surface = SurfaceIndex.of(_one_a_voxel(points, VOXEL * diameter), diameter)
+    positions = surface.points.positions / diameter
     cloud = Cloud(positions, positions, template or ball())
     clusters = _merged(cloud, _clustered(positions))
     findings = []
     for number, index in enumerate(clusters):
         progress(number / len(clusters), f"comparing cluster {number + 1} of {len(clusters)} with the template")
         findings.append(_judged(cloud, index))
-    return clusters_of(skin, diameter, findings)
+    return clusters_of(surface, diameter, findings)
 
 
 def _judged(cloud: Cloud, index: IntArray) -> Finding:

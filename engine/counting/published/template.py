@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...progress import Progress, silent
-from ..evidence.candidates import Skin
+from ..evidence.candidates import SurfaceIndex
 from ..evidence.cluster import Clusters
 from ..evidence.surface_points import SurfacePoints
 from .density import Density, dense_clusters
@@ -60,17 +60,17 @@ def split_by_template(
 
     template: the fruit's shape; without one, the scene's most typical single fruit.
     """
-    skin = Skin.of(points, diameter)
-    positions = skin.points.positions / diameter
+    surface = SurfaceIndex.of(points, diameter)
+    positions = surface.points.positions / diameter
     density = Density.of(positions, LINK)
     clusters = dense_clusters(positions, LINK, density, CORE_SHARE)
-    cloud = Cloud(positions, positions - 0.5 * skin.normals, ball())
+    cloud = Cloud(positions, positions - 0.5 * surface.normals, ball())
     cloud = replace(cloud, template=template or typical_fruit(cloud, clusters))
     findings = []
     for number, index in enumerate(clusters):
         progress(number / len(clusters), f"laying the template onto cluster {number + 1} of {len(clusters)}")
         findings.append(judged(cloud, index, float(np.median(density.numbers[index])) / density.usual))
-    return clusters_of(skin, diameter, findings)
+    return clusters_of(surface, diameter, findings)
 
 
 def judged(cloud: Cloud, index: IntArray, dense: float) -> Finding:

@@ -128,7 +128,7 @@ def keep_inside(clusters: Clusters, region: Region) -> Clusters:
     numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
     shown = np.where(clusters.owners < 0, region.contains(clusters.points.positions), numbers[clusters.owners] >= 0)
     lost = np.unique(clusters.components[(clusters.owners >= 0) & ~shown]).tolist()
-    told = {component: "its fruit lie outside the region" for component in lost} | dict(clusters.refusals)
+    reasons = {component: "its fruit lie outside the region" for component in lost} | dict(clusters.refusals)
     names, components = np.unique(clusters.components[shown], return_inverse=True)
     return replace(
         clusters,
@@ -137,7 +137,7 @@ def keep_inside(clusters: Clusters, region: Region) -> Clusters:
         owners=numbers[clusters.owners[shown]],
         components=components.astype(np.int64),
         probabilities=clusters.probabilities[kept],
-        refusals={new: told[old] for new, old in enumerate(names.tolist()) if old in told},
+        refusals={new: reasons[old] for new, old in enumerate(names.tolist()) if old in reasons},
         findings={new: clusters.findings[old] for new, old in enumerate(names.tolist()) if old in clusters.findings},
         small=frozenset(int(numbers[index]) for index in clusters.small if kept[index]),
         axes=None if clusters.axes is None else clusters.axes[kept],

@@ -80,7 +80,7 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
         raise EncoderError(f"{kind.name} needs the package transformers ({error}); run: {_INSTALL}") from error
     folder = _folder(kind, name, allow_download)
     used = _checked_files(kind, folder)
-    with _quiet(transformers), _told(kind, folder):
+    with _quiet(transformers), _explained(kind, folder):
         model, report = transformers.AutoModel.from_pretrained(
             folder,
             local_files_only=True,
@@ -225,7 +225,7 @@ def fitting(kind: Kind, name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _told(kind: Kind, folder: Path) -> Iterator[None]:
+def _explained(kind: Kind, folder: Path) -> Iterator[None]:
     """Turn whatever transformers raises about a damaged checkpoint into one line that says what to do."""
     try:
         yield

@@ -64,10 +64,10 @@ def segmented_views(
         view = _read(path, encoder.dimension)
         if view is None:
 
-            def told(share: float, doing: str, mine: Progress = mine, place: str = place) -> None:
+            def report(share: float, doing: str, mine: Progress = mine, place: str = place) -> None:
                 mine(share, f"{place}: {doing}")
 
-            view = _segmented(image, usable, segmenter, encoder, told)
+            view = _segmented(image, usable, segmenter, encoder, report)
             _write(path, view)
         yield view
     progress(1.0, "masks of all views are available")

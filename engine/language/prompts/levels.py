@@ -18,10 +18,10 @@ def best_level(answers: Tensor, weights: Tensor) -> int:
     """
     if len(answers) == 1:
         return 0
-    return int(torch.stack([_sureness(each, drew) for each, drew in zip(answers, weights, strict=True)]).argmax())
+    return int(torch.stack([_confidence(each, drew) for each, drew in zip(answers, weights, strict=True)]).argmax())
 
 
-def _sureness(answers: Tensor, weights: Tensor) -> Tensor:
+def _confidence(answers: Tensor, weights: Tensor) -> Tensor:
     order = answers.argsort(descending=True, stable=True)
     drawn = weights[order].double()
     before = drawn.cumsum(0) - drawn

@@ -34,14 +34,14 @@ def dump_cameras(scene: Scene) -> str:
     return json.dumps(document, indent=1) + "\n"
 
 
-def told_anew(path: Path, scene: Scene) -> str:
+def with_scene_facts(path: Path, scene: Scene) -> str:
     """JSON text of a cameras file with the scene's unit and up direction in place of its own.
 
     Raises:
         OutputError, FormatError: as `read_cameras`.
     """
-    told = {"up": scene.up.tolist(), "metres_per_unit": scene.metres_per_unit}
-    return json.dumps({**_read(path), **told}, indent=1) + "\n"
+    facts = {"up": scene.up.tolist(), "metres_per_unit": scene.metres_per_unit}
+    return json.dumps({**_read(path), **facts}, indent=1) + "\n"
 
 
 def camera_names(path: Path) -> list[str]:

@@ -221,18 +221,18 @@ def _map(job: Job) -> None:
     (folder / FOUND).write_text(json.dumps(found), encoding="utf-8")
 
 
-def _models(job: Job, least_inliers: int, told: Progress) -> list[Any]:
+def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
     """The models that the photos make, largest first, where so many points at least place a photo."""
     pycolmap = colmap_library()
     registered = itertools.count(3)
 
     def count() -> None:
         number = min(next(registered), len(job.photos))
-        told(number / len(job.photos), f"placing photos: {number} of {len(job.photos)}")
+        report(number / len(job.photos), f"placing photos: {number} of {len(job.photos)}")
 
     folder = Path(job.folder) / "models"
     folder.mkdir(exist_ok=True)
-    told(0.0, f"placing photos: 0 of {len(job.photos)}")
+    report(0.0, f"placing photos: 0 of {len(job.photos)}")
     options = _mapping_options(job.config, least_inliers)
     models = pycolmap.incremental_mapping(job.database, job.copies, folder, options, next_image_callback=count)
     for model in models.values():

@@ -1,4 +1,4 @@
-"""A foreign reconstruction made ready for the rest of the chain, and kept under a name that tells all that went in."""
+"""Imported reconstructions: read, prepared for the rest of the pipeline, and cached under a hash of their inputs."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from ...scene.formats.cameras_json import dump_cameras, read_cameras
 from ..gaussians import Gaussians
 from ..ply import read_ply, write_ply
 from .frame_check import Fit, measure_fit
-from .read_ply import Foreign, read_foreign
-from .rendered_photos import draw_photos, scene_around
+from .read_ply import ImportedPly, read_imported_ply
+from .rendered_photos import render_photos, scene_around
 
 PLACED = "placed"
 """What the record of a reconstruction without cameras says of those that were placed around it."""
@@ -31,7 +31,7 @@ _UPS = {"gaussians": np.array([0.0, -1.0, 0.0]), "points": np.array([0.0, 0.0, 1
 
 
 @dataclass(frozen=True, eq=False)
-class Borrowed:
+class ImportedGaussians:
     """What another program reconstructed, with cameras.
 
     key: names all that went in; record: what the provenance says of it (file, sha256, kind, cameras); notices: what the
@@ -48,41 +48,43 @@ class Borrowed:
     reused: bool
 
 
-def borrow(file: Path, scene: Scene | None, inputs: str, config: SceneConfig, cache: Path) -> Borrowed:
+def import_gaussians(
+    file: Path, scene: Scene | None, inputs: str, config: SceneConfig, cache: Path
+) -> ImportedGaussians:
     """Read `file` into a folder of `cache`, unless an earlier run did.
 
     scene: photos and cameras in the file's frame, `inputs` being their hash; without it cameras are placed around the
     file's subject and its own pictures are the photos.
 
     Raises:
-        FormatError: the file cannot be used (see `read_foreign`).
+        FormatError: the file cannot be used (see `read_imported_ply`).
         SceneError: the cameras see next to nothing of it, or their photos show something else.
     """
     sha256 = _hash(file)
     key = stage_key(("scene", "splatting"), inputs, sha256, config)
-    folder = cache / f"foreign-{key}"
+    folder = cache / f"imported-{key}"
     gaussians_file, cameras_file, record_file = (
         folder / "gaussians.ply",
         folder / "cameras.json",
-        folder / "foreign.json",
+        folder / "imported.json",
     )
     reused = record_file.is_file() and gaussians_file.is_file() and cameras_file.is_file()
     if not reused:
-        foreign = read_foreign(file)
-        notices = list(foreign.notices)
+        imported = read_imported_ply(file)
+        notices = list(imported.notices)
         if scene is None:
-            used = _scene_around(foreign, file, config.up, notices)
+            used = _scene_around(imported, file, config.up, notices)
         else:
             used = scene
-            _check_fit(measure_fit(foreign.gaussians, scene), file)
-        write_ply(gaussians_file, foreign.gaussians)
+            _check_fit(measure_fit(imported.gaussians, scene), file)
+        write_ply(gaussians_file, imported.gaussians)
         write_text(cameras_file, dump_cameras(used))
-        write_text(record_file, json.dumps({"kind": foreign.kind, "notices": notices}))
+        write_text(record_file, json.dumps({"kind": imported.kind, "notices": notices}))
     kept = json.loads(record_file.read_text(encoding="utf-8"))
     # Read back even when just written: the first prompt must see what later ones will.
     gaussians, stored = read_ply(gaussians_file), read_cameras(cameras_file)
-    return Borrowed(
-        scene=drawn_again(gaussians, stored) if scene is None else replace(scene, cameras=stored.cameras),
+    return ImportedGaussians(
+        scene=rendered_again(gaussians, stored) if scene is None else replace(scene, cameras=stored.cameras),
         gaussians=gaussians,
         gaussians_file=gaussians_file,
         cameras_file=cameras_file,
@@ -98,9 +100,9 @@ def borrow(file: Path, scene: Scene | None, inputs: str, config: SceneConfig, ca
     )
 
 
-def drawn_again(gaussians: Gaussians, stored: Scene) -> Scene:
+def rendered_again(gaussians: Gaussians, stored: Scene) -> Scene:
     """The scene of placed cameras that a file kept, with the pictures that they take."""
-    return replace(stored, images=draw_photos(gaussians, stored.cameras))
+    return replace(stored, images=render_photos(gaussians, stored.cameras))
 
 
 def _hash(file: Path) -> str:
@@ -112,10 +114,10 @@ def _hash(file: Path) -> str:
         raise FormatError(f"{file} cannot be read ({error.strerror}); give a .ply file") from error
 
 
-def _scene_around(foreign: Foreign, file: Path, up: Sequence[float] | None, notices: list[str]) -> Scene:
+def _scene_around(imported: ImportedPly, file: Path, up: Sequence[float] | None, notices: list[str]) -> Scene:
     """Cameras and pictures around it; adds what the user should know of them to `notices`."""
-    guess: FloatArray = _UPS[foreign.kind]
-    drawn = scene_around(foreign.gaussians, up, guess)
+    guess: FloatArray = _UPS[imported.kind]
+    drawn = scene_around(imported.gaussians, up, guess)
     notices.append(f"{len(drawn.scene.cameras)} cameras were placed around {file.name}; their pictures serve as photos")
     if not drawn.up_is_known:
         axis = "-y" if guess[1] else "+z"

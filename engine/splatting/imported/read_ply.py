@@ -17,7 +17,7 @@ MOST_POINTS = 300_000
 
 
 @dataclass(frozen=True, eq=False)
-class Foreign:
+class ImportedPly:
     """What a file held. kind: what its vertices are; notices: what the user should know of how they were read."""
 
     gaussians: Gaussians
@@ -25,7 +25,7 @@ class Foreign:
     notices: Sequence[str] = ()
 
 
-def read_foreign(path: Path, *, most_points: int = MOST_POINTS) -> Foreign:
+def read_imported_ply(path: Path, *, most_points: int = MOST_POINTS) -> ImportedPly:
     """Read 3DGS Gaussians as they are, or coloured points as Gaussians (see `gaussians_from`).
 
     most_points: a cloud of more is thinned evenly to about this many.
@@ -38,7 +38,7 @@ def read_foreign(path: Path, *, most_points: int = MOST_POINTS) -> Foreign:
     if has_gaussians(vertices) or (looks_like_gaussians and not has_colored_points(vertices)):
         if len(vertices) == 0:
             raise FormatError(f"{path} holds no Gaussians; export it again")
-        return Foreign(gaussians_of(vertices, path), "gaussians")
+        return ImportedPly(gaussians_of(vertices, path), "gaussians")
     finite = points_of(vertices, path)
     points = thinned(finite, most_points)
     notices = []
@@ -46,4 +46,4 @@ def read_foreign(path: Path, *, most_points: int = MOST_POINTS) -> Foreign:
         notices.append(f"{len(vertices) - len(finite):,} points of {path.name} are not finite and were left out")
     if len(finite) > most_points:
         notices.append(f"the {len(finite):,} points of {path.name} were thinned to {len(points):,}")
-    return Foreign(gaussians_from(points, path), "points", notices)
+    return ImportedPly(gaussians_from(points, path), "points", notices)

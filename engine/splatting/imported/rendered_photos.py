@@ -20,7 +20,7 @@ BACKGROUND = (0.75, 0.82, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnPhoto:
+class RenderedPhoto:
     """A photo that is drawn anew each time it is asked for."""
 
     name: str
@@ -37,20 +37,20 @@ class DrawnPhoto:
         """Every pixel may be used."""
 
 
-def draw_photos(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[DrawnPhoto]:
+def render_photos(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[RenderedPhoto]:
     """A picture a camera, named by their order."""
-    return [DrawnPhoto(f"drawn_{index + 1:03d}.png", gaussians, camera) for index, camera in enumerate(cameras)]
+    return [RenderedPhoto(f"drawn_{index + 1:03d}.png", gaussians, camera) for index, camera in enumerate(cameras)]
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnScene:
+class RenderedScene:
     """A scene whose photos are drawn. up_is_known: up was given, or there is a ground to tell it from."""
 
     scene: Scene
     up_is_known: bool
 
 
-def scene_around(gaussians: Gaussians, up: Sequence[float] | None, guess: FloatArray) -> DrawnScene:
+def scene_around(gaussians: Gaussians, up: Sequence[float] | None, guess: FloatArray) -> RenderedScene:
     """Cameras placed around what the Gaussians show in most detail, with the pictures that they take of it.
 
     up: (3,) away from the ground; found from the ground when not given, else `guess`.
@@ -61,9 +61,9 @@ def scene_around(gaussians: Gaussians, up: Sequence[float] | None, guess: FloatA
     cameras = cameras_around(subject, upright)
     scene = Scene(
         cameras=cameras,
-        images=draw_photos(gaussians, cameras),
+        images=render_photos(gaussians, cameras),
         points=np.zeros((0, 3)),
         colors=np.zeros((0, 3), np.uint8),
         up=upright,
     )
-    return DrawnScene(scene, found is not None)
+    return RenderedScene(scene, found is not None)

@@ -69,7 +69,7 @@ def _blend_tile_backward(
     planes: NDArray[np.float32],
     gradients: NDArray[np.float32],
     with_depth: bool,
-    with_pulls: bool,
+    with_mean_gradients: bool,
     features_push: bool,
     scratch: NDArray[np.float32],
     weights: NDArray[np.float32],
@@ -123,7 +123,7 @@ def _blend_tile_backward(
             store(scratch, 6 * PIXELS + place, behind + alpha * change)
             v = select(at_least(power, LOG2_MAX_ALPHA), fill(ZERO), weight * change)
             m0 = m0 + v
-            if with_pulls:
+            if with_mean_gradients:
                 pull_x, pull_y = v * (steep + b * dy), v * (slope + TWO * c * dy)
                 sum_x = sum_x + select(at_least(pull_x, ZERO), pull_x, ZERO - pull_x)
                 sum_y = sum_y + select(at_least(pull_y, ZERO), pull_y, ZERO - pull_y)
@@ -162,7 +162,7 @@ def blend_backward(
     planes: NDArray[np.float32],
     gradients: NDArray[np.float32],
     with_depth: bool,
-    with_pulls: bool,
+    with_mean_gradients: bool,
     features_push: bool,
     moments: NDArray[np.float32],
     feature_moments: NDArray[np.float32],
@@ -170,9 +170,9 @@ def blend_backward(
     """Fill moments (P, MOMENT) and feature_moments (P, C): every pair's gradients, summed over its tile.
 
     planes: (CHANNELS + C, H, W) what `blend` wrote; gradients: (5 + C, H, W) of r, g, b, depth, alpha, features, where
-    the colour is the one over `background` (3,). with_depth: whether the gradient of the depth is not 0; with_pulls:
-    whether the absolute gradients of the mean are wanted, which are 0 else; features_push: whether the features'
-    gradient reaches the Gaussians that blend them, or the features alone.
+    the colour is the one over `background` (3,). with_depth: whether the gradient of the depth is not 0;
+    with_mean_gradients: whether to compute the absolute gradients of the means, which are 0 otherwise; features_push:
+    whether the gradient of the features reaches the Gaussians that blend them, or only the features.
     """
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
@@ -184,7 +184,7 @@ def blend_backward(
                 break
             _blend_tile_backward(
                 order[place], columns, records, features, tile_starts, gaussian_of, pair_of,
-                background, planes, gradients, with_depth, with_pulls, features_push, scratch, weights,
+                background, planes, gradients, with_depth, with_mean_gradients, features_push, scratch, weights,
                 moments, feature_moments,
             )  # fmt: skip
 

@@ -15,7 +15,7 @@ ONE = np.float32(1)
 @kernel
 def count_views(
     workers: int,
-    pulls: NDArray[np.float32],
+    mean_gradients: NDArray[np.float32],
     drawn: NDArray[np.int32],
     half_width: float,
     half_height: float,
@@ -27,6 +27,6 @@ def count_views(
     for worker in prange(workers):
         for i in range(worker * n // workers, (worker + 1) * n // workers):
             if drawn[i] != 0:
-                x, y = pulls[i, 0] * half_width, pulls[i, 1] * half_height
+                x, y = mean_gradients[i, 0] * half_width, mean_gradients[i, 1] * half_height
                 sums[i] += math.sqrt(x * x + y * y)
                 counts[i] += ONE

@@ -19,7 +19,7 @@ def change_colors(image: NDArray[np.float32], matrix: NDArray[np.float32], out: 
 
 
 @kernel
-def pull_colors(
+def colors_backward(
     image: NDArray[np.float32],
     matrix: NDArray[np.float32],
     gradient: NDArray[np.float32],

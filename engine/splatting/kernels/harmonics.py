@@ -57,7 +57,7 @@ def basis(degree: int, x: float, y: float, z: float, out: NDArray[np.float32]) -
 
 
 @njit
-def pull_direction(
+def direction_backward(
     degree: int, x: float, y: float, z: float, g: NDArray[np.float32]
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Gradient with respect to (x, y, z) of Σ g[k]·basis[k], each basis function read as a polynomial."""

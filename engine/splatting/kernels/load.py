@@ -78,7 +78,7 @@ def measure_loads(
 
 
 @njit
-def _pull_tile(
+def _tile_backward(
     tile: int,
     columns: int,
     records: NDArray[np.float32],
@@ -127,7 +127,7 @@ def _pull_tile(
 
 
 @kernel
-def pull_loads(
+def loads_backward(
     workers: int,
     columns: int,
     order: NDArray[np.int64],
@@ -147,6 +147,6 @@ def pull_loads(
             place = take(counter)
             if place >= order.shape[0]:
                 break
-            _pull_tile(
+            _tile_backward(
                 order[place], columns, records, tile_starts, gaussian_of, pair_of, planes, gradient, scratch, moments
             )

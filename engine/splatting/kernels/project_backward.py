@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...compiled.blocks import BLOCK, next_block
 from ...compiled.jit import kernel, njit, prange
-from .harmonics import basis, pull_direction
+from .harmonics import basis, direction_backward
 from .project import LOW_PASS, THINNEST, covariance, direction, limits, rotation, to_camera
 from .records import CONIC_A, CONIC_B, CONIC_C, DEPTH, HALF, LOG2_E, ONE, RED, TWO, ZERO
 
@@ -20,7 +20,7 @@ gradient of a pixel's exponent, then red, green, blue, depth, then Σ|·| of the
 
 
 @njit
-def _pull_color(
+def _color_backward(
     i: int,
     means: NDArray[np.float32],
     sh: NDArray[np.float32],
@@ -29,7 +29,7 @@ def _pull_color(
     record: NDArray[np.float32],
     g: NDArray[np.float32],
     values: NDArray[np.float32],
-    pulled: NDArray[np.float32],
+    d_basis: NDArray[np.float32],
     d_sh: NDArray[np.float32],
 ) -> tuple[float, float, float]:
     """Gradients of a colour: into `d_sh`, and with respect to the mean through the viewing direction."""
@@ -41,14 +41,14 @@ def _pull_color(
             if record[RED + c] > ZERO:
                 d_sh[i, k, c] = values[k] * g[6 + c]
                 along += sh[i, k, c] * g[6 + c]
-        pulled[k] = along
-    dx, dy, dz = pull_direction(degree, x, y, z, pulled)
+        d_basis[k] = along
+    dx, dy, dz = direction_backward(degree, x, y, z, d_basis)
     radial = x * dx + y * dy + z * dz
     return (dx - x * radial) * inverse, (dy - y * radial) * inverse, (dz - z * radial) * inverse
 
 
 @njit
-def _pull_quaternion(r: NDArray[np.float32], d: NDArray[np.float32], i: int, d_quats: NDArray[np.float32]) -> None:
+def _quaternion_backward(r: NDArray[np.float32], d: NDArray[np.float32], i: int, d_quats: NDArray[np.float32]) -> None:
     """Gradient of the rotation matrix (flat, row by row) into the quaternion that was not yet of unit length."""
     w, x, y, z, scale = r[9], r[10], r[11], r[12], r[13]
     dw = TWO * (x * (d[7] - d[5]) + y * (d[2] - d[6]) + z * (d[3] - d[1]))
@@ -121,7 +121,7 @@ def _from_camera(camera: NDArray[np.float32], x: float, y: float, z: float) -> t
 
 
 @njit
-def _pull_geometry(
+def _geometry_backward(
     i: int,
     means: NDArray[np.float32],
     log_scales: NDArray[np.float32],
@@ -175,7 +175,7 @@ def _pull_geometry(
         _add_outer(pose, dv0, dv1, dv2, m0, m1, m2)
         d_log_scales[i, k] = dm0 * m0 + dm1 * m1 + dm2 * m2
         turned[k], turned[3 + k], turned[6 + k] = dm0 * s, dm1 * s, dm2 * s
-    _pull_quaternion(r, turned, i, d_quats)
+    _quaternion_backward(r, turned, i, d_quats)
 
     dx, dy = gx * fx * w, gy * fy * w
     dz = g[9] - (gx * fx * x + gy * fy * y) * w * w
@@ -214,7 +214,7 @@ def project_backward(
     d_opacity_logits: NDArray[np.float32],
     d_sh: NDArray[np.float32],
     d_offsets: NDArray[np.float32],
-    pulls: NDArray[np.float32],
+    mean_gradients: NDArray[np.float32],
     pose_sums: NDArray[np.float32],
 ) -> None:
     """Add up each Gaussian's pairs, in the order of its tiles, and pull the sums back to its parameters.
@@ -229,7 +229,7 @@ def project_backward(
     for _worker in prange(workers):
         g = np.empty(MOMENT, np.float32)
         values = np.empty(16, np.float32)
-        pulled = np.empty(16, np.float32)
+        d_basis = np.empty(16, np.float32)
         r = np.empty(14, np.float32)
         turned = np.empty(9, np.float32)
         begin, end = next_block(counter, n)
@@ -238,7 +238,7 @@ def project_backward(
             pose[:] = ZERO
             for i in range(begin, end):
                 d_offsets[i] = ZERO
-                pulls[i] = ZERO
+                mean_gradients[i] = ZERO
                 if counts[i] == 0:
                     continue
                 d_sh[i] = ZERO
@@ -248,13 +248,13 @@ def project_backward(
                     for k in range(USED_MOMENTS):
                         g[k] += moments[pair, k]
                 d_opacity_logits[i] = g[0] / (ONE + math.exp(opacity_logits[i]))
-                pulls[i, 0] = g[10] / LOG2_E
-                pulls[i, 1] = g[11] / LOG2_E
-                local = _pull_geometry(
+                mean_gradients[i, 0] = g[10] / LOG2_E
+                mean_gradients[i, 1] = g[11] / LOG2_E
+                local = _geometry_backward(
                     i, means, log_scales, quats, antialiased, camera, record, g, r, turned, d_log_scales, d_quats,
                     d_offsets, pose,
                 )  # fmt: skip
-                dx, dy, dz = _pull_color(i, means, sh, degree, camera, record, g, values, pulled, d_sh)
+                dx, dy, dz = _color_backward(i, means, sh, degree, camera, record, g, values, d_basis, d_sh)
                 pose[12] += dx
                 pose[13] += dy
                 pose[14] += dz

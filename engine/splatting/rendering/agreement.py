@@ -16,7 +16,7 @@ FEATURES = 3
 """Extra channels that are drawn and differentiated along."""
 
 
-def compare_with_twin(gaussians: Gaussians, camera: Camera, *, seed: int = 0) -> dict[str, float]:
+def compare_with_reference(gaussians: Gaussians, camera: Camera, *, seed: int = 0) -> dict[str, float]:
     """Largest difference over the twin's largest value: of each output, and of each gradient of a random weighting.
 
     A pixel whose α lies within float32 rounding of 1/255 is drawn by one and not by the other; a scene that happens to
@@ -32,10 +32,10 @@ def compare_with_twin(gaussians: Gaussians, camera: Camera, *, seed: int = 0) ->
     inputs += [random(n, FEATURES), random(3), torch.zeros(n, 2, dtype=torch.float64)]
     weights = [random(*size, 3), random(*size), random(*size), random(*size, FEATURES)]
     ours = _run(render, inputs, weights, camera, gaussians.antialiased, torch.float32)
-    twin = _run(render_reference, inputs, weights, camera, gaussians.antialiased, torch.float64)
+    reference = _run(render_reference, inputs, weights, camera, gaussians.antialiased, torch.float64)
     return {
-        name: float((ours[name].double() - twin[name]).abs().max() / twin[name].abs().max().clamp_min(1e-30))
-        for name in twin
+        name: float((ours[name].double() - reference[name]).abs().max() / reference[name].abs().max().clamp_min(1e-30))
+        for name in reference
     }
 
 

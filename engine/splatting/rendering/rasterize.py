@@ -19,7 +19,7 @@ from ..kernels.accumulate import accumulate_pairs
 from ..kernels.blend_backward import sum_pairs
 from ..kernels.surface import measure_surface
 from ..kernels.tile import CHANNELS, TRANSMITTANCE
-from .render import FAINTEST, DrawRules, Tiles, blend_view, load_view, project_view, pull_view, tile_view
+from .render import FAINTEST, DrawRules, Tiles, blend_view, load_view, project_view, tile_view, view_backward
 from .workspace import Workspace
 
 LIFTED_AT_ONCE = 64
@@ -80,14 +80,14 @@ class _Render(torch.autograd.Function):
         offsets: Tensor,
         rules: DrawRules,
         camera: Camera,
-        pulls: Tensor | None,
+        mean_gradients: Tensor | None,
     ) -> tuple[Tensor, ...]:
         parameters = arrays_of(Gaussians(means, log_scales, quats, opacity_logits, sh))
         workspace = Workspace()
         tiles = tile_view(project_view(parameters, camera, rules, workspace, _flat(offsets)), camera, rules, workspace)
         planes = blend_view(tiles, _flat(features), camera, workspace)
         ctx.save_for_backward(means, log_scales, quats, opacity_logits, sh, features, background)
-        ctx.tiles, ctx.planes, ctx.rules, ctx.camera, ctx.pulls = tiles, planes, rules, camera, pulls
+        ctx.tiles, ctx.planes, ctx.rules, ctx.camera, ctx.mean_gradients = tiles, planes, rules, camera, mean_gradients
         ctx.set_materialize_grads(False)
         out = torch.from_numpy(planes)
         left = out[TRANSMITTANCE]
@@ -105,21 +105,21 @@ class _Render(torch.autograd.Function):
         gradients = np.empty((5 + features.shape[1], *planes.shape[1:]), np.float32)
         for place, gradient in ((slice(0, 3), color), (3, depth), (4, alpha), (slice(5, None), extra)):
             gradients[place] = 0.0 if gradient is None else gradient.numpy()
-        pulled = pull_view(
+        parameter_gradients = view_backward(
             arrays_of(Gaussians(*parameters)), ctx.camera, ctx.rules, tiles, planes, gradients, Workspace(),
             features=_flat(features), background=_flat(background),
-            with_depth=depth is not None, with_pulls=ctx.pulls is not None,
+            with_depth=depth is not None, with_mean_gradients=ctx.mean_gradients is not None,
         )  # fmt: skip
         undrawn = tiles.counts == 0
         for name in PARAMETERS:
-            pulled[name][undrawn] = 0.0
-        if ctx.pulls is not None:
-            ctx.pulls.copy_(torch.from_numpy(pulled["pulls"]))
+            parameter_gradients[name][undrawn] = 0.0
+        if ctx.mean_gradients is not None:
+            ctx.mean_gradients.copy_(torch.from_numpy(parameter_gradients["mean_gradients"]))
         d_background = None
         if ctx.needs_input_grad[6] and color is not None:
             d_background = (color * torch.from_numpy(planes[TRANSMITTANCE])).sum((1, 2))
         *d_parameters, d_features, d_offsets = (
-            torch.from_numpy(pulled[name]) for name in (*PARAMETERS, "features", "offsets")
+            torch.from_numpy(parameter_gradients[name]) for name in (*PARAMETERS, "features", "offsets")
         )
         return (*d_parameters, d_features, d_background, d_offsets, None, None, None)
 

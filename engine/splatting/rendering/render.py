@@ -16,7 +16,7 @@ from ...scene.camera import Camera
 from ..gaussians import PARAMETERS
 from ..kernels.blend import blend
 from ..kernels.blend_backward import blend_backward, sum_pairs
-from ..kernels.load import measure_loads, pull_loads
+from ..kernels.load import loads_backward, measure_loads
 from ..kernels.project import project
 from ..kernels.project_backward import MOMENT, project_backward
 from ..kernels.records import HALF_HEIGHT, HALF_WIDTH, RECORD, TILE_HEIGHT, TILE_WIDTH
@@ -175,7 +175,7 @@ def load_view(tiles: Tiles, planes: NDArray[np.float32], workspace: Workspace) -
     return loads
 
 
-def pull_view(
+def view_backward(
     parameters: Arrays,
     camera: Camera,
     rules: DrawRules,
@@ -188,44 +188,44 @@ def pull_view(
     background: NDArray[np.float32],
     load_gradient: NDArray[np.float32] | None = None,
     with_depth: bool = True,
-    with_pulls: bool = True,
+    with_mean_gradients: bool = True,
     features_push: bool = True,
 ) -> dict[str, NDArray[Any]]:
     """Gradients of a view's pixels → gradients of the parameters, by name.
 
     gradients: (5 + C, H, W) of red, green, blue (over `background` (3,)), Σ α T z, alpha, features; load_gradient:
     (H, W) of the pixels' loads as `load_view` gives them; with_depth: False where the gradient of Σ α T z is known to
-    be 0; with_pulls: False where `pulls` are not wanted, which are then 0; features_push: False where the features'
-    gradient shall reach the features alone, not the Gaussians.
+    be 0; with_mean_gradients: False to skip `mean_gradients`, which are then 0; features_push: False if the gradient of
+    the features should reach only the features, not the Gaussians.
 
     Beside the parameters' gradients come those of `features` (N, C); of the projected means as `offsets` (N, 2), and as
-    `pulls` (N, 2) their absolute values summed over pixels; and of the camera as `pose` (15,), see
-    `poses.twist_gradient`. A row of a Gaussian that was not drawn (`tiles.counts` is 0) is 0 in `offsets`, `pulls` and
-    `features`, and left as it was in the others.
+    `mean_gradients` (N, 2) their absolute values summed over pixels; and of the camera as `pose` (15,), see
+    `poses.twist_gradient`. A row of a Gaussian that was not drawn (`tiles.counts` is 0) is 0 in `offsets`,
+    `mean_gradients` and `features`, and left as it was in the others.
     """
     n, channels = features.shape
     moments = workspace.take("moments", (tiles.pairs, MOMENT))
     feature_moments = workspace.take("feature_moments", (tiles.pairs, channels))
     blend_backward(
         threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), features, tiles.tile_starts,
-        tiles.gaussian_of, tiles.pair_of, background, planes, gradients, with_depth, with_pulls, features_push,
+        tiles.gaussian_of, tiles.pair_of, background, planes, gradients, with_depth, with_mean_gradients, features_push,
         moments, feature_moments,
     )  # fmt: skip
     if load_gradient is not None:
-        pull_loads(
+        loads_backward(
             threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), tiles.tile_starts, tiles.gaussian_of,
             tiles.pair_of, planes, load_gradient, moments,
         )  # fmt: skip
     shapes: dict[str, tuple[int, ...]] = {name: values.shape for name, values in parameters.items()}
-    shapes |= {"offsets": (n, 2), "pulls": (n, 2), "features": (n, channels)}
+    shapes |= {"offsets": (n, 2), "mean_gradients": (n, 2), "features": (n, channels)}
     pose_sums = np.empty((-(-n // BLOCK), 15), np.float32)
-    pulled: dict[str, Any] = {name: workspace.take(f"d_{name}", shape) for name, shape in shapes.items()}
+    parameter_gradients: dict[str, Any] = {name: workspace.take(f"d_{name}", shape) for name, shape in shapes.items()}
     project_backward(
         threads(), *(parameters[name] for name in PARAMETERS), rules.sh_degree, rules.antialiased,
         camera_values(camera), tiles.records, tiles.starts, tiles.counts, moments,
-        *(pulled[name] for name in (*PARAMETERS, "offsets", "pulls")), pose_sums,
+        *(parameter_gradients[name] for name in (*PARAMETERS, "offsets", "mean_gradients")), pose_sums,
     )  # fmt: skip
-    pulled["pose"] = pose_sums.sum(0, dtype=np.float64)
+    parameter_gradients["pose"] = pose_sums.sum(0, dtype=np.float64)
     if channels > 0:
-        sum_pairs(tiles.starts, tiles.counts, feature_moments, pulled["features"])
-    return pulled
+        sum_pairs(tiles.starts, tiles.counts, feature_moments, parameter_gradients["features"])
+    return parameter_gradients

@@ -17,7 +17,7 @@ from ...errors import TrainingError
 from ...files import write_tensors
 from ...scene.camera import Scene
 from ..gaussians import PARAMETERS
-from .densify import Pulls
+from .densify import GradientStats
 from .exposure import Exposures
 from .parameters import CHANNELS, Parameters
 from .poses import Poses
@@ -36,7 +36,7 @@ class TrainingState:
     """
 
     parameters: Parameters
-    pulls: Pulls
+    mean_gradients: GradientStats
     exposures: Exposures | None = None
     poses: Poses | None = None
     checks: list[tuple[int, float]] = field(default_factory=list)
@@ -49,7 +49,7 @@ class TrainingState:
     def select(self, index: torch.Tensor) -> None:
         """Keep the Gaussians at `index` (mask or integers)."""
         self.parameters.select(index)
-        self.pulls = Pulls(self.pulls.sums[index], self.pulls.counts[index])
+        self.mean_gradients = GradientStats(self.mean_gradients.sums[index], self.mean_gradients.counts[index])
 
 
 def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
@@ -73,7 +73,11 @@ def write_checkpoint(path: Path, state: TrainingState, key: str) -> None:
         OutputError: the folder cannot be written.
     """
     parameters = state.parameters
-    tensors = {"pulls.sums": state.pulls.sums, "pulls.counts": state.pulls.counts, "updates": parameters.updates}
+    tensors = {
+        "pulls.sums": state.mean_gradients.sums,
+        "pulls.counts": state.mean_gradients.counts,
+        "updates": parameters.updates,
+    }
     for group in ("values", "first", "second"):
         tensors |= {f"{group}.{name}": tensor.contiguous() for name, tensor in getattr(parameters, group).items()}
     for part, kind in _PARTS.items():
@@ -101,7 +105,7 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
             {name: tensors[f"{group}.{name}"] for name in names} for group in ("values", "first", "second")
         )
         parameters = Parameters(values, first, second, tensors["updates"], step=int(about["step"]))
-        pulls = Pulls(tensors["pulls.sums"], tensors["pulls.counts"])
+        mean_gradients = GradientStats(tensors["pulls.sums"], tensors["pulls.counts"])
         parts = {
             part: kind(**{entry.name: tensors.pop(f"{part}.{entry.name}").numpy() for entry in fields(kind)})
             for part, kind in _PARTS.items()
@@ -112,4 +116,4 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
         raise TrainingError(f"{path} is not a complete checkpoint ({error}). Delete it to start again") from error
     if any(len(tensor) != len(parameters) for tensor in tensors.values()):
         raise TrainingError(f"{path} is not a complete checkpoint (tensors differ in length). Delete it to start again")
-    return TrainingState(parameters, pulls, **parts, checks=checks)
+    return TrainingState(parameters, mean_gradients, **parts, checks=checks)

@@ -38,7 +38,7 @@ class DensifyRules:
 
 
 @dataclass(eq=False)
-class Pulls:
+class GradientStats:
     """How hard the image pulled at each Gaussian since the last densification.
 
     sums: (N,) lengths of the projected means' gradients in half-images; counts: (N,) views that drew it.
@@ -48,8 +48,8 @@ class Pulls:
     counts: Tensor
 
     @staticmethod
-    def none(n: int) -> Pulls:
-        return Pulls(torch.zeros(n), torch.zeros(n))
+    def none(n: int) -> GradientStats:
+        return GradientStats(torch.zeros(n), torch.zeros(n))
 
     def add(self, gradients: NDArray[np.float32], drawn: NDArray[np.int32], width: int, height: int) -> None:
         """Count one view. gradients: (N, 2) per pixel; drawn: (N,) not 0 where the view drew the Gaussian."""
@@ -61,7 +61,9 @@ class Pulls:
         return self.sums / self.counts.clamp_min(1.0)
 
 
-def densify(parameters: Parameters, pulls: Pulls, rules: DensifyRules, middle: Tensor, seed: list[int]) -> None:
+def densify(
+    parameters: Parameters, mean_gradients: GradientStats, rules: DensifyRules, middle: Tensor, seed: list[int]
+) -> None:
     """Prune, then clone and split those with the strongest pull while there is room. Moments follow their Gaussians.
 
     middle: (3,) of the cameras; seed: of the places of split halves.
@@ -69,9 +71,9 @@ def densify(parameters: Parameters, pulls: Pulls, rules: DensifyRules, middle: T
     keep = ~useless(parameters.gaussians(), rules, middle)
     if not keep.any():
         return
-    pull = pulls.means[keep]
+    gradient = mean_gradients.means[keep]
     parameters.select(keep)
-    chosen = _strongest(pull, rules.gradient, rules.max_gaussians - len(parameters))
+    chosen = _strongest(gradient, rules.gradient, rules.max_gaussians - len(parameters))
     gaussians = parameters.gaussians()
     split = torch.zeros(len(parameters), dtype=torch.bool)
     split[chosen] = gaussians.log_scales[chosen].amax(1) > math.log(rules.small)
@@ -82,10 +84,10 @@ def densify(parameters: Parameters, pulls: Pulls, rules: DensifyRules, middle: T
     parameters.select(torch.cat([~split, torch.ones(len(parameters) - len(split), dtype=torch.bool)]))
 
 
-def _strongest(pull: Tensor, threshold: float, room: int) -> Tensor:
+def _strongest(gradient: Tensor, threshold: float, room: int) -> Tensor:
     """Indices of the strongest pulls above the threshold, at most `room` (each adds one Gaussian)."""
-    order = pull.argsort(descending=True, stable=True)
-    return order[: max(min(int((pull > threshold).sum()), room), 0)].sort().values
+    order = gradient.argsort(descending=True, stable=True)
+    return order[: max(min(int((gradient > threshold).sum()), room), 0)].sort().values
 
 
 def _halves(gaussians: Gaussians, random: np.random.Generator) -> Gaussians:
@@ -118,7 +120,7 @@ def reset_opacity(parameters: Parameters, highest: float) -> None:
     parameters.forget("opacity_logits")
 
 
-def hold_sizes(parameters: Parameters, middle: Tensor, extent: float) -> None:
+def clamp_sizes(parameters: Parameters, middle: Tensor, extent: float) -> None:
     """Keep every Gaussian's standard deviations below its distance from `middle`, or below `extent` where it is nearer.
 
     A Gaussian of the sky may be as large as it is far away. One that grows beyond that lies around the cameras, where

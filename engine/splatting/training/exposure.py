@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.exposure import change_colors, pull_colors
+from ..kernels.exposure import change_colors, colors_backward
 from ..rendering.workspace import Workspace
 from .view_adam import ViewMoments, falling
 
@@ -47,7 +47,7 @@ class Exposures(ViewMoments):
         done: share of the training that is over.
         """
         row_sums = workspace.take("exposure_rows", (image.shape[1], 3, 4))
-        pull_colors(image, self.matrices[view], gradient, row_sums)
+        colors_backward(image, self.matrices[view], gradient, row_sums)
         g = row_sums.sum(0, dtype=np.float64) + PULL * (self.matrices[view] - IDENTITY)
         self.matrices[view] -= self.step(view, g, falling(RATE, LAST_RATE, done)).astype(np.float32)
 

@@ -85,8 +85,8 @@ def _looked_at(scene: Scene) -> tuple[Points, float]:
     axes = np.stack([camera.forward for camera in cameras])
     guess = centers.mean(0) + axes.mean(0) * scene.spread
     left, right = axes_equations(cameras)
-    pull = 0.01 * len(cameras)
-    center = np.linalg.solve(left + pull * np.eye(3), right + pull * guess)
+    weight = 0.01 * len(cameras)
+    center = np.linalg.solve(left + weight * np.eye(3), right + weight * guess)
     return center, 0.7 * float(np.linalg.norm(centers - center, axis=1).mean())
 
 

@@ -32,7 +32,7 @@ class PhotometricLoss:
         self._moments: dict[Hashable, NDArray[np.float32]] = {}
         self._bytes = 0
 
-    def pull(
+    def backward(
         self,
         image: NDArray[np.float32],
         photo: NDArray[np.uint8],
@@ -115,4 +115,4 @@ def psnr(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | N
 def ssim(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | None = None) -> float:
     """Structural similarity of a rendering (H, W, 3), clamped to [0, 1], mean over the usable pixels."""
     planes = color.detach().clamp(0.0, 1.0).float().permute(2, 0, 1).contiguous().numpy()
-    return 1.0 - PhotometricLoss(1.0, Workspace()).pull(planes, photo, mask, np.empty_like(planes))
+    return 1.0 - PhotometricLoss(1.0, Workspace()).backward(planes, photo, mask, np.empty_like(planes))

@@ -84,7 +84,7 @@ class Schedule:
         begun = config.densify_from * config.steps <= step <= self.last_densified
         return begun and step % config.densify_every == 0
 
-    def watches_pulls(self, step: int) -> bool:
+    def records_gradients(self, step: int) -> bool:
         """Whether a densification by gradient is still to come."""
         return self.config.densify == "gradient" and step < self.last_densified
 

@@ -12,10 +12,10 @@ from scipy.ndimage import uniform_filter
 
 from ...config import TrainConfig
 from ..kernels.tile import CHANNELS as PLANES
-from ..rendering.render import blend_view, load_view, project_view, pull_view, tile_view
+from ..rendering.render import blend_view, load_view, project_view, tile_view, view_backward
 from ..rendering.workspace import Workspace
 from .checkpoint import TrainingState
-from .densify import Pulls, densify, hold_sizes, reset_opacity
+from .densify import GradientStats, clamp_sizes, densify, reset_opacity
 from .extra_channels import ExtraChannels
 from .losses import PhotometricLoss, unevenness
 from .parameters import CHANNELS, Parameters
@@ -44,20 +44,22 @@ class Step:
     def take(self, state: TrainingState, picture: Picture) -> float:
         """Draw, compare, move; come and go when it is time. Returns the loss of the picture and of further channels."""
         schedule, config, step = self.schedule, self.schedule.config, state.step
-        drawn, pulled, loss = self._pull(state, picture, step)
-        regularise(pulled, state.parameters, config, schedule.extent)
+        drawn, parameter_gradients, loss = self._backward(state, picture, step)
+        regularise(parameter_gradients, state.parameters, config, schedule.extent)
         rates = replace(schedule.rates(step), channels=self._channel_rate(step))
-        state.parameters.update(pulled, rates, schedule.rules(step).sh_degree, drawn)
+        state.parameters.update(parameter_gradients, rates, schedule.rules(step).sh_degree, drawn)
         if config.densify == "mcmc":
             explore(state.parameters, schedule.extent, schedule.done(step), [config.seed, step, 0])
-        elif schedule.watches_pulls(step):
-            state.pulls.add(pulled["pulls"], drawn, picture.camera.width, picture.camera.height)
+        elif schedule.records_gradients(step):
+            state.mean_gradients.add(
+                parameter_gradients["mean_gradients"], drawn, picture.camera.width, picture.camera.height
+            )
         if step % HOLD_EVERY == 0:
-            hold_sizes(state.parameters, schedule.middle, schedule.extent)
-        self._come_and_go(state)
+            clamp_sizes(state.parameters, schedule.middle, schedule.extent)
+        self._densify_and_prune(state)
         return loss
 
-    def _pull(
+    def _backward(
         self, state: TrainingState, picture: Picture, step: int
     ) -> tuple[NDArray[np.int32], dict[str, NDArray[Any]], float]:
         """Which Gaussians the view drew (N,), the gradients by parameter, and the loss."""
@@ -76,7 +78,7 @@ class Step:
         mask = picture.mask
         if self.schedule.forgives(step):
             mask = unforgiven(image, picture, self.schedule.config.forgive)
-        loss = self.loss.pull(image, picture.pixels, mask, gradients[:3], key=(picture.view, camera.width))
+        loss = self.loss.backward(image, picture.pixels, mask, gradients[:3], key=(picture.view, camera.width))
         if state.exposures is not None:
             state.exposures.learn(picture.view, planes[:3], gradients[:3], self.schedule.done(step), workspace)
         if extra is not None:
@@ -86,22 +88,22 @@ class Step:
         if share > 0:
             _, load_gradient = unevenness(load_view(tiles, planes, workspace)[1])
             load_gradient *= share / (1.0 - share)  # of (1 - λ) · photometric + λ · unevenness, over 1 - λ
-        pulled = pull_view(
+        parameter_gradients = view_backward(
             parameters, camera, rules, tiles, planes, gradients, workspace,
             features=features, background=_BLACK, load_gradient=load_gradient,
-            with_depth=False, with_pulls=self.schedule.watches_pulls(step),
+            with_depth=False, with_mean_gradients=self.schedule.records_gradients(step),
             features_push=extra is not None and extra.moves_gaussians,
         )  # fmt: skip
         if extra is not None:
-            pulled[CHANNELS] = pulled["features"]
+            parameter_gradients[CHANNELS] = parameter_gradients["features"]
         if state.poses is not None:
-            state.poses.learn(picture.view, pulled["pose"], self.schedule.done(step), self.schedule.extent)
-        return tiles.counts, pulled, loss
+            state.poses.learn(picture.view, parameter_gradients["pose"], self.schedule.done(step), self.schedule.extent)
+        return tiles.counts, parameter_gradients, loss
 
     def _channel_rate(self, step: int) -> float:
         return 0.0 if self.extra is None else self.extra.rate_at(self.schedule.done(step))
 
-    def _come_and_go(self, state: TrainingState) -> None:
+    def _densify_and_prune(self, state: TrainingState) -> None:
         schedule, config, done = self.schedule, self.schedule.config, state.step
         if schedule.densifies(done):
             if config.densify == "mcmc":
@@ -112,8 +114,14 @@ class Step:
                     [config.seed, done, 1],
                 )
             else:
-                densify(state.parameters, state.pulls, schedule.densify_rules(), schedule.middle, [config.seed, done])
-            state.pulls = Pulls.none(len(state.parameters))
+                densify(
+                    state.parameters,
+                    state.mean_gradients,
+                    schedule.densify_rules(),
+                    schedule.middle,
+                    [config.seed, done],
+                )
+            state.mean_gradients = GradientStats.none(len(state.parameters))
         if schedule.resets_opacity(done):
             reset_opacity(state.parameters, 0.05)
 

@@ -20,7 +20,7 @@ from ...scene.camera import Camera, Scene
 from ..gaussians import PARAMETERS, Gaussians
 from ..rendering.rasterize import accumulate, render
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
-from .densify import Pulls
+from .densify import GradientStats
 from .exposure import Exposures, fitted
 from .extra_channels import ExtraChannels
 from .initialise import first_gaussians
@@ -245,7 +245,7 @@ def _start(
     gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
     exposures = Exposures.neutral(len(shelf.scene.cameras)) if config.exposure else None
     poses = Poses.of(shelf.scene.cameras) if config.refine_poses else None
-    return TrainingState(Parameters.start(gaussians, channels), Pulls.none(len(gaussians)), exposures, poses)
+    return TrainingState(Parameters.start(gaussians, channels), GradientStats.none(len(gaussians)), exposures, poses)
 
 
 def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Schedule) -> Picture:

@@ -22,10 +22,10 @@ from fruitlangs.operators.steps.show_result import show_result
 @pytest.fixture
 def shown(extension, counted, result_of, tmp_path):
     """Three apples .3 apart, of diameters .1, .2 and .3 and probabilities .9, .6 and .7, with an interval of 2 to 5."""
-    chances = (0.9, 0.6, 0.7)
+    probabilities = (0.9, 0.6, 0.7)
     fruits = [
         dataclasses.replace(fruit, probability=chance)
-        for fruit, chance in zip(counted.fruit_count.fruits, chances, strict=True)
+        for fruit, chance in zip(counted.fruit_count.fruits, probabilities, strict=True)
     ]
     fruit_count = dataclasses.replace(counted.fruit_count, fruits=fruits, interval=(2, 5), last_id=3)
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path, fruit_count=fruit_count))

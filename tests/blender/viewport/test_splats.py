@@ -216,7 +216,7 @@ def test_nothing_is_dimmed_before_a_prompt_is_answered(extension, counted):
     from fruitlangs.operators.steps.ask import show_answer
 
     item = written(counted, probability=False)
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert not get_input(item.modifiers[0], "Highlight")
     show_answer(bpy.context.scene, counted.probability.numpy(), "apple | ")
     assert get_input(item.modifiers[0], "Highlight")
@@ -234,14 +234,14 @@ def test_viewports_show_no_ellipsoids_where_nothing_is_to_be_shown(extension, co
 def test_background_mode_keeps_ellipsoids_for_there_are_no_splats(extension, counted):
     item = written(counted)
     assert bpy.context.scene.fruitlangs.look.style == "SPLATS"
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert get_input(item.modifiers[0], "In Viewport")
 
 
 def test_a_window_hides_ellipsoids_but_not_in_the_file_on_disk(extension, counted, monkeypatch, tmp_path):
     item = written(counted)
     monkeypatch.setattr(appearance, "in_window", lambda: True)
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert not get_input(item.modifiers[0], "In Viewport")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     assert not get_input(item.modifiers[0], "In Viewport")
@@ -253,10 +253,10 @@ def test_a_window_hides_ellipsoids_but_not_in_the_file_on_disk(extension, counte
 
 def test_a_window_draws_sparse_points_as_splats_and_the_file_has_points(extension, counted, monkeypatch, tmp_path):
     item = imported(counted)
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert get_input(item.modifiers[0], "In Viewport")
     monkeypatch.setattr(appearance, "in_window", lambda: True)
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert not get_input(item.modifiers[0], "In Viewport")
     for style in ("ELLIPSOIDS", "NONE"):
         bpy.context.scene.fruitlangs.look.style = style
@@ -316,7 +316,7 @@ def test_nodes_of_sparse_points_of_an_older_version_are_renewed(extension, count
     old.interface.remove(old.interface.items_tree["In Viewport"])
     item.modifiers[0].node_group = old
     set_input(item.modifiers[0], "Radius", 0.5)
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert item.modifiers[0].node_group != old
     assert get_input(item.modifiers[0], "Radius") == 0.5
     assert get_input(item.modifiers[0], "In Viewport")
@@ -330,7 +330,7 @@ def test_nodes_of_an_older_version_are_renewed_and_keep_their_inputs(extension, 
         old.interface.remove(old.interface.items_tree[name])
     item.modifiers[0].node_group = old
     set_input(item.modifiers[0], "Reach", 7.5)
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
     assert item.modifiers[0].node_group != old
     assert get_input(item.modifiers[0], "Reach") == 7.5
     assert get_input(item.modifiers[0], "Highlight")
@@ -353,7 +353,7 @@ def test_what_has_the_gaussians_role_and_is_no_mesh_is_left_alone(extension, cou
     item["fruitlangs"] = "gaussians"
     bpy.context.scene.collection.objects.link(item)
     assert owned_object(bpy.context.scene, "gaussians") is None
-    appearance.apply_look(bpy.context.scene)
+    appearance.apply_appearance(bpy.context.scene)
 
 
 @pytest.fixture

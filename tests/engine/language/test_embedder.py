@@ -78,4 +78,4 @@ def test_codes_cannot_be_trained_into_given_gaussians(lifted: Result, scene: Pat
     joint = replace(config, embed=replace(config.embed, features="joint"))
     given = lifted.out / "gaussians.ply"
     with pytest.raises(ConfigError, match="--features lift"):
-        count_scene(scene, ["apple"], lifted.out.with_name("given"), config=joint, foreign=given)
+        count_scene(scene, ["apple"], lifted.out.with_name("given"), config=joint, imported=given)

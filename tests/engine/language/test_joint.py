@@ -20,9 +20,9 @@ from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 from fruitlangs.engine.splatting.kernels.tile import CHANNELS as PLANES
 from fruitlangs.engine.splatting.rendering.reference import render_reference
-from fruitlangs.engine.splatting.rendering.render import DrawRules, blend_view, project_view, pull_view, tile_view
+from fruitlangs.engine.splatting.rendering.render import DrawRules, blend_view, project_view, tile_view, view_backward
 from fruitlangs.engine.splatting.rendering.workspace import Workspace
-from fruitlangs.engine.splatting.training.densify import DensifyRules, Pulls, densify
+from fruitlangs.engine.splatting.training.densify import DensifyRules, GradientStats, densify
 from fruitlangs.engine.splatting.training.parameters import CHANNELS, Parameters, Rates
 from fruitlangs.engine.splatting.training.relocate import relocate
 from fruitlangs.engine.splatting.training.train import Training, train
@@ -68,7 +68,7 @@ def same(a: Gaussians, b: Gaussians) -> bool:
     return all(torch.equal(getattr(a, name), getattr(b, name)) for name in PARAMETERS)
 
 
-def loss_of_twin(drawn: Tensor, view: SegmentedView, semantics: Semantics) -> Tensor:
+def reference_loss(drawn: Tensor, view: SegmentedView, semantics: Semantics) -> Tensor:
     """Eq. 8 of one view: per level the mean of |F - H| + 1 - cos over the pixels with a mask at any level."""
     (autoencoder,) = semantics.autoencoders
     total = torch.zeros((), dtype=torch.float64)
@@ -94,7 +94,7 @@ def test_the_gradient_of_the_codes_agrees_with_the_twin(scene: Scene, semantics:
     # Where nothing is drawn the cosine says nothing: keep the twin's loss there out of the comparison by its length.
     semantics.loss(1.0, 1, drawn, gradients[5:])
     gradients[5:] *= np.repeat(np.linalg.norm(drawn.reshape(2, 3, *drawn.shape[1:]), axis=1) > 1e-3, 3, 0)
-    found = pull_view(
+    found = view_backward(
         arrays, camera, rules, tiles, planes, gradients, workspace,
         features=codes.numpy(), background=np.zeros(3, np.float32), features_push=push,
     )  # fmt: skip
@@ -102,7 +102,7 @@ def test_the_gradient_of_the_codes_agrees_with_the_twin(scene: Scene, semantics:
     leaf = codes.double().requires_grad_()
     image = render_reference(Gaussians(**leaves), camera, features=leaf).features
     assert image is not None
-    loss_of_twin(image, view, semantics).backward()
+    reference_loss(image, view, semantics).backward()
     assert leaf.grad is not None
     assert leaves["means"].grad is not None
     assert close(found["features"], leaf.grad, 2e-3)
@@ -123,7 +123,7 @@ def test_the_loss_of_a_drawn_view_is_that_of_the_twin(scene: Scene, semantics: S
     drawn = torch.randn(6, camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     gradient = np.empty_like(drawn.numpy())
     found = semantics.loss(0.3, 2, drawn.numpy(), gradient)
-    expected = 0.3 * loss_of_twin(drawn.permute(1, 2, 0).double(), view, semantics)
+    expected = 0.3 * reference_loss(drawn.permute(1, 2, 0).double(), view, semantics)
     assert found == pytest.approx(float(expected), rel=1e-4)
     outside = view.labels[1] < 0
     assert outside.any()
@@ -189,9 +189,9 @@ def test_clones_and_halves_take_over_the_codes_of_what_they_came_from():
     parameters = Parameters.start(random_gaussians(40, 0, 0), channels=1)
     parameters.values[CHANNELS][:, 0] = torch.arange(40.0)
     parents = {tuple(row.tolist()): float(k) for k, row in enumerate(parameters.values["sh"].reshape(40, -1))}
-    pulls = Pulls(torch.ones(40), torch.ones(40))
+    mean_gradients = GradientStats(torch.ones(40), torch.ones(40))
     rules = DensifyRules(gradient=0.5, max_gaussians=70, small=0.08, opacity=0.005, oversize=10.0, extent=1.0)
-    densify(parameters, pulls, rules, torch.zeros(3), [0, 1])
+    densify(parameters, mean_gradients, rules, torch.zeros(3), [0, 1])
     colours = parameters.values["sh"].reshape(len(parameters), -1)
     assert len(parameters) == 70
     expected = [parents[tuple(row.tolist())] for row in colours]

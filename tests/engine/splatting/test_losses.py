@@ -33,7 +33,7 @@ def plain_loss(color: Tensor, photo: Tensor, ssim_weight: float, mask: Tensor) -
 
 def loss_of(color: Tensor, photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None = None) -> float:
     image = color.permute(2, 0, 1).contiguous().numpy()
-    return PhotometricLoss(0.2, Workspace()).pull(image, photo, mask, np.empty_like(image))
+    return PhotometricLoss(0.2, Workspace()).backward(image, photo, mask, np.empty_like(image))
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -43,17 +43,17 @@ def test_loss_and_gradient_agree_with_plain_torch(size: tuple[int, int], masked:
     photo = random.integers(0, 256, (*size, 3)).astype(np.uint8)
     mask = random.random(size) > 0.4 if masked else np.ones(size, bool)
     image = random.random((3, *size)).astype(np.float32)
-    twin = torch.from_numpy(image.transpose(1, 2, 0)).double().requires_grad_()
-    expected = plain_loss(twin, torch.from_numpy(photo).double() / 255, 0.3, torch.from_numpy(mask))
+    reference = torch.from_numpy(image.transpose(1, 2, 0)).double().requires_grad_()
+    expected = plain_loss(reference, torch.from_numpy(photo).double() / 255, 0.3, torch.from_numpy(mask))
     expected.backward()
-    assert twin.grad is not None
+    assert reference.grad is not None
     loss = PhotometricLoss(0.3, Workspace())
     for key in (None, "photo", "photo"):  # the second time the photo's moments are remembered
         gradient = np.empty_like(image)
-        value = loss.pull(image, photo, mask if masked else None, gradient, key=key)
+        value = loss.backward(image, photo, mask if masked else None, gradient, key=key)
         assert value == pytest.approx(expected.item(), rel=1e-5)
         found = torch.from_numpy(gradient.transpose(1, 2, 0)).double()
-        torch.testing.assert_close(found, twin.grad, rtol=1e-4, atol=1e-5 * float(twin.grad.abs().max()))
+        torch.testing.assert_close(found, reference.grad, rtol=1e-4, atol=1e-5 * float(reference.grad.abs().max()))
 
 
 def test_a_smaller_image_after_a_larger_one_costs_what_it_costs_alone() -> None:
@@ -61,8 +61,11 @@ def test_a_smaller_image_after_a_larger_one_costs_what_it_costs_alone() -> None:
     loss = PhotometricLoss(0.2, Workspace())
     for size in ((40, 50), (20, 25), (40, 50)):
         image, photo = random.random((3, *size)).astype(np.float32), random.integers(0, 256, (*size, 3), dtype=np.uint8)
-        alone = PhotometricLoss(0.2, Workspace()).pull(image, photo, None, np.empty_like(image))
-        assert loss.pull(image, photo, None, np.empty_like(image), key=size) in (alone, pytest.approx(alone, rel=1e-6))
+        alone = PhotometricLoss(0.2, Workspace()).backward(image, photo, None, np.empty_like(image))
+        assert loss.backward(image, photo, None, np.empty_like(image), key=size) in (
+            alone,
+            pytest.approx(alone, rel=1e-6),
+        )
         loss = PhotometricLoss(0.2, loss.workspace)
 
 
@@ -97,12 +100,12 @@ def test_a_photo_a_little_narrower_than_the_last_one_sees_nothing_of_it() -> Non
         image = random.random((3, 20, width)).astype(np.float32)
         photo = random.integers(0, 256, (20, width, 3), dtype=np.uint8)
         alone, gradient, expected = PhotometricLoss(0.2, Workspace()), np.empty_like(image), np.empty_like(image)
-        assert loss.pull(image, photo, None, gradient) == alone.pull(image, photo, None, expected)
+        assert loss.backward(image, photo, None, gradient) == alone.backward(image, photo, None, expected)
         np.testing.assert_array_equal(gradient, expected)
 
 
 def test_an_all_black_mask_costs_nothing_and_pulls_nowhere() -> None:
     image, gradient = np.random.default_rng(3).random((3, 6, 7)).astype(np.float32), np.ones((3, 6, 7), np.float32)
     loss = PhotometricLoss(0.2, Workspace())
-    assert loss.pull(image, np.zeros((6, 7, 3), np.uint8), np.zeros((6, 7), bool), gradient) == 0.0
+    assert loss.backward(image, np.zeros((6, 7, 3), np.uint8), np.zeros((6, 7), bool), gradient) == 0.0
     assert not gradient.any()

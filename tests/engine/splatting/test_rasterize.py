@@ -15,7 +15,7 @@ from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 from fruitlangs.engine.splatting.kernels.surface import NOTHING
-from fruitlangs.engine.splatting.rendering.agreement import compare_with_twin
+from fruitlangs.engine.splatting.rendering.agreement import compare_with_reference
 from fruitlangs.engine.splatting.rendering.rasterize import accumulate, draw_surface, measure_load, render
 from fruitlangs.engine.splatting.rendering.reference import blending_weights
 from fruitlangs.engine.splatting.rendering.render import DrawRules, near_plane
@@ -27,14 +27,14 @@ def doubled(gaussians: Gaussians) -> Gaussians:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_values_and_gradients_agree_with_the_twin(degree: int) -> None:
-    errors = compare_with_twin(random_gaussians(60, degree, seed=degree), ring_camera(), seed=degree)
+    errors = compare_with_reference(random_gaussians(60, degree, seed=degree), ring_camera(), seed=degree)
     assert set(errors) >= {"color", "depth", "alpha", "features", "d means", "d sh", "d quats", "d offsets"}
     assert max(errors.values()) < 1e-4, errors
 
 
 def test_values_and_gradients_of_antialiased_drawing_agree_with_the_twin() -> None:
     gaussians = random_gaussians(80, 1, seed=5, log_scale=-3.5)  # many smaller than a pixel
-    errors = compare_with_twin(replace(gaussians, antialiased=True), ring_camera(), seed=5)
+    errors = compare_with_reference(replace(gaussians, antialiased=True), ring_camera(), seed=5)
     assert max(errors.values()) < 1e-3, errors
     assert not torch.equal(
         render(replace(gaussians, antialiased=True), ring_camera()).color, render(gaussians, ring_camera()).color
@@ -81,7 +81,7 @@ def test_gaussians_beside_and_behind_the_camera_agree_with_the_twin() -> None:
     gaussians = random_gaussians(80, 1, seed=4, log_scale=-1.0)
     gaussians.means[:40, 2] -= 3.5
     gaussians.means[:20] *= torch.tensor([4.0, 3.0, 1.0])
-    errors = compare_with_twin(gaussians, ring_camera(0.0), seed=4)
+    errors = compare_with_reference(gaussians, ring_camera(0.0), seed=4)
     assert max(errors.values()) < 1e-3, errors
 
 
@@ -90,7 +90,7 @@ def test_opaque_stacks_stop_as_in_the_twin() -> None:
     gaussians.opacity_logits.add_(4.0)
     camera = ring_camera(width=33, height=21, focal=30.0)
     assert float(render(gaussians, camera).alpha.max()) > 0.9999
-    errors = compare_with_twin(gaussians, camera, seed=6)
+    errors = compare_with_reference(gaussians, camera, seed=6)
     assert max(errors.values()) < 1e-3, errors
 
 
@@ -238,13 +238,13 @@ def test_a_target_of_another_size_is_refused() -> None:
 def test_screen_pulls_are_sums_of_absolute_gradients_of_the_pixels() -> None:
     gaussians, camera = random_gaussians(3, 0, seed=3, log_scale=-1.5), ring_camera(width=20, height=18, focal=20.0)
     weights = torch.randn(18, 20, 3, generator=torch.Generator().manual_seed(2))
-    pulls, expected = torch.zeros(3, 2), torch.zeros(3, 2)
+    mean_gradients, expected = torch.zeros(3, 2), torch.zeros(3, 2)
     gaussians.means.requires_grad_()
-    (render(gaussians, camera, screen_pulls=pulls).color * weights).sum().backward()
+    (render(gaussians, camera, screen_pulls=mean_gradients).color * weights).sum().backward()
     for y in range(18):
         for x in range(20):
             offsets = torch.zeros(3, 2, requires_grad=True)
             (render(gaussians, camera, screen_offsets=offsets).color * weights)[y, x].sum().backward()
             assert offsets.grad is not None
             expected += offsets.grad.abs()
-    torch.testing.assert_close(pulls, expected, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(mean_gradients, expected, rtol=1e-4, atol=1e-4)

@@ -23,8 +23,8 @@ from fruitlangs.engine.splatting.rendering.render import (
     blend_view,
     load_view,
     project_view,
-    pull_view,
     tile_view,
+    view_backward,
 )
 from fruitlangs.engine.splatting.rendering.workspace import Workspace
 from fruitlangs.engine.splatting.training.exposure import Exposures, fitted
@@ -53,14 +53,14 @@ def drawn(
     return arrays, rules, tiles, blend_view(tiles, np.zeros((len(gaussians), 0), np.float32), camera, Workspace())
 
 
-def pulled(
+def parameter_gradients(
     gaussians: Gaussians,
     camera: Camera,
     gradients: NDArray[np.float32],
     load_gradient: NDArray[np.float32] | None = None,
 ) -> dict[str, NDArray[np.float32]]:
     arrays, rules, tiles, planes = drawn(gaussians, camera)
-    found = pull_view(
+    found = view_backward(
         arrays, camera, rules, tiles, planes, gradients, Workspace(),
         features=np.zeros((len(gaussians), 0), np.float32), background=BLACK, load_gradient=load_gradient,
     )  # fmt: skip
@@ -69,7 +69,7 @@ def pulled(
     return found
 
 
-def loads_of_twin(gaussians: Gaussians, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+def reference_loads(gaussians: Gaussians, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
     """ℓ and its stand-in from the twin's weights: α = weight / transmittance before."""
     weights, _ = blending_weights(gaussians, camera)
     before = 1 - torch.cat([torch.zeros_like(weights[:1]), weights.cumsum(0)[:-1]])
@@ -81,7 +81,7 @@ def test_loads_count_the_gaussians_that_a_pixel_blends() -> None:
     gaussians, camera = random_gaussians(80, 0, seed=3), ring_camera()
     _, _, tiles, planes = drawn(gaussians, camera)
     loads = load_view(tiles, planes, Workspace())
-    count, soft = loads_of_twin(double(gaussians), camera)
+    count, soft = reference_loads(double(gaussians), camera)
     assert float((torch.from_numpy(loads[0]) != count).double().mean()) < 0.002  # α within rounding of 1/255
     torch.testing.assert_close(torch.from_numpy(loads[1]).double(), soft, rtol=1e-3, atol=0.07)
 
@@ -90,9 +90,9 @@ def test_the_gradient_of_the_loads_agrees_with_the_twin() -> None:
     gaussians, camera = random_gaussians(60, 0, seed=4), ring_camera()
     weights = torch.randn(camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     nothing = np.zeros((5, camera.height, camera.width), np.float32)
-    ours = pulled(gaussians, camera, nothing, weights.numpy())
+    ours = parameter_gradients(gaussians, camera, nothing, weights.numpy())
     leaves = {name: getattr(gaussians, name).double().requires_grad_() for name in PARAMETERS}
-    (loads_of_twin(Gaussians(**leaves), camera)[1] * weights).sum().backward()
+    (reference_loads(Gaussians(**leaves), camera)[1] * weights).sum().backward()
     for name in ("means", "log_scales", "opacity_logits", "quats"):
         theirs = leaves[name].grad
         assert theirs is not None
@@ -102,13 +102,13 @@ def test_the_gradient_of_the_loads_agrees_with_the_twin() -> None:
 
 def test_unevenness_is_deviation_over_mean_with_its_gradient() -> None:
     loads = np.random.default_rng(0).random((7, 9)).astype(np.float32)
-    twin = torch.from_numpy(loads).double().requires_grad_()
-    expected = twin.std(correction=0) / twin.mean()
+    reference = torch.from_numpy(loads).double().requires_grad_()
+    expected = reference.std(correction=0) / reference.mean()
     expected.backward()
     value, gradient = unevenness(loads)
     assert value == pytest.approx(expected.item(), rel=1e-6)
-    assert twin.grad is not None
-    torch.testing.assert_close(torch.from_numpy(gradient).double(), twin.grad, rtol=1e-4, atol=1e-8)
+    assert reference.grad is not None
+    torch.testing.assert_close(torch.from_numpy(gradient).double(), reference.grad, rtol=1e-4, atol=1e-8)
     assert unevenness(np.ones((3, 3), np.float32))[0] == 0.0
 
 
@@ -119,7 +119,7 @@ def test_the_gradient_of_a_pose_agrees_with_the_twins_differences() -> None:
     )
     gradients = np.zeros((5, camera.height, camera.width), np.float32)
     gradients[:3] = weights.permute(2, 0, 1).numpy()
-    ours = twist_gradient(camera.world_to_camera, pulled(gaussians, camera, gradients)["pose"])
+    ours = twist_gradient(camera.world_to_camera, parameter_gradients(gaussians, camera, gradients)["pose"])
 
     def value(twist: NDArray[np.float64]) -> float:
         turned = replace(camera, world_to_camera=moved(camera.world_to_camera, twist))
@@ -141,7 +141,7 @@ def test_a_pose_moves_back_to_where_the_photo_was_taken() -> None:
         here = poses.camera(0, camera)
         gradients = np.zeros((5, camera.height, camera.width), np.float32)
         gradients[:3] = np.sign(drawn(gaussians, here)[3][:3] - target)
-        poses.learn(0, pulled(gaussians, here, gradients)["pose"], step / 120, 4.0)
+        poses.learn(0, parameter_gradients(gaussians, here, gradients)["pose"], step / 120, 4.0)
 
     def away(matrix: NDArray[np.float64]) -> float:
         return float(np.linalg.norm(matrix @ np.linalg.inv(camera.world_to_camera) - np.eye(4)))
@@ -201,15 +201,15 @@ def test_only_drawn_gaussians_move_as_if_the_steps_between_had_not_been() -> Non
 def test_adam_is_that_of_torch_for_what_every_view_draws() -> None:
     start = random_gaussians(5, 0, seed=3)
     parameters = Parameters.start(start)
-    twin = start.means.double().clone().requires_grad_()
-    optimiser = torch.optim.Adam([twin], lr=0.1, eps=1e-15)
+    reference = start.means.double().clone().requires_grad_()
+    optimiser = torch.optim.Adam([reference], lr=0.1, eps=1e-15)
     random = np.random.default_rng(0)
     for _ in range(20):
         gradients = {name: random.normal(size=getattr(start, name).shape).astype(np.float32) for name in PARAMETERS}
         parameters.update(gradients, RATES, 0, np.ones(5, np.int32))
-        twin.grad = torch.from_numpy(gradients["means"]).double()
+        reference.grad = torch.from_numpy(gradients["means"]).double()
         optimiser.step()
-    torch.testing.assert_close(parameters.values["means"].double(), twin.detach(), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(parameters.values["means"].double(), reference.detach(), rtol=1e-4, atol=1e-5)
 
 
 def test_harmonics_above_the_degree_stay() -> None:
@@ -260,8 +260,10 @@ def test_regularisers_are_the_gradients_of_means_over_gaussians() -> None:
     config = TrainConfig(opacity_weight=0.3, scale_weight=0.2, flatness_weight=0.1)
     parameters = Parameters.start(random_gaussians(20, 0, seed=9))
     leaves = {name: parameters.values[name].double().requires_grad_() for name in PARAMETERS}
-    twin = Gaussians(**leaves)
-    penalty = 0.3 * twin.opacities.mean() + 0.2 * twin.scales.mean() / 5 + 0.1 * twin.scales.amin(1).mean() / 5
+    reference = Gaussians(**leaves)
+    penalty = (
+        0.3 * reference.opacities.mean() + 0.2 * reference.scales.mean() / 5 + 0.1 * reference.scales.amin(1).mean() / 5
+    )
     penalty.backward()
     ours = {name: np.zeros(value.shape, np.float32) for name, value in leaves.items()}
     regularise(ours, parameters, config, 5.0)

@@ -51,7 +51,7 @@ def test_a_ratio_is_read_as_it_was_written():
 
 @pytest.mark.parametrize(
     "doubtful",
-    [replace(SURE, variance=100.0), *(replace(SURE, telling=np.eye(len(TELLING))[place]) for place in range(3))],
+    [replace(SURE, variance=100.0), *(replace(SURE, covariates=np.eye(len(TELLING))[place]) for place in range(3))],
 )
 def test_doubtful_candidates_and_hidden_places_widen_the_interval(doubtful: Evidence):
     assert width(doubtful) > 1.1 * width(SURE)
@@ -71,7 +71,7 @@ def test_trained_scenes_have_a_stretch_of_their_own_and_half_as_faint_ones_half_
     ratio = Ratio(0.0, np.zeros(len(TELLING)), 0.1, np.zeros(len(TELLING)), np.array([1.0, 2.0]))
     faint = np.array(TELLING) == "faint"
     parts = (0.0, 0.5 * TRAINED, TRAINED, 3.0 * TRAINED)
-    assert [ratio.deviation(replace(SURE, telling=part * faint)) for part in parts] == pytest.approx(
+    assert [ratio.deviation(replace(SURE, covariates=part * faint)) for part in parts] == pytest.approx(
         [0.1, 0.15, 0.2, 0.2]
     )
 

@@ -127,13 +127,13 @@ def test_the_order_in_which_the_machine_lists_its_fruit_changes_nothing(order):
     assert told[0] == told[1]
 
 
-chances = st.lists(st.floats(0.5, 1.0), min_size=1, max_size=30)
+probabilities = st.lists(st.floats(0.5, 1.0), min_size=1, max_size=30)
 
 
 @settings(max_examples=200)
-@given(chances, st.data())
-def test_an_interval_holds_the_count_and_never_widens(given_chances, data):
-    count, p = len(given_chances), np.array(given_chances)
+@given(probabilities, st.data())
+def test_an_interval_holds_the_count_and_never_widens(given_probabilities, data):
+    count, p = len(given_probabilities), np.array(given_probabilities)
     machine = (data.draw(st.integers(0, count)), data.draw(st.integers(count, count + 20)))
     reviewed = np.array(data.draw(st.lists(st.booleans(), min_size=count, max_size=count)))
     rejected = data.draw(st.integers(0, int(reviewed.sum())))

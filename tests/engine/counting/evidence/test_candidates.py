@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fruitlangs.engine.counting.evidence.candidates import FruitSize, Skin, vote
+from fruitlangs.engine.counting.evidence.candidates import FruitSize, SurfaceIndex, vote
 from fruitlangs.engine.counting.evidence.cluster import USUAL, USUALLY, Clusters, find_fruit, refine, search
 from fruitlangs.engine.counting.evidence.surface_points import SurfacePoints
 from fruitlangs.engine.counting.geometry.random_streams import even_turns
@@ -78,8 +78,8 @@ def test_a_fruit_of_which_little_shows_is_a_centre_only_where_few_votes_are_aske
     whole, corner = np.zeros((1, 3)), np.array([[4.0, 0.0, 0.0]])
     far = np.array([1.0, 0.2, 0.1])
     seen, little = seen_from(whole, far, each=2000), seen_from(corner, far, each=60)
-    skin = Skin.of(joined(seen, little), 1.0)
-    asked = {share: vote(skin, 0.5, share) for share in (0.01, 0.5)}
+    surface = SurfaceIndex.of(joined(seen, little), 1.0)
+    asked = {share: vote(surface, 0.5, share) for share in (0.01, 0.5)}
     near = {share: np.linalg.norm(peaks - corner, axis=1).min() for share, peaks in asked.items()}
     assert near[0.01] < 0.2 < 3.0 < near[0.5]
     assert np.linalg.norm(asked[0.5], axis=1).min() < 0.05
@@ -92,9 +92,9 @@ def test_of_five_fruit_four_that_are_alike_do_not_make_the_fifth_unlikely():
         for number, (place, diameter) in enumerate(zip(places, diameters, strict=True))
         for towards in np.vstack([np.eye(3), -np.eye(3)])
     ]
-    chances = search(joined(*balls), FruitSize(1.0, 0.15), [], 0.5).chances
-    assert len(chances) == 5
-    assert chances.min() > 0.9
+    probabilities = search(joined(*balls), FruitSize(1.0, 0.15), [], 0.5).probabilities
+    assert len(probabilities) == 5
+    assert probabilities.min() > 0.9
 
 
 def test_doubling_every_point_changes_no_fruit():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fruitlangs.engine.counting.evidence.candidates import Candidates, Skin
+from fruitlangs.engine.counting.evidence.candidates import Candidates, SurfaceIndex
 from fruitlangs.engine.counting.evidence.gate import (
     STORED,
     WEIGHED,
@@ -21,7 +21,7 @@ from fruitlangs.engine.counting.evidence.gate import (
 )
 from fruitlangs.engine.counting.evidence.size import FruitSize
 from fruitlangs.engine.counting.evidence.surface_points import SurfacePoints
-from fruitlangs.engine.counting.evidence.visibility import Looks
+from fruitlangs.engine.counting.evidence.visibility import ViewEvidence
 from fruitlangs.engine.counting.geometry.cells import Cells
 from fruitlangs.engine.counting.geometry.random_streams import even_turns
 from fruitlangs.engine.counting.geometry.sphere import Spheres, unit_directions
@@ -33,7 +33,7 @@ WHOLE = {
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, Skin]:
+def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, SurfaceIndex]:
     """Three candidates of 50 points each: a whole fruit, one that is changed, and another whole fruit.
 
     The normals of one whose curvature is 0 all point up, as a leaf's do.
@@ -51,21 +51,21 @@ def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, 
         residual=column["residual"],
         agreement=column["agreement"],
     )
-    looks = Looks(np.ones(3), column["looked"], column["solidity"], np.ones(3), np.full(3, 9))
+    view_evidence = ViewEvidence(np.ones(3), column["looked"], column["solidity"], np.ones(3), np.full(3, 9))
     owners = np.repeat([0, 1, 2], 50)
     outwards = np.tile(unit_directions(50), (3, 1))
     normals = UP + column["curvature"][owners, None] * (outwards - UP)
     positions = spheres.radii[owners, None] * outwards
-    chances = np.where(owners == 1, probability, 1.0)
-    points = SurfacePoints(positions, normals, np.arange(150), chances, outwards, even_turns(150))
-    found = Candidates(spheres, looks, column["share"], column["free"], owners)
-    return found, Skin(points, Cells.of(positions, 1.0), normals)
+    probabilities = np.where(owners == 1, probability, 1.0)
+    points = SurfacePoints(positions, normals, np.arange(150), probabilities, outwards, even_turns(150))
+    found = Candidates(spheres, view_evidence, column["share"], column["free"], owners)
+    return found, SurfaceIndex(points, Cells.of(positions, 1.0), normals)
 
 
 def weighed(threshold: float = 0.5, probability: float = 1.0, **changes: float) -> tuple[np.ndarray, Features]:
-    found, skin = candidates(probability, **changes)
-    features = features_of(found, skin, FruitSize(1.0, 0.1), threshold)
-    return stored_gate().chances(features), features
+    found, surface = candidates(probability, **changes)
+    features = features_of(found, surface, FruitSize(1.0, 0.1), threshold)
+    return stored_gate().probabilities(features), features
 
 
 def test_a_whole_fruit_is_almost_surely_one():
@@ -85,8 +85,8 @@ def test_a_whole_fruit_is_almost_surely_one():
     ],
 )
 def test_what_speaks_against_a_fruit_lowers_its_chance_and_is_named(changes: dict[str, float], told: str):
-    chances, features = weighed(**changes)
-    assert chances[1] < chances[0]
+    probabilities, features = weighed(**changes)
+    assert probabilities[1] < probabilities[0]
     assert stored_gate().reason(features, 1).startswith(told)
 
 
@@ -98,35 +98,35 @@ def test_the_gate_is_told_how_much_is_behind_what_speaks_for_a_fruit():
 
 
 def test_the_normals_of_a_sphere_turn_once_on_each_radius_and_those_of_a_leaf_do_not():
-    found, skin = candidates(curvature=0.0)
-    assert curvatures(found, skin) == pytest.approx([1.0, 0.0, 1.0])
+    found, surface = candidates(curvature=0.0)
+    assert curvatures(found, surface) == pytest.approx([1.0, 0.0, 1.0])
 
 
 def test_a_piece_of_a_sphere_is_as_curved_as_the_whole():
-    found, skin = candidates()
-    cap = skin.points.positions[:, 2] > 0.8 * found.spheres.radii[0]
+    found, surface = candidates()
+    cap = surface.points.positions[:, 2] > 0.8 * found.spheres.radii[0]
     piece = replace(found, owners=np.where(cap | (found.owners != 1), found.owners, -1))
     assert 3 <= (piece.owners == 1).sum() < 10
-    assert curvatures(piece, skin) == pytest.approx([1.0, 1.0, 1.0])
+    assert curvatures(piece, surface) == pytest.approx([1.0, 1.0, 1.0])
 
 
 def test_points_of_which_each_is_there_twice_are_as_curved():
-    found, skin = candidates(curvature=0.4)
+    found, surface = candidates(curvature=0.4)
     twice = np.tile(np.arange(150), 2)
-    doubled = Skin(skin.points.select(twice), skin.cells, skin.normals[twice])
-    assert curvatures(replace(found, owners=found.owners[twice]), doubled) == pytest.approx(curvatures(found, skin))
+    doubled = SurfaceIndex(surface.points.select(twice), surface.cells, surface.normals[twice])
+    assert curvatures(replace(found, owners=found.owners[twice]), doubled) == pytest.approx(curvatures(found, surface))
 
 
 def test_one_point_tells_no_curvature():
-    found, skin = candidates()
+    found, surface = candidates()
     alone = found.owners.copy()
     alone[51:100] = -1
-    assert curvatures(replace(found, owners=alone), skin)[1] == 1.0
+    assert curvatures(replace(found, owners=alone), surface)[1] == 1.0
 
 
 def test_a_faint_candidate_is_refused_whatever_its_form():
-    chances, features = weighed(probability=0.2)
-    assert chances[1] == 0.0
+    probabilities, features = weighed(probability=0.2)
+    assert probabilities[1] == 0.0
     assert stored_gate().reason(features, 1) == "its most probable points come no nearer than 40% to the threshold"
 
 

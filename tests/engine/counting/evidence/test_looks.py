@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fruitlangs.engine.counting.evidence.visibility import RIM, SPOTS, Looks, Picture, look_at
+from fruitlangs.engine.counting.evidence.visibility import RIM, SPOTS, Picture, ViewEvidence, look_at
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.kernels.surface import NOTHING
 
@@ -22,31 +22,31 @@ def picture(depth: float | np.ndarray, fruit: float | np.ndarray = 1.0) -> Pictu
     return Picture(CAMERA, (whole + depth).astype(np.float32), (whole + fruit).astype(np.float32))
 
 
-def looks(*pictures: Picture) -> Looks:
+def view_evidence(*pictures: Picture) -> ViewEvidence:
     """At a sphere straight ahead."""
     return look_at(pictures, np.array([[0.0, 0.0, FAR]]), np.array([RADIUS]), 0.5)
 
 
 def test_a_sphere_that_nothing_hides_is_seen_whole_by_every_view():
-    seen = looks(picture(SURFACE), picture(SURFACE))
+    seen = view_evidence(picture(SURFACE), picture(SURFACE))
     assert (seen.visible_fractions[0], seen.solidity[0], seen.views[0]) == (1.0, 1.0, 2)
     assert seen.free[0] == pytest.approx(2 * SPOTS * RIM**2, abs=2)
 
 
 def test_half_a_sphere_behind_a_leaf_gives_half_the_free_looks_and_is_as_solid():
-    seen = looks(picture(np.where(RIGHT, 3.0, SURFACE), np.where(RIGHT, 0.0, 1.0)))
+    seen = view_evidence(picture(np.where(RIGHT, 3.0, SURFACE), np.where(RIGHT, 0.0, 1.0)))
     assert seen.visible_fractions[0] == pytest.approx(0.5, abs=0.05)
     assert seen.free[0] == pytest.approx(0.5 * SPOTS * RIM**2, abs=2)
     assert seen.solidity[0] == 1.0
 
 
 def test_a_sphere_that_a_view_looks_through_is_not_solid_however_freely_it_is_looked_at():
-    seen = looks(picture(np.where(RIGHT, float(NOTHING), SURFACE)))
+    seen = view_evidence(picture(np.where(RIGHT, float(NOTHING), SURFACE)))
     assert seen.solidity[0] == pytest.approx(0.5, abs=0.05)
     assert seen.free[0] == pytest.approx(SPOTS * RIM**2, abs=2)
 
 
 def test_where_no_view_has_a_free_look_nothing_speaks_against_a_sphere():
-    seen = looks(picture(3.0, 0.0))
+    seen = view_evidence(picture(3.0, 0.0))
     assert (seen.free[0], seen.solidity[0], seen.probabilities[0]) == (0.0, 1.0, 1.0)
     assert seen.visible_fractions[0] == 0.0

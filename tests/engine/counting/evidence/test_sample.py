@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fruitlangs.engine.counting.evidence import surface_points
-from fruitlangs.engine.counting.evidence.surface_points import SKIN, SurfacePoints, sample_skin
+from fruitlangs.engine.counting.evidence.surface_points import SURFACE, SurfacePoints, sample_surface
 from fruitlangs.engine.counting.evidence.visibility import Visibility
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
@@ -28,7 +28,7 @@ def sampled(chosen: Gaussians, budget: int = 3000) -> SurfacePoints:
     n = len(chosen)
     nowhere = np.zeros((3, 4))  # so that the same is drawn wherever the Gaussians are
     seen = Visibility(np.ones(n), np.ones(n, np.int64), np.zeros((n, 3)) + [0.0, 0.0, 1.0], nowhere)
-    return sample_skin(chosen, np.ones(n), seen, np.arange(n), budget=budget, seed=5)
+    return sample_surface(chosen, np.ones(n), seen, np.arange(n), budget=budget, seed=5)
 
 
 def own_distances(chosen: Gaussians, positions: np.ndarray) -> np.ndarray:
@@ -43,7 +43,7 @@ def test_points_lie_on_their_gaussians_skin_and_outside_all_others():
     points = sampled(chosen)
     distances = own_distances(chosen, points.positions)
     assert len(points) > 200
-    assert distances[np.arange(len(points)), points.gaussians] == pytest.approx(np.full(len(points), SKIN), abs=1e-4)
+    assert distances[np.arange(len(points)), points.gaussians] == pytest.approx(np.full(len(points), SURFACE), abs=1e-4)
     opacities = chosen.opacities.double().numpy() * np.exp(-0.5 * distances**2)
     assert opacities.max() <= 0.5 + 1e-4
 

@@ -24,11 +24,11 @@ def fruit(half_axes: tuple[float, float, float], count: int = 60, seen: float = 
     positions, normals, owners = [], [], []
     for number in range(count):
         ball = unit_directions(500)
-        skin, outward = (ball * axes) @ turns[number].T, (ball / axes) @ turns[number].T
+        surface, outward = (ball * axes) @ turns[number].T, (ball / axes) @ turns[number].T
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         shown = outward[:, 2] > seen
         tilted = outward[shown] + TILT * rng.standard_normal((shown.sum(), 3))
-        positions.append(centers[number] + skin[shown] + 2.0 * NOISE * rng.standard_normal((shown.sum(), 3)))
+        positions.append(centers[number] + surface[shown] + 2.0 * NOISE * rng.standard_normal((shown.sum(), 3)))
         normals.append(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
         owners.append(np.full(int(shown.sum()), number))
     return np.concatenate(positions), np.concatenate(normals), np.concatenate(owners), centers, turns

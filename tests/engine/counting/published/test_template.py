@@ -25,8 +25,8 @@ from fruitlangs.engine.counting.published.template import split_by_template
 from fruitlangs.engine.counting.published.template_shape import Template, ball
 from fruitlangs.engine.errors import Cancelled, FormatError
 
-ROADS = [split_by_template, cluster_as_fruitnerf]
-EVERY_ROAD = pytest.mark.parametrize("road", ROADS, ids=["template", "fruitnerf"])
+METHODS = [split_by_template, cluster_as_fruitnerf]
+EVERY_METHOD = pytest.mark.parametrize("method", METHODS, ids=["template", "fruitnerf"])
 ONCE = settings(
     max_examples=4, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
 )
@@ -63,18 +63,18 @@ def off(clusters: Clusters, centers: np.ndarray) -> float:
     return float(np.linalg.norm(centers[:, None] - clusters.spheres.centers, axis=2).min(axis=1).max())
 
 
-@EVERY_ROAD
-def test_balls_apart_are_one_fruit_each_at_their_centres(road) -> None:
-    found = road(balls(APART), 1.0)
+@EVERY_METHOD
+def test_balls_apart_are_one_fruit_each_at_their_centres(method) -> None:
+    found = method(balls(APART), 1.0)
     assert len(found.spheres) == 4
     assert off(found, APART) < 0.05
 
 
-@EVERY_ROAD
+@EVERY_METHOD
 @pytest.mark.parametrize("count", [2, 3, 5])
-def test_balls_in_a_chain_are_split(road, count: int) -> None:
+def test_balls_in_a_chain_are_split(method, count: int) -> None:
     chain = np.concatenate([np.outer(np.arange(count), [1.0, 0.0, 0.0]), APART[2:] + [0.0, 3.0, 3.0]])
-    found = road(balls(chain), 1.0)
+    found = method(balls(chain), 1.0)
     assert len(found.spheres) == count + 2
     assert off(found, chain) < 0.25
 
@@ -99,11 +99,13 @@ def test_a_cap_is_a_small_fruit_to_the_paper_and_nothing_to_fruitnerf() -> None:
     assert any("(0.3 is asked)" in reason for reason in rival.refusals.values())
 
 
-@EVERY_ROAD
-def test_a_leaf_is_no_fruit(road) -> None:
+@EVERY_METHOD
+def test_a_leaf_is_no_fruit(method) -> None:
     leaf = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 3)) * [0.7, 0.35, 0.01] + [6.0, 6.0, 6.0]
     up = np.tile([0.0, 0.0, 1.0], (400, 1))
-    found = road(joined(balls(APART), SurfacePoints(leaf, up, np.arange(400), np.ones(400), up, even_turns(400))), 1.0)
+    found = method(
+        joined(balls(APART), SurfacePoints(leaf, up, np.arange(400), np.ones(400), up, even_turns(400))), 1.0
+    )
     assert len(found.spheres) == 4
 
 
@@ -135,9 +137,9 @@ def test_a_template_is_laid_onto_half_of_its_own_turned_points() -> None:
     assert fit.hausdorff == fit.bare
 
 
-@EVERY_ROAD
-def test_the_audit_names_volume_distance_and_gamma_of_every_kept_cluster(road) -> None:
-    found = road(balls(np.concatenate([APART, [[1.0, 0.0, 0.0]]])), 1.0)
+@EVERY_METHOD
+def test_the_audit_names_volume_distance_and_gamma_of_every_kept_cluster(method) -> None:
+    found = method(balls(np.concatenate([APART, [[1.0, 0.0, 0.0]]])), 1.0)
     told = [
         re.fullmatch(r"a (single fruit|compound): its alpha shape has (\d\.\d\d) template volumes, .*"
                      r" (\d\.\d\d) diameters, γ = (\d)", reason)
@@ -148,10 +150,10 @@ def test_the_audit_names_volume_distance_and_gamma_of_every_kept_cluster(road) -
     assert all(0.8 < float(match[2]) / int(match[4]) < 1.3 for match in told if match)
 
 
-@EVERY_ROAD
+@EVERY_METHOD
 @ONCE
 @given(seed=st.integers(0, 1000), scale=st.floats(0.01, 100.0))
-def test_moving_turning_and_scaling_leaves_the_count_alone(road, seed: int, scale: float) -> None:
+def test_moving_turning_and_scaling_leaves_the_count_alone(method, seed: int, scale: float) -> None:
     centers = np.concatenate([APART, [[1.0, 0.0, 0.0]]])
     points, turn = balls(centers), Rotation.random(random_state=seed)
     moved = dataclasses.replace(
@@ -160,27 +162,27 @@ def test_moving_turning_and_scaling_leaves_the_count_alone(road, seed: int, scal
         normals=turn.apply(points.normals),
         directions=turn.apply(points.directions),
     )
-    found = road(moved, scale)
+    found = method(moved, scale)
     assert len(found.spheres) == len(centers)
     assert off(found, scale * (turn.apply(centers) + [4.0, 5.0, 6.0])) < 0.25 * scale
 
 
-@EVERY_ROAD
-def test_a_few_scattered_points_are_no_fruit_and_no_failure(road) -> None:
+@EVERY_METHOD
+def test_a_few_scattered_points_are_no_fruit_and_no_failure(method) -> None:
     spots, up = np.random.default_rng(0).uniform(-9.0, 9.0, (7, 3)), np.tile([0.0, 0.0, 1.0], (7, 1))
-    found = road(SurfacePoints(spots, up, np.arange(7), np.ones(7), up, even_turns(7)), 1.0)
+    found = method(SurfacePoints(spots, up, np.arange(7), np.ones(7), up, even_turns(7)), 1.0)
     assert len(found.spheres) == 0
     assert found.refusal(0) == "too thin to be part of any cluster"
 
 
-@EVERY_ROAD
-def test_it_can_be_cancelled(road) -> None:
+@EVERY_METHOD
+def test_it_can_be_cancelled(method) -> None:
     def stop(fraction: float, message: str) -> None:
         if fraction > 0.4:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        road(balls(APART), 1.0, progress=stop)
+        method(balls(APART), 1.0, progress=stop)
 
 
 def test_points_are_shared_out_by_volume_also_where_gaussians_outnumber_them() -> None:

@@ -20,7 +20,7 @@ from fruitlangs.engine.files import file_hash
 from fruitlangs.engine.pipeline import Result, count_scene
 from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
-from fruitlangs.engine.splatting.imported.imported_gaussians import borrow
+from fruitlangs.engine.splatting.imported.imported_gaussians import import_gaussians
 from fruitlangs.engine.splatting.ply import read_ply, write_ply
 from fruitlangs.engine.splatting.subject import viewpoints
 
@@ -37,7 +37,7 @@ def trained(few_photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Resul
 @pytest.fixture(scope="module")
 def file(trained: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the training made, as a .ply with nothing around it."""
-    return Path(shutil.copy(trained.out / "gaussians.ply", tmp_path_factory.mktemp("foreign") / "tree.ply"))
+    return Path(shutil.copy(trained.out / "gaussians.ply", tmp_path_factory.mktemp("imported") / "tree.ply"))
 
 
 @pytest.fixture
@@ -50,10 +50,10 @@ def document(out: Path) -> dict:
     return json.loads((out / "fruits.json").read_text(encoding="utf-8"))
 
 
-def test_own_gaussians_given_as_foreign_count_as_trained_ones_to_the_byte(
+def test_own_gaussians_that_are_imported_count_as_trained_ones_to_the_byte(
     trained: Result, file: Path, few_photos: Path, tmp_path: Path
 ) -> None:
-    given = count_scene(few_photos, ["fruit"], tmp_path, foreign=file, config=TINY)
+    given = count_scene(few_photos, ["fruit"], tmp_path, imported=file, config=TINY)
     for name in ("gaussians.ply", "features.safetensors", "cameras.json", "fruits.csv", "fruits.glb", "fruits.ply"):
         assert (given.out / name).read_bytes() == (trained.out / name).read_bytes(), name
     assert document(given.out)["audit"] == document(trained.out)["audit"]
@@ -67,7 +67,7 @@ def test_a_file_alone_is_counted_in_and_the_result_is_complete(
     assert all((tmp_path / name).is_file() for name in names)
     assert len(list((tmp_path / "pictures").glob("view_drawn_*.png"))) == 4
     assert len(result.scene.cameras) == 6
-    assert document(tmp_path)["provenance"]["foreign"] == {
+    assert document(tmp_path)["provenance"]["imported"] == {
         "file": file.name, "sha256": file_hash(file), "kind": "gaussians", "cameras": "placed"
     }  # fmt: skip
     assert any("6 cameras were placed around tree.ply" in notice for notice in result.notices)
@@ -79,14 +79,27 @@ def test_another_prompt_needs_neither_the_file_nor_another_lifting(
     alone = Path(shutil.copy(file, tmp_path / "alone.ply"))
     first = count_scene(alone, ["fruit"], tmp_path / "first", config=TINY)
     again = count_scene(alone, ["leaf"], tmp_path / "first", config=TINY)
-    assert again.reused == ["borrow", "embed"]
+    assert again.reused == ["import", "embed"]
     assert [told for told in again.notices if "diameter" not in told] == first.notices[:2]
     alone.unlink()
     asked = count_scene(tmp_path / "first", ["leaf"], tmp_path / "asked", config=TINY)
     assert document(asked.out)["fruits"] == document(again.out)["fruits"]
-    assert document(asked.out)["provenance"]["foreign"] == document(again.out)["provenance"]["foreign"]
+    assert document(asked.out)["provenance"]["imported"] == document(again.out)["provenance"]["imported"]
     for picture in (again.out / "pictures").iterdir():
         assert (asked.out / "pictures" / picture.name).read_bytes() == picture.read_bytes()
+
+
+def test_a_result_of_an_earlier_version_names_its_import_by_the_former_key(
+    file: Path, few_small_views: None, tmp_path: Path
+) -> None:
+    first = count_scene(file, ["fruit"], tmp_path / "first", config=TINY)
+    stored = document(first.out)
+    record = stored["provenance"].pop("imported")
+    stored["provenance"]["foreign"] = record
+    (first.out / "fruits.json").write_text(json.dumps(stored), encoding="utf-8")
+    asked = count_scene(first.out, ["leaf"], tmp_path / "asked", config=TINY)
+    assert document(asked.out)["provenance"]["imported"] == record
+    assert (asked.out / "pictures").is_dir()
 
 
 def test_a_given_up_direction_is_that_of_the_result(file: Path, few_small_views: None, tmp_path: Path) -> None:
@@ -100,7 +113,7 @@ def test_a_given_up_direction_is_that_of_the_result(file: Path, few_small_views:
 def test_a_place_where_the_file_would_be_overwritten_is_refused(few_photos: Path, file: Path) -> None:
     before = file.read_bytes()
     with pytest.raises(OutputError, match=r"tree\.ply"):
-        count_scene(few_photos, ["fruit"], file.parent, foreign=file)
+        count_scene(few_photos, ["fruit"], file.parent, imported=file)
     with pytest.raises(OutputError, match="another folder"):
         count_scene(file, ["fruit"], file.parent)
     assert file.read_bytes() == before
@@ -109,7 +122,7 @@ def test_a_place_where_the_file_would_be_overwritten_is_refused(few_photos: Path
 def test_a_source_with_its_own_gaussians_takes_no_others(trained: Result, file: Path, tmp_path: Path) -> None:
     for source in (trained.out, file):
         with pytest.raises(ConfigError, match="own Gaussians"):
-            count_scene(source, ["fruit"], tmp_path / "out", foreign=file)
+            count_scene(source, ["fruit"], tmp_path / "out", imported=file)
 
 
 def made_scene() -> tuple[Scene, Gaussians]:
@@ -130,7 +143,7 @@ def moved(gaussians: Gaussians, path: Path, *, turn: float = 0.0, shift: float =
 
 def test_a_reconstruction_in_the_frame_of_the_photos_is_taken(tmp_path: Path) -> None:
     scene, gaussians = made_scene()
-    taken = borrow(moved(gaussians, tmp_path / "g.ply"), scene, "hash", SceneConfig(), tmp_path / "cache")
+    taken = import_gaussians(moved(gaussians, tmp_path / "g.ply"), scene, "hash", SceneConfig(), tmp_path / "cache")
     assert torch.equal(taken.gaussians.means, gaussians.means)
     assert taken.scene.images is scene.images
 
@@ -138,14 +151,18 @@ def test_a_reconstruction_in_the_frame_of_the_photos_is_taken(tmp_path: Path) ->
 def test_a_reconstruction_that_the_cameras_do_not_see_is_an_error(tmp_path: Path) -> None:
     scene, gaussians = made_scene()
     with pytest.raises(SceneError, match=r"next to nothing of .*g\.ply.*frames differ"):
-        borrow(moved(gaussians, tmp_path / "g.ply", shift=300.0), scene, "hash", SceneConfig(), tmp_path / "cache")
+        import_gaussians(
+            moved(gaussians, tmp_path / "g.ply", shift=300.0), scene, "hash", SceneConfig(), tmp_path / "cache"
+        )
     assert not (tmp_path / "cache").exists()
 
 
 def test_a_reconstruction_that_looks_otherwise_than_the_photos_is_an_error(tmp_path: Path) -> None:
     scene, gaussians = made_scene()
     with pytest.raises(SceneError, match=r"g\.ply looks no more like the photos.*frames differ"):
-        borrow(moved(gaussians, tmp_path / "g.ply", turn=2.2), scene, "hash", SceneConfig(), tmp_path / "cache")
+        import_gaussians(
+            moved(gaussians, tmp_path / "g.ply", turn=2.2), scene, "hash", SceneConfig(), tmp_path / "cache"
+        )
 
 
 def test_coloured_points_in_the_frame_of_the_photos_are_counted_in(
@@ -156,7 +173,7 @@ def test_coloured_points_in_the_frame_of_the_photos_are_counted_in(
     cloud = write_cloud(
         tmp_path / "cloud.ply", gaussians.means[solid].numpy(), (255 * gaussians.base_colors[solid]).numpy()
     )
-    result = count_scene(few_photos, ["fruit"], tmp_path / "out", foreign=cloud, config=TINY)
-    kept = document(result.out)["provenance"]["foreign"]
+    result = count_scene(few_photos, ["fruit"], tmp_path / "out", imported=cloud, config=TINY)
+    kept = document(result.out)["provenance"]["imported"]
     assert (kept["kind"], kept["cameras"]) == ("points", "given")
     assert len(read_ply(result.out / "gaussians.ply")) == int(solid.sum())
