@@ -110,7 +110,7 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     from fruitlangs.operators.drawing import splat_drawing
     from fruitlangs.operators.drawing.splat_order import back_to_front
     from fruitlangs.operators.drawing.splat_textures import SplatTextures, order_texture
-    from fruitlangs.operators.viewport.appearance import apply_look
+    from fruitlangs.operators.viewport.appearance import apply_appearance
     from fruitlangs.operators.viewport.gaussian_nodes import gaussian_node_group
     from fruitlangs.operators.viewport.splats import splats_of_mesh
 
@@ -134,7 +134,7 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
 
     def redraws(style: str) -> float:
         settings.look.style = style
-        apply_look(bpy_scene)
+        apply_appearance(bpy_scene)
         redraw()
         return seconds(redraw, repeats)
 
