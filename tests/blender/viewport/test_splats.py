@@ -246,7 +246,9 @@ def test_a_window_hides_ellipsoids_but_not_in_the_file_on_disk(extension, counte
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     assert not get_input(item.modifiers[0], "In Viewport")
     monkeypatch.setattr(appearance, "apply_appearances", lambda *_: None)
-    bpy.app.handlers.load_post[:] = [item for item in bpy.app.handlers.load_post if item.__name__ != "apply_appearances"]
+    bpy.app.handlers.load_post[:] = [
+        item for item in bpy.app.handlers.load_post if item.__name__ != "apply_appearances"
+    ]
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     assert get_input(owned_object(bpy.context.scene, "gaussians").modifiers[0], "In Viewport")
 
