@@ -141,7 +141,7 @@ METHODS: Mapping[str, Callable[[Surface], Found]] = {
     "DBSCAN + mass ratio": by_mass,
     "plain centre voting": by_votes,
     "FruitNeRF's clustering": partial(by_method, "fruitnerf"),
-    "paper's template road": partial(by_method, "template"),
+    "paper's template method": partial(by_method, "template"),
     "ours": ours,
 }
 """By name."""

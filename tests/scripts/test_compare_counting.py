@@ -94,7 +94,7 @@ def test_ours_on_a_scene_counts_what_its_rung_counts(tmp_path: Path):
         ("DBSCAN + mass ratio", 0.85),
         ("plain centre voting", 0.85),
         ("FruitNeRF's clustering", 0.85),
-        ("paper's template road", 0.9),
+        ("paper's template method", 0.9),
         ("ours", 0.95),
     ],
 )

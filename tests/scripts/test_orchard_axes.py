@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fruitlangs.orchard.cameras.camera_path import Place, walk
+from fruitlangs.orchard.cameras.camera_path import Place, camera_places
 from fruitlangs.orchard.cameras.close_ups import close_ups
 from fruitlangs.orchard.cameras.poses import disturbed
 from fruitlangs.orchard.cameras.shake import shaken
@@ -92,7 +92,7 @@ def test_a_row_has_trees_along_x_each_with_its_own_fruit() -> None:
 def test_neighbours_stand_behind_and_in_front_beyond_the_camera() -> None:
     config = OrchardConfig(neighbours=4, fruits=5, leaves=120, views=12)
     orchard = plant(config)
-    cameras = walk(np.random.default_rng(0), config, orchard.species, orchard.place)
+    cameras = camera_places(np.random.default_rng(0), config, orchard.species, orchard.place)
     farthest = max(abs(view.position[1]) for view in cameras)
     sides = [n.foot[1] for n in orchard.neighbours]
     assert sum(y > farthest for y in sides) == sum(y < -farthest for y in sides) == 2
@@ -154,7 +154,7 @@ def test_tags_hang_on_twigs() -> None:
 def test_a_half_ring_stays_on_its_side_and_a_ring_goes_around() -> None:
     def lowest_and_highest_y(path: str) -> tuple[float, float]:
         config = OrchardConfig(path=path, views=24)
-        y = [v.position[1] for v in walk(np.random.default_rng(0), config, APPLE, PLACE)]
+        y = [v.position[1] for v in camera_places(np.random.default_rng(0), config, APPLE, PLACE)]
         return min(y), max(y)
 
     assert lowest_and_highest_y("ring")[1] > 2.0
@@ -165,7 +165,7 @@ def test_a_half_ring_stays_on_its_side_and_a_ring_goes_around() -> None:
 def test_a_walk_along_the_row_goes_to_and_fro_at_two_heights() -> None:
     config = OrchardConfig(path="row", views=20, trees=3)
     place = Place(crown=np.array([[-2.4, -0.6, 0.5], [2.4, 0.6, 1.7]]), half_row=1.8, part=None)
-    spots = np.array([v.position for v in walk(np.random.default_rng(0), config, APPLE, place)])
+    spots = np.array([v.position for v in camera_places(np.random.default_rng(0), config, APPLE, place)])
     assert spots[:, 1].max() < -2.0
     assert (np.diff(spots[:10, 0]) > 0).all()
     assert (np.diff(spots[10:, 0]) < 0).all()
@@ -178,7 +178,7 @@ def test_a_narrow_picture_looks_at_a_part_of_the_crown_where_the_fruit_gather() 
     part = orchard.place.part
     assert part is not None
     centers = np.array([f.body.center for f in orchard.fruits if f.kind == "hanging"])
-    for view in walk(np.random.default_rng(0), config, orchard.species, orchard.place):
+    for view in camera_places(np.random.default_rng(0), config, orchard.species, orchard.place):
         pixels, depths = view.project(centers)
         assert ((pixels > 0) & (pixels < [300, 225])).all(axis=1).mean() > 0.3
         assert np.median(view.focal * 0.023 / depths) == pytest.approx(14.0, rel=0.2)

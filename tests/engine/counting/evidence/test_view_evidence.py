@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fruitlangs.engine.counting.evidence.visibility import RIM, SPOTS, Picture, ViewEvidence, look_at
+from fruitlangs.engine.counting.evidence.visibility import RIM, SPOTS, Picture, ViewEvidence, gather_view_evidence
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.kernels.surface import NOTHING
 
@@ -24,7 +24,7 @@ def picture(depth: float | np.ndarray, fruit: float | np.ndarray = 1.0) -> Pictu
 
 def view_evidence(*pictures: Picture) -> ViewEvidence:
     """At a sphere straight ahead."""
-    return look_at(pictures, np.array([[0.0, 0.0, FAR]]), np.array([RADIUS]), 0.5)
+    return gather_view_evidence(pictures, np.array([[0.0, 0.0, FAR]]), np.array([RADIUS]), 0.5)
 
 
 def test_a_sphere_that_nothing_hides_is_seen_whole_by_every_view():
