@@ -11,12 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
-    "README.md",
-    "ARCHITECTURE.md",
-    "docs/blender.md",
-    "docs/capture.md",
-    "docs/count.md",
-    "engine/report/page.html",
+    *("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "engine/report/page.html"),
+    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
 )
 CODE = ("engine", "operators", "fruitlangs_addon", "scripts")
 WORDS = {
@@ -107,6 +103,11 @@ def test_the_words_are_found_where_they_stand() -> None:
 def test_links_of_pages_lead_to_files(path: Path) -> None:
     links = re.findall(r"\]\(([^)#]+)", path.read_text(encoding="utf-8"))
     assert [link for link in links if "://" not in link and not (path.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
+def test_a_page_is_short(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").split()) <= 1500
 
 
 def test_the_readme_and_the_architecture_stay_short() -> None:
