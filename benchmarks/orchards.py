@@ -40,9 +40,9 @@ def read_origin(folder: Path) -> Origin:
         complete = document.get("complete") is True
         origin = Origin(species=str(document["config"]["species"]), seed=int(document["config"]["seed"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FormatError(f"{path} is damaged ({error}); make the scene again") from error
+        raise FormatError(f"{path} is damaged ({error}). Make the scene again") from error
     if not complete:
-        raise FormatError(f"{folder} is half-made; run make_orchard.py with the same settings again, it goes on")
+        raise FormatError(f"{folder} is half-made. Run make_orchard.py with the same settings again, it goes on")
     return origin
 
 
@@ -59,8 +59,8 @@ def scene_folder(name: str, made: Path, *, report: Callable[[str], None] = lambd
     preset, _, seed = name.partition(":")
     if not (PRESETS / f"{preset}.toml").is_file() or not seed.isdecimal():
         raise SceneError(
-            f"{name} is neither a scene's folder nor a preset with a seed such as apple-small:101; "
-            "scripts/make_orchard.py --list shows the presets"
+            f"{name} is neither a scene's folder nor a preset with a seed such as apple-small:101. "
+            "Scripts/make_orchard.py --list shows the presets"
         )
     folder = made / f"{preset}-{seed}"
     command = [sys.executable, str(_MAKER), "--scene", preset, "--seed", seed, "--out", str(folder)]
@@ -98,7 +98,7 @@ def measure_each(
         try:
             folder = scene_folder(name, out / "scenes", report=report).resolve()
             if folder.name in taken:
-                raise ConfigError(f"there is another scene called {folder.name}; rename its folder")
+                raise ConfigError(f"There is another scene called {folder.name}. Rename its folder")
             taken.add(folder.name)
             work(folder, part(progress, number / len(names), (number + 1) / len(names)))
         except FruitLangsError as error:

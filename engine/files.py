@@ -75,7 +75,7 @@ def require_writable(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(
-            f"the output folder {folder} cannot be written ({error.strerror or error}). Choose another with --out"
+            f"The output folder {folder} cannot be written ({error.strerror or error}). Choose another with --out"
         ) from error
 
 

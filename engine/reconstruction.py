@@ -148,7 +148,7 @@ def adopt(
         ConfigError: features shall be trained along with Gaussians that are not trained.
     """
     if embedder.trains:
-        raise ConfigError("--features joint trains with the Gaussians, and these are given; use --features lift")
+        raise ConfigError("--features joint trains with the Gaussians, and these are given. Use --features lift")
     with stages.timed("scene"):
         given = Source(path=source)
         scene = None if imported is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
@@ -183,7 +183,7 @@ def adopt(
 def check_imported(source: Path, imported: Path, out: Path) -> None:
     """Raise where an imported reconstruction has no place: one is there already, or the result would overwrite it."""
     if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
-        raise ConfigError(f"{source} holds its own Gaussians; with --gaussians give the photos and cameras as SCENE")
+        raise ConfigError(f"{source} holds its own Gaussians. With --gaussians give the photos and cameras as SCENE")
     if imported.resolve().parent == out.resolve():
         raise OutputError(f"{out} is the folder of {imported.name} itself. Choose another folder for the results")
 

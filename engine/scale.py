@@ -66,7 +66,7 @@ def _scale_by_object(made: Reconstruction, encoder: Encoder, word: str, length: 
     if side is None:
         raise SceneError(
             f"--units.object: the scene has no {word} to measure: {int(fits.sum())} Gaussians are one with probability "
-            f"{SURE} or more, and the highest probability is {float(probability.max()):.2f}; measure something else"
+            f"{SURE} or more, and the highest probability is {float(probability.max()):.2f}. Measure something else"
         )
     return Scale(
         metres_per_unit=length / side,

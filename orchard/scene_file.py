@@ -41,7 +41,7 @@ def find_scene(name: str, beside: Path | None = None) -> Path:
     for place in places:
         if place.is_file():
             return place
-    raise OrchardError(f"scene {name} cannot be found: give a TOML file, or a name that --list prints")
+    raise OrchardError(f"Scene {name} cannot be found: give a TOML file, or a name that --list prints")
 
 
 def read_scene(path: Path, extended: tuple[Path, ...] = ()) -> SceneFile:

@@ -127,7 +127,7 @@ def main() -> None:
 def pipelines(options: argparse.Namespace) -> list[EmbedConfig]:
     """The embedded encoder; with --clip also its checkpoint on classical masks, and on those of --sam."""
     if options.sam and not options.clip:
-        raise ConfigError("--sam finds masks for --clip; name a CLIP checkpoint too")
+        raise ConfigError("--sam finds masks for --clip. Name a CLIP checkpoint too")
     configs = [EmbedConfig()]
     if options.clip:
         configs.append(EmbedConfig(encoder="clip", clip=options.clip))

@@ -61,7 +61,7 @@ def compare_row(
     truth = read_truth(truth_file, wanted)
     numbers = truth.trees
     if numbers is None or not numbers.any():
-        raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on; expected a number as its tree")
+        raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on. Expected a number as its tree")
     places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
     if trees_file is None and document.get("trees"):
         counted = own_trees(document, places)

@@ -85,13 +85,13 @@ def main(given: Sequence[str] | None = None) -> None:
     """
     arguments = parse(arguments_of(__file__) if given is None else list(given))
     if (arguments.out is None) == (arguments.truth is None):
-        raise ConfigError("give --out DIR to count scenes, or --truth truth.json to measure results, and not both")
+        raise ConfigError("Give --out DIR to count scenes, or --truth truth.json to measure results, and not both")
     if not arguments.given:
-        raise ConfigError("nothing is given to measure; name scenes or results")
+        raise ConfigError("Nothing is given to measure. Name scenes or results")
     if arguments.truth is not None and (arguments.prompt or arguments.publish):
-        raise ConfigError("--prompt and --publish are for scenes that are counted with --out; leave them out")
+        raise ConfigError("--prompt and --publish are for scenes that are counted with --out. Leave them out")
     if arguments.out is not None and arguments.label:
-        raise ConfigError("--label is for results that are measured with --truth; with --out give --prompt")
+        raise ConfigError("--label is for results that are measured with --truth. With --out give --prompt")
     if arguments.truth is not None:
         folders = [Path(name) for name in arguments.given]
         rows = [row for folder in folders for row in measure(folder, arguments.truth, arguments.label)]
@@ -129,7 +129,7 @@ def ladder(arguments: Arguments) -> None:
             publish(rows, arguments.publish, command=" ".join(["scripts/evaluate.py", *arguments_of(__file__)]))
     broken += [f"{row.scene}, {row.stage}: {row.failed}" for row in rows if row.failed]
     if broken:
-        raise ConfigError(f"{len(broken)} could not be measured; the first: {broken[0]}")
+        raise ConfigError(f"{len(broken)} could not be measured. The first: {broken[0]}")
 
 
 def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str, ...]]:

@@ -66,9 +66,9 @@ def _refuse_other_flags(arguments: argparse.Namespace) -> None:
     }
     for flag, layouts in flags.items():
         if getattr(arguments, flag) is not None and arguments.layout not in layouts:
-            raise ConfigError(f"--{flag} is for {' and '.join(layouts)}, not for {arguments.layout}; leave it out")
+            raise ConfigError(f"--{flag} is for {' and '.join(layouts)}, not for {arguments.layout}. Leave it out")
     if arguments.cloud is not None and arguments.transform is not None:
-        raise ConfigError("--cloud is written in the data set's own frame; leave out --transform, or import twice")
+        raise ConfigError("--cloud is written in the data set's own frame. Leave out --transform, or import twice")
 
 
 def _read(arguments: argparse.Namespace) -> tuple[ImportedTruth, ColoredCloud | None]:

@@ -174,12 +174,12 @@ def resume(network: Network, start: Path) -> Past:
     try:
         network.load_state_dict(widened(stored, network))
     except ValueError as error:
-        raise EncoderError(f"the weights {start} are of a larger network; start from weights of this script") from error
+        raise EncoderError(f"The weights {start} are of a larger network. Start from weights of this script") from error
     try:
         return Past(stored.notes["runs"], stored.notes["seeds"])
     except KeyError as error:
         raise EncoderError(
-            f"the weights {start} do not record the {error.args[0]} behind them; start from weights of this script"
+            f"The weights {start} do not record the {error.args[0]} behind them. Start from weights of this script"
         ) from error
 
 
@@ -200,8 +200,8 @@ def check_unseen(held_out: Sequence[Picture], past: Past) -> None:
     seen = sorted({picture.seed for picture in held_out if picture.seed in past.seeds})
     if seen:
         raise ConfigError(
-            f"earlier runs of the weights in --start learnt from seed {', '.join(map(str, seen))}, which are to be "
-            "measured on; take these scenes out of the folder of --renders"
+            f"Earlier runs of the weights in --start learnt from seed {', '.join(map(str, seen))}, which are to be "
+            "measured on. Take these scenes out of the folder of --renders"
         )
 
 

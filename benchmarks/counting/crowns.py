@@ -57,7 +57,7 @@ def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
     """
     origin = read_origin(folder)
     if not origin.species or origin.seed is None:
-        raise FormatError(f"{folder} does not say what grows there; give a scene of make_orchard.py")
+        raise FormatError(f"{folder} does not say what grows there. Give a scene of make_orchard.py")
     truth = read_truth(folder / TRUTH, true_labels([origin.species]))
     masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
     seen = [scene_hash(folder), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_STAGES)]

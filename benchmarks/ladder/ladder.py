@@ -84,7 +84,7 @@ def climb(
     """
     origin = read_origin(folder)
     if not prompts and not origin.species:
-        raise VocabularyError(f"{folder} does not say what grows there; give --prompt")
+        raise VocabularyError(f"{folder} does not say what grows there. Give --prompt")
     asked = list(prompts) or [origin.species]
     truth_file = folder / TRUTH
     truth = read_truth(truth_file, true_labels(asked)) if truth_file.is_file() else None

@@ -239,7 +239,7 @@ class LadderStages:
         true = {view.name: view.world_to_camera for view in self.views}
         unknown = [name for name in cameras_by_file(given) if name not in true]
         if unknown:
-            raise FormatError(f"the truth lists no true camera of {unknown[0]}; make the scene again")
+            raise FormatError(f"The truth lists no true camera of {unknown[0]}. Make the scene again")
         off = [np.abs(camera.world_to_camera - true[name]).max() for name, camera in cameras_by_file(given).items()]
         if max(off) < SAME_POSE:
             return self.folder

@@ -107,7 +107,7 @@ def measure_tables(
     """
     asked = list(prompts) or [read_origin(folder).species]
     if not asked[0]:
-        raise FormatError(f"{folder} does not say what grows there; give --prompt")
+        raise FormatError(f"{folder} does not say what grows there. Give --prompt")
     truth = read_truth(folder / TRUTH, true_labels(asked)) if (folder / TRUTH).is_file() else None
     results = {}
     for number, (name, variant) in enumerate(VARIANTS.items()):

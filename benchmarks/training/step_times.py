@@ -148,7 +148,7 @@ def _threads(n: int) -> Iterator[None]:
         ConfigError: the machine has fewer.
     """
     if n > MOST_THREADS:
-        raise ConfigError(f"--threads {n} is more than the {MOST_THREADS} of this machine; give fewer")
+        raise ConfigError(f"--threads {n} is more than the {MOST_THREADS} of this machine. Give fewer")
     before = numba.get_num_threads(), torch.get_num_threads()
     numba.set_num_threads(n)
     torch.set_num_threads(n)

@@ -190,7 +190,7 @@ def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
     if not inside.any():
         subject = find_subject(gaussians)
         raise CountingError(
-            f"none of the {len(inside)} Gaussians lies in the region (--count.box or --count.polygon); the scene's "
+            f"None of the {len(inside)} Gaussians lies in the region (--count.box or --count.polygon). The scene's "
             f"detail lies between {spaced(subject.center - subject.radius)} and "
             f"{spaced(subject.center + subject.radius)}"
         )
@@ -203,28 +203,28 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
         probability = probability.detach().cpu().numpy()
     probabilities = np.asarray(probability, dtype=np.float64)
     if len(gaussians) == 0:
-        raise CountingError("there are no Gaussians to count in; train the scene first")
+        raise CountingError("There are no Gaussians to count in. Train the scene first")
     if len(cameras) == 0:
-        raise CountingError("there are no cameras; counting needs the views that saw the scene")
+        raise CountingError("There are no cameras. Counting needs the views that saw the scene")
     if probabilities.shape != (len(gaussians),):
         raise CountingError(
-            f"the probability has shape {probabilities.shape}; give one for each of the {len(gaussians)} Gaussians"
+            f"The probability has shape {probabilities.shape}. Give one for each of the {len(gaussians)} Gaussians"
         )
     if not np.isfinite(probabilities).all():
         raise CountingError(
-            f"{(~np.isfinite(probabilities)).sum()} probabilities are not finite; lift the features again"
+            f"{(~np.isfinite(probabilities)).sum()} probabilities are not finite. Lift the features again"
         )
     if probabilities.min() < -ROUNDING or probabilities.max() > 1.0 + ROUNDING:
         raise CountingError(
-            f"the probabilities lie between {probabilities.min():.6g} and {probabilities.max():.6g}, not from 0 to 1"
+            f"The probabilities lie between {probabilities.min():.6g} and {probabilities.max():.6g}, not from 0 to 1"
         )
     for name in PARAMETERS:
         bad = int((~torch.isfinite(getattr(gaussians, name))).sum())
         if bad:
-            raise CountingError(f"{bad} values of the Gaussians' {name} are not finite; train the scene again")
+            raise CountingError(f"{bad} values of the Gaussians' {name} are not finite. Train the scene again")
     if len(gaussians) > 1 and bool((gaussians.means == gaussians.means[0]).all()):
         raise CountingError(
-            f"all {len(gaussians)} Gaussians lie at the same position, "
+            f"All {len(gaussians)} Gaussians lie at the same position, "
             f"{spaced(gaussians.means[0].detach().cpu().numpy())}. Train the scene again"
         )
     return probabilities
@@ -235,7 +235,7 @@ def _checked_up(up: FloatArray) -> FloatArray:
     given = np.asarray(up, np.float64)
     length = float(np.linalg.norm(given))
     if given.shape != (3,) or not 0.0 < length < np.inf:
-        raise CountingError(f"the direction up is {given.tolist()}; give three finite numbers that are not all 0")
+        raise CountingError(f"The direction up is {given.tolist()}. Give three finite numbers that are not all 0")
     upward: FloatArray = given / length
     return upward
 
@@ -301,7 +301,7 @@ def _check_diameter(
     if config.diameter > extent:
         raise CountingError(
             f"--count.diameter {config.diameter:.4g} is larger than all that may be fruit, which extends over "
-            f"{extent:.4g} scene units; give the diameter in scene units, or leave it out"
+            f"{extent:.4g} scene units. Give the diameter in scene units, or leave it out"
         )
     measured = _measured_size(gaussians, probabilities, visibility, seen, config, progress)
     if measured is None or abs(np.log(config.diameter / measured.diameter)) < np.log(UNLIKE):

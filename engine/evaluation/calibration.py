@@ -45,9 +45,9 @@ def reliability(
     probabilities = np.asarray(probabilities, np.float64).reshape(-1)
     hits = np.asarray(outcomes, bool).reshape(-1)
     if len(probabilities) != len(hits):
-        raise CountingError(f"there are {len(probabilities)} probabilities and {len(hits)} outcomes; give as many")
+        raise CountingError(f"There are {len(probabilities)} probabilities and {len(hits)} outcomes. Give as many")
     if not ((probabilities >= 0.0) & (probabilities <= 1.0)).all():  # also NaN
-        raise CountingError("a probability is not a number from 0 to 1")
+        raise CountingError("A probability is not a number from 0 to 1")
     mass = np.ones(len(probabilities)) if weights is None else np.asarray(weights, np.float64).reshape(-1)
     mass = mass / mass.sum()
     level_of = np.unique(probabilities, return_inverse=True)[1]

@@ -51,10 +51,10 @@ def judge(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: floa
     centers = np.asarray(centers, dtype=np.float64).reshape(-1, 3)
     diameters = np.asarray(diameters, dtype=np.float64).reshape(-1)
     if len(centers) != len(diameters):
-        raise CountingError(f"there are {len(centers)} predicted centres and {len(diameters)} diameters; give as many")
+        raise CountingError(f"There are {len(centers)} predicted centres and {len(diameters)} diameters. Give as many")
     broken = int((~np.isfinite(centers).all(axis=1) | ~np.isfinite(diameters)).sum())
     if broken:
-        raise CountingError(f"{broken} of {len(centers)} predictions have no finite centre or diameter; count again")
+        raise CountingError(f"{broken} of {len(centers)} predictions have no finite centre or diameter. Count again")
     reach = radius * truth.mean_diameter
     visible, hidden = np.flatnonzero(truth.visible), np.flatnonzero(~truth.visible)
     found = match_centers(centers, truth.centers[visible], reach)

@@ -27,14 +27,14 @@ def read_numbers(path: Path, *, columns: int, expected: str) -> NDArray[np.float
             warnings.simplefilter("ignore", UserWarning)  # numpy warns of an empty file, refused below
             numbers = np.loadtxt(path, delimiter="," if "," in first else None, ndmin=2, encoding="utf-8")
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror}); expected rows of {expected}") from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror}). Expected rows of {expected}") from error
     except ValueError as error:
-        raise FormatError(f"{path}: not a table of numbers ({error}); expected rows of {expected}") from error
+        raise FormatError(f"{path}: not a table of numbers ({error}). Expected rows of {expected}") from error
     if numbers.size == 0:
-        raise FormatError(f"{path}: is empty; expected rows of {expected}")
+        raise FormatError(f"{path}: is empty. Expected rows of {expected}")
     if numbers.shape[1] < columns:
-        raise FormatError(f"{path}: has {numbers.shape[1]} columns; expected rows of {expected}")
+        raise FormatError(f"{path}: has {numbers.shape[1]} columns. Expected rows of {expected}")
     if not np.isfinite(numbers).all():
         row = int(np.flatnonzero(~np.isfinite(numbers).all(axis=1))[0]) + 1
-        raise FormatError(f"{path}: row {row} holds a number that is not finite; expected rows of {expected}")
+        raise FormatError(f"{path}: row {row} holds a number that is not finite. Expected rows of {expected}")
     return numbers

@@ -49,7 +49,7 @@ def check_instances(truth: Truth, cameras: Sequence[Camera], instances: Sequence
         FormatError: they do not, or the truth has no ids to look for.
     """
     if truth.ids is None:
-        raise FormatError("the truth has no fruit ids, so its instance masks mean nothing; make the scene again")
+        raise FormatError("The truth has no fruit ids, so its instance masks mean nothing. Make the scene again")
     masks, agreeing = 0, 0
     visible = np.flatnonzero(truth.visible)
     for camera, mask in zip(cameras, instances, strict=True):
@@ -61,8 +61,8 @@ def check_instances(truth: Truth, cameras: Sequence[Camera], instances: Sequence
         )
     if len(visible) and agreeing < max(LEAST_AGREEMENT * masks, 1):
         raise FormatError(
-            f"only {agreeing} of {masks} masks of visible fruit are where the truth says the fruit are; "
-            "it is the truth of another scene: make the scene again"
+            f"Only {agreeing} of {masks} masks of visible fruit are where the truth says the fruit are. "
+            "It is the truth of another scene: make the scene again"
         )
 
 
@@ -76,15 +76,15 @@ def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
         with Image.open(path) as image:
             values = np.asarray(image)
     except FileNotFoundError as error:
-        raise FormatError(f"{path} is missing: the scene is half-made; make it again with make_orchard.py") from error
+        raise FormatError(f"{path} is missing: the scene is half-made. Make it again with make_orchard.py") from error
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise FormatError(f"{path} is damaged ({error}); remove it and make the scene again") from error
+        raise FormatError(f"{path} is damaged ({error}). Remove it and make the scene again") from error
     if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
         raise FormatError(f"{path} is not a 16-bit image. Make the scene again")
     if values.shape != (camera.height, camera.width):
         raise FormatError(
-            f"{path} has {values.shape[1]}×{values.shape[0]} pixels, its photo {camera.width}×{camera.height}; "
-            "leave out --scene.downscale and --scene.max-side, or make the scene again if this is another scene's"
+            f"{path} has {values.shape[1]}×{values.shape[0]} pixels, its photo {camera.width}×{camera.height}. "
+            "Leave out --scene.downscale and --scene.max-side, or make the scene again if this is another scene's"
         )
     return values.astype(np.uint16)
 

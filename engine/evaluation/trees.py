@@ -114,8 +114,8 @@ def read_places(path: Path) -> TreePlaces:
     rows = read_numbers(path, columns=4, expected=expected)
     numbers = rows[:, 0].astype(np.int64)
     if rows.shape[1] not in (4, 7):
-        raise FormatError(f"{path}: has {rows.shape[1]} columns; expected rows of {expected}")
+        raise FormatError(f"{path}: has {rows.shape[1]} columns. Expected rows of {expected}")
     if (numbers != rows[:, 0]).any() or (numbers < 1).any() or len(np.unique(numbers)) < len(numbers):
-        raise FormatError(f"{path}: its trees are not numbered 1, 2, … each once; expected rows of {expected}")
+        raise FormatError(f"{path}: its trees are not numbered 1, 2, … each once. Expected rows of {expected}")
     ends = rows[:, 1:].reshape(len(rows), -1, 3)
     return TreePlaces(numbers, ends.min(axis=1), ends.max(axis=1))

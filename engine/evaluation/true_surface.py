@@ -77,7 +77,7 @@ def true_surface(
         parts.append(_seen(camera, photo.pixels(), depth, ids, step, first=view % step))
     seen = _Seen(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Seen.__dataclass_fields__))
     if len(seen.points) == 0:
-        raise SceneError("the depths of all views are empty; make the scene again")
+        raise SceneError("The depths of all views are empty. Make the scene again")
     on_fruit = seen.fruit > 0
     width = float(np.median(seen.widths[on_fruit] if on_fruit.any() else seen.widths))
     groups = _cells(seen, width)

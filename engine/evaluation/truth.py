@@ -67,22 +67,22 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
             neighbours=np.array([fruit.get("kind") == "neighbour" for fruit in fruits], dtype=bool),
         )
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror}). Give the truth.json of the scene") from error
     except KeyError as error:
-        raise FormatError(f"{path}: field {error} is missing; make the scene again") from error
+        raise FormatError(f"{path}: field {error} is missing. Make the scene again") from error
     except (ValueError, TypeError) as error:
-        raise FormatError(f"{path}: not a truth.json ({error}); make the scene again") from error
+        raise FormatError(f"{path}: not a truth.json ({error}). Make the scene again") from error
     if labels is not None and found and found.isdisjoint(labels):
         raise FormatError(
-            f"{path}: the truth has no {' or '.join(sorted(labels))}, only {', '.join(sorted(found))}; "
-            "give the truth of the scene that was counted"
+            f"{path}: the truth has no {' or '.join(sorted(labels))}, only {', '.join(sorted(found))}. "
+            "Give the truth of the scene that was counted"
         )
     if not (np.isfinite(truth.centers).all() and np.isfinite(truth.diameters).all()):
-        raise FormatError(f"{path}: a centre or a diameter is not a finite number; make the scene again")
+        raise FormatError(f"{path}: a centre or a diameter is not a finite number. Make the scene again")
     if not (truth.diameters > 0.0).all():
-        raise FormatError(f"{path}: a diameter is not above 0; make the scene again")
+        raise FormatError(f"{path}: a diameter is not above 0. Make the scene again")
     if truth.ids is not None and len(np.unique(truth.ids)) < len(truth.ids):
-        raise FormatError(f"{path}: two fruit have the same id; make the scene again")
+        raise FormatError(f"{path}: two fruit have the same id. Make the scene again")
     return truth
 
 
@@ -95,7 +95,7 @@ def true_labels(prompts: Sequence[str]) -> set[str]:
     phrases = [parse(prompt) for prompt in prompts]
     for phrase in phrases:
         if not phrase.concepts:
-            raise VocabularyError(f"the prompt '{phrase.text}' names no fruit to measure against; give --label")
+            raise VocabularyError(f"The prompt '{phrase.text}' names no fruit to measure against. Give --label")
     return {concept for phrase in phrases for concept in phrase.concepts}
 
 
@@ -135,9 +135,9 @@ def read_views(path: Path) -> list[TrueView]:
             pose[:3] = np.array(view["world_to_camera"], dtype=np.float64).reshape(-1, 4)[:3]
             views.append(TrueView(str(view["name"]), pose))
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror}); give the truth.json of the scene") from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror}). Give the truth.json of the scene") from error
     except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise FormatError(f"{path}: its list of views is damaged ({error}); make the scene again") from error
+        raise FormatError(f"{path}: its list of views is damaged ({error}). Make the scene again") from error
     if not all(np.isfinite(view.world_to_camera).all() for view in views):
-        raise FormatError(f"{path}: a camera is not finite; make the scene again")
+        raise FormatError(f"{path}: a camera is not finite. Make the scene again")
     return views

@@ -62,7 +62,7 @@ def parse(prompt: str) -> Phrase:
     """
     read = [word for word in re.split(r"[\s\-_,'’]+", fold(prompt.strip())) if word and word not in words.FILLERS]
     if not read:
-        raise VocabularyError(f"the prompt '{prompt}' has no word. Name a fruit, for example 'apple' or 'red apple'")
+        raise VocabularyError(f"The prompt '{prompt}' has no word. Name a fruit, for example 'apple' or 'red apple'")
     for word in read:
         if not (_thing(word) or _colour(word) or word in _RIPENESS):
             raise VocabularyError(_complaint(word, prompt))
@@ -102,7 +102,7 @@ def _noun(read: Sequence[str], prompt: str) -> int | None:
 
     narrowest = min(things, key=lambda i: len(meaning(i)))
     if not all(meaning(narrowest) <= meaning(i) for i in things):
-        raise VocabularyError(f"the prompt '{prompt}' names more than one object. Give each as a separate prompt")
+        raise VocabularyError(f"The prompt '{prompt}' names more than one object. Give each as a separate prompt")
     return narrowest
 
 

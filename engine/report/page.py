@@ -136,7 +136,7 @@ def _strip(path: Path) -> str:
         with Image.open(io.BytesIO(path.read_bytes())) as opened:
             picture = opened.convert("RGB")
     except OSError as error:
-        raise OutputError(f"the picture {path} cannot be read ({error}); leave it out or count again") from error
+        raise OutputError(f"The picture {path} cannot be read ({error}). Leave it out or count again") from error
     if picture.width > _STRIP_WIDTH:
         picture = picture.resize((_STRIP_WIDTH, round(picture.height * _STRIP_WIDTH / picture.width)))
     return _embedded(picture)

@@ -145,7 +145,7 @@ def dump(document: Mapping[str, Any]) -> str:
         return json.dumps(document, indent=1, allow_nan=False) + "\n"
     except ValueError as error:
         raise OutputError(
-            f"{FRUITS_JSON} would hold a number that is not finite ({error}); please report this"
+            f"{FRUITS_JSON} would hold a number that is not finite ({error}). Please report this"
         ) from error
 
 
@@ -158,14 +158,14 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
     """
     path = folder / FRUITS_JSON
     if not path.is_file():
-        raise OutputError(f"{folder} holds no {FRUITS_JSON}; it is not a result folder, or its run was never finished")
+        raise OutputError(f"{folder} holds no {FRUITS_JSON}. It is not a result folder, or its run was never finished")
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         schema = document["schema"]
     except (ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path} is not a results file ({error}). Count again into this folder") from error
     if schema != SCHEMA:
-        raise FormatError(f"{path} has schema {schema!r}; this version reads {SCHEMA!r}")
+        raise FormatError(f"{path} has schema {schema!r}. This version reads {SCHEMA!r}")
     _check_fields(document, "document", path)
     _check_fields(document["provenance"], "provenance", path)
     _check_fields(document["provenance"]["training"], "training", path)
@@ -173,7 +173,7 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
         for fruit in entries:
             _check_fields(fruit, part, path)
             if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
-                raise FormatError(f"{path}: the centre of {part} {fruit['id']} is not three numbers; count again")
+                raise FormatError(f"{path}: the centre of {part} {fruit['id']} is not three numbers. Count again")
     if verify:
         for name, expected in document["files"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != expected:
@@ -278,6 +278,6 @@ def _check_fields(content: Any, part: str, path: Path) -> None:
     for field, kind in _FIELDS[part].items():
         if not isinstance(content, dict) or field not in content or not isinstance(content[field], kind):
             raise FormatError(
-                f"{path} is damaged: the field '{field}' of its {part} is missing or of a wrong type; count again "
+                f"{path} is damaged: the field '{field}' of its {part} is missing or of a wrong type. Count again "
                 "into this folder"
             )

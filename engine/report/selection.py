@@ -55,4 +55,4 @@ def read_selection(path: Path) -> Selection:
         tensors = load_file(path)
         return Selection(tensors["probability"], tensors["fruit_id"].numpy())
     except (SafetensorError, OSError, KeyError) as error:
-        raise FormatError(f"{path} holds no selection ({str(error).splitlines()[0]}); count again") from error
+        raise FormatError(f"{path} holds no selection ({str(error).splitlines()[0]}). Count again") from error

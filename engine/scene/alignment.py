@@ -50,13 +50,13 @@ def align(source: FloatArray, target: FloatArray) -> Similarity:
     """
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
-        raise SceneError(f"centres of shapes {source.shape} and {target.shape} cannot be aligned; give (N, 3) twice")
+        raise SceneError(f"Centres of shapes {source.shape} and {target.shape} cannot be aligned. Give (N, 3) twice")
     if len(source) < 3:
-        raise SceneError(f"{len(source)} views are common to both models, too few to align them; at least 3 are needed")
+        raise SceneError(f"{len(source)} views are common to both models, too few to align them. At least 3 are needed")
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
-        raise SceneError("a camera centre is not finite; leave that view out of the alignment")
+        raise SceneError("A camera centre is not finite. Leave that view out of the alignment")
     if _on_one_line(source) or _on_one_line(target):
-        raise SceneError("the cameras stand on one line, so the rotation about it is unknown. Add a view off the line")
+        raise SceneError("The cameras stand on one line, so the rotation about it is unknown. Add a view off the line")
     best = _fit(source, target)
     least = float(np.median(_distances(best, source, target)))
     for rows in _triples(len(source)):

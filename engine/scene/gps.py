@@ -65,7 +65,7 @@ def read_gps(path: Path) -> GpsTag | None:
             below = tags.get(ExifTags.GPS.GPSAltitudeRef, b"\0") in (b"\1", 1, "\1")
             altitude = _finite(-float(altitude) if below else float(altitude))
     except (*DECODE_ERRORS, TypeError, KeyError, AttributeError, ZeroDivisionError) as error:
-        raise FormatError(f"the GPS tags of {path} make no sense ({error}); check them in a viewer") from error
+        raise FormatError(f"The GPS tags of {path} make no sense ({error}). Check them in a viewer") from error
     if latitude == longitude == 0.0:  # what cameras write that wait for a fix
         return None
     return GpsTag(latitude, longitude, altitude)

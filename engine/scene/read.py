@@ -80,7 +80,7 @@ def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = N
         parts = [files_hash(group, folder) for folder, group in _by_folder(files, apart, root)]
         return parts[0] if not apart else text_hash(*parts)
     except OSError as error:
-        raise SceneError(f"{error.filename} cannot be read ({error.strerror}); check its permissions") from error
+        raise SceneError(f"{error.filename} cannot be read ({error.strerror}). Check its permissions") from error
 
 
 def _by_folder(files: list[Path], apart: list[Path], root: Path) -> list[tuple[Path, list[Path]]]:

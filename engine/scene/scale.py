@@ -57,7 +57,7 @@ def scale_by_length(config: UnitsConfig, names: Sequence[str], cameras: Sequence
     centers = np.stack([camera.center for camera in cameras])
     if distance <= _SAME_PLACE * np.linalg.norm(centers - centers.mean(0), axis=1).max():
         raise SceneError(
-            f"the photos {config.cameras[0]} and {config.cameras[1]} were taken from one place; name two from places "
+            f"The photos {config.cameras[0]} and {config.cameras[1]} were taken from one place. Name two from places "
             "whose distance you know"
         )
     return Scale(
@@ -77,4 +77,4 @@ def _center(name: str, names: Sequence[str], cameras: Sequence[Camera]) -> Float
         if name in (own, own.partition("@")[0]):
             return camera.center
     nearest = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
-    raise SceneError(f"--units.cameras: the scene has no photo '{name}'; the nearest name is {nearest[0]}")
+    raise SceneError(f"--units.cameras: the scene has no photo '{name}'. The nearest name is {nearest[0]}")

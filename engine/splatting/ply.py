@@ -88,7 +88,7 @@ def gaussians_of(given: Vertices, path: Path) -> Gaussians:
     missing = [name for name in (*_GEOMETRY, *_BASE) if name not in names]
     if missing:
         raise FormatError(
-            f"{path} is a .ply without {', '.join(missing[:4])}: not a 3DGS file; export it in the 3DGS layout"
+            f"{path} is a .ply without {', '.join(missing[:4])}: not a 3DGS file. Export it in the 3DGS layout"
         )
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in _REST_COUNTS or any(f"f_rest_{k}" not in names for k in range(rest)):
@@ -122,11 +122,11 @@ def read_vertices(path: Path) -> Vertices:
         data = PlyData.read(str(path))  # mapped: what it reads without a map it reads number by number
         element = data["vertex"]
     except FileNotFoundError as error:
-        raise FormatError(f"{path} is not there; give the .ply of a trained scene") from error
+        raise FormatError(f"{path} is not there. Give the .ply of a trained scene") from error
     except KeyError as error:
-        raise FormatError(f"{path} has no vertices; give a .ply of Gaussians") from error
+        raise FormatError(f"{path} has no vertices. Give a .ply of Gaussians") from error
     except (PlyParseError, ValueError, OSError, UnicodeError, TypeError) as error:
-        raise FormatError(f"{path} cannot be read as .ply ({error}); it is cut short or of another kind") from error
+        raise FormatError(f"{path} cannot be read as .ply ({error}). It is cut short or of another kind") from error
     return Vertices(np.array(element.data), list(data.comments))
 
 
@@ -138,5 +138,5 @@ def _columns(vertices: NDArray[np.void], names: tuple[str, ...] | list[str]) -> 
 
 def _tensor(path: Path, what: str, values: NDArray[np.float32]) -> torch.Tensor:
     if not np.isfinite(values).all():
-        raise FormatError(f"{path} holds NaN or infinity in {what}; write it again from the trained scene")
+        raise FormatError(f"{path} holds NaN or infinity in {what}. Write it again from the trained scene")
     return torch.from_numpy(np.ascontiguousarray(values))

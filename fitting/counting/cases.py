@@ -53,7 +53,7 @@ class Case:
 def check_seed(first: int) -> None:
     """Refuse to learn from what tests and tables are made of."""
     if first < FIRST_TRAINING_SEED:
-        raise ConfigError(f"seeds below {FIRST_TRAINING_SEED} are for tests and tables; give a larger --first")
+        raise ConfigError(f"Seeds below {FIRST_TRAINING_SEED} are for tests and tables. Give a larger --first")
 
 
 def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Case]:

@@ -84,7 +84,7 @@ def read_photos(folder: Path, split: str) -> list[Picture]:
                         corners = (float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax"))
                         mine.append(Box(parse(row["label"]).concepts[0], *corners))
                 except (KeyError, ValueError) as error:
-                    raise FormatError(f"{table} line {number} cannot be read ({error}); see --help") from error
+                    raise FormatError(f"{table} line {number} cannot be read ({error}). See --help") from error
         for name, mine in sorted(boxes.items()):
             pixels = np.asarray(Image.open(table.parent / name).convert("RGB"))
             source = table.parent.name
@@ -153,7 +153,7 @@ def read_renders(folder: Path) -> list[Picture]:
                 )
             )
     if not pictures:
-        raise FormatError(f"{folder} has no scene with classes.json, images, classes and instances; see --help")
+        raise FormatError(f"{folder} has no scene with classes.json, images, classes and instances. See --help")
     return pictures
 
 
@@ -165,7 +165,7 @@ def _lookup(table: Path) -> Labels:
             if concept is not None:
                 lookup[int(index)] = concept
     except (ValueError, AttributeError) as error:
-        raise FormatError(f"{table} cannot be read ({error}); make the scene again") from error
+        raise FormatError(f"{table} cannot be read ({error}). Make the scene again") from error
     return lookup
 
 
@@ -187,10 +187,10 @@ def _record(scene: Path) -> dict[str, Any]:
         config: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["config"]
         config["seed"] = int(config["seed"])
     except (OSError, KeyError, ValueError, TypeError) as error:
-        raise FormatError(f"{path} does not tell the scene's seed ({error}); make the scene again") from error
+        raise FormatError(f"{path} does not tell the scene's seed ({error}). Make the scene again") from error
     if config["seed"] < FIRST_TRAINING_SEED:
         raise FormatError(
-            f"{scene} has seed {config['seed']}, and seeds below {FIRST_TRAINING_SEED} are for tests alone; take it out"
+            f"{scene} has seed {config['seed']}, and seeds below {FIRST_TRAINING_SEED} are for tests alone. Take it out"
         )
     return config
 

@@ -65,7 +65,7 @@ def photo_path(item: bpy.types.Object) -> Path:
         SceneError: the camera was made without one, or it is not there (any more).
     """
     if not item.get(FILE):
-        raise SceneError(f"There was no photo for the camera {item.name}; import the scene again with its photos")
+        raise SceneError(f"There was no photo for the camera {item.name}. Import the scene again with its photos")
     kept = Path(item[FILE])
     if kept.is_file():
         return kept
@@ -161,7 +161,7 @@ def _write_undistorted(photo: FilePhoto, made: Path) -> None:
         Image.fromarray(photo.pixels()).save(part, compress_level=1)
         part.replace(made)
     except OSError as error:
-        raise SceneError(f"The undistorted copy {made} cannot be written ({error}); free some space there") from error
+        raise SceneError(f"The undistorted copy {made} cannot be written ({error}). Free some space there") from error
 
 
 def remove_backgrounds(items: Iterable[bpy.types.Object]) -> None:

@@ -85,7 +85,7 @@ def _camera(item: bpy.types.Object, root: bpy.types.Object, width: int, height: 
     from ...engine.scene.camera import Camera
 
     if item.type != "CAMERA" or item.data.type != "PERSP":
-        raise SceneError(f"The camera {item.name} is not a perspective one; set its type to Perspective")
+        raise SceneError(f"The camera {item.name} is not a perspective one. Set its type to Perspective")
     place, turned, _ = in_scene_frame(item, root).decompose()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array(turned.to_matrix()), np.array(place)

@@ -36,9 +36,9 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
 
     root = owned_object(bpy_scene, "root")
     if not counted(bpy_scene):
-        raise CountingError("Nothing is counted yet; count first")
+        raise CountingError("Nothing is counted yet. Count first")
     if root is None:
-        raise CountingError("The empty that holds the scene is gone; undo that, or import or count again")
+        raise CountingError("The empty that holds the scene is gone. Undo that, or import or count again")
     items = sorted(standing(bpy_scene), key=lambda item: (int(item.get("id", 0)), item.name))
     owners = _gaussian_attribute(bpy_scene, "fruit_id", np.int32)
     numbers = _numbers(bpy_scene, items)

@@ -62,11 +62,11 @@ def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
     if item is None:
         return None
     if item.mode == "EDIT":
-        raise FormatError(f"{item.name} is in Edit Mode; leave it (Tab) and try again")
+        raise FormatError(f"{item.name} is in Edit Mode. Leave it (Tab) and try again")
     mesh = item.data
     missing = [name for name in NEEDED if name not in mesh.attributes]
     if missing:
-        raise FormatError(f"{item.name} has lost its attribute '{missing[0]}'; import the result or count again")
+        raise FormatError(f"{item.name} has lost its attribute '{missing[0]}'. Import the result or count again")
     return StoredGaussians(
         positions=get_attribute(mesh, "position"),
         scales=get_attribute(mesh, "scale"),

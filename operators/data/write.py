@@ -81,7 +81,7 @@ def write_blend(
     """
     if not bpy.app.background:
         raise OutputError(
-            f"{path.name}: a .blend of its own is written in background mode only; use File > Save instead"
+            f"{path.name}: a .blend of its own is written in background mode only. Use File > Save instead"
         )
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy_scene = bpy.context.scene
@@ -122,7 +122,7 @@ def save_blend(path: Path) -> None:
             with _quiet():
                 bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)
         except RuntimeError as error:  # how Blender says that a file cannot be saved
-            raise OutputError(f"{path} cannot be written ({str(error).strip()}); choose another folder") from error
+            raise OutputError(f"{path} cannot be written ({str(error).strip()}). Choose another folder") from error
 
 
 @contextmanager

@@ -91,12 +91,12 @@ def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:
         OutputError: none was chosen, it is a folder, or relative to a .blend never saved.
     """
     if not text:
-        raise OutputError("No file is chosen; say where to write")
+        raise OutputError("No file is chosen. Say where to write")
     if text.startswith("//") and not bpy.data.filepath:
-        raise OutputError(f"{text} is relative to this .blend, which was never saved; choose the file again")
+        raise OutputError(f"{text} is relative to this .blend, which was never saved. Choose the file again")
     path = Path(bpy.path.abspath(text)).absolute()
     if text.endswith(("/", "\\")) or path.is_dir():
-        raise OutputError(f"{path} is a folder; add a file name")
+        raise OutputError(f"{path} is a folder. Add a file name")
     return with_suffix(path, suffixes)
 
 

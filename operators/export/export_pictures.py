@@ -62,7 +62,7 @@ class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
     def writing(self: Any, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         scene, stored = read_scene(context.scene), read_gaussians(context.scene)
         if stored is None:
-            raise SceneError("There are no Gaussians to draw; count again or import the result")
+            raise SceneError("There are no Gaussians to draw. Count again or import the result")
         camera = active_camera(context.scene) if self.view == "CAMERA" else None
         width, text = int(self.width), what(context.scene)
 

@@ -78,7 +78,7 @@ def write_usd(path: Path, context: bpy.types.Context, bpy_scene: bpy.types.Scene
         try:
             bpy.ops.wm.usd_export("EXEC_DEFAULT", filepath=str(part), collection=collection.name, **options)
         except RuntimeError as error:  # how Blender says that a file cannot be written
-            raise OutputError(f"{path} cannot be written ({str(error).strip()}); choose another folder") from error
+            raise OutputError(f"{path} cannot be written ({str(error).strip()}). Choose another folder") from error
 
 
 @contextmanager

@@ -58,7 +58,7 @@ def install_packages(
         _try_imports(packages, folder, stage, progress)
         os.replace(stage / "packages", final)
     except OSError as error:
-        raise InstallError(f"{folder} cannot be written ({error.strerror or error}); nothing was changed") from error
+        raise InstallError(f"{folder} cannot be written ({error.strerror or error}). Nothing was changed") from error
     finally:
         shutil.rmtree(stage, ignore_errors=True)
     progress(1.0, "installed")
@@ -121,7 +121,7 @@ def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | 
         raise InstallError(f"pip cannot install ({failure}); {_advice(wheels)}")
     for path in target.iterdir():
         if re.split(r"[-.]", path.name)[0].lower() in NEVER:
-            raise InstallError(f"pip brought {path.name}, which Blender has its own of; nothing was installed")
+            raise InstallError(f"pip brought {path.name}, which Blender has its own of. Nothing was installed")
 
 
 def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: Progress) -> None:
@@ -135,9 +135,9 @@ def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: P
     command = [sys.executable, "-s", "-c", code]
     lines = _watch(command, _environment(folder, stage, stage / "packages"), stage / "imports.log", on_output)
     if lines.code:
-        raise InstallError(f"the packages were got but do not work here ({lines.last}); nothing was installed")
+        raise InstallError(f"The packages were got but do not work here ({lines.last}). Nothing was installed")
     if lines.last != np.__version__:
-        raise InstallError(f"the packages came with another NumPy ({lines.last}); nothing was installed")
+        raise InstallError(f"The packages came with another NumPy ({lines.last}). Nothing was installed")
 
 
 class _Lines:
@@ -206,7 +206,7 @@ def _bundled_pip() -> str:
     places = [Path(place) for place in (spec.submodule_search_locations or [])] if spec else []
     found = [wheel for place in places for wheel in sorted(place.glob("_bundled/pip-*.whl"))]
     if not found:
-        raise InstallError(f"Blender's Python ({sys.executable}) has no pip; use the zip that holds all packages")
+        raise InstallError(f"Blender's Python ({sys.executable}) has no pip. Use the zip that holds all packages")
     return str(found[-1])
 
 

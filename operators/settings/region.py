@@ -49,10 +49,10 @@ def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
     axis = np.array(placed.to_3x3().col[2])
     size = min(column.length for column in placed.to_3x3().col)
     if size < 1e-9:
-        raise ConfigError("The region box is flat; scale it up, or remove it to count everywhere")
+        raise ConfigError("The region box is flat. Scale it up, or remove it to count everywhere")
     if abs(axis @ up) < UPRIGHT * np.linalg.norm(axis):
         raise ConfigError(
-            "The region box is tilted; clear its rotation about X and Y, or remove it to count everywhere"
+            "The region box is tilted. Clear its rotation about X and Y, or remove it to count everywhere"
         )
     outline = tuple(float(value) for corner in CORNERS for value in placed @ Vector(corner))
     ends = sorted(float(up @ np.array(placed @ Vector((0, 0, end)))) for end in (-1, 1))

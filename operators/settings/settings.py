@@ -230,7 +230,7 @@ def source_folder(settings: Any) -> Path:
         raise SceneError("No scene is chosen: set Scene to the folder of the photos, with a COLMAP model or alone")
     folder = _absolute(settings.source)
     if not folder.is_dir() and not (folder.suffix.lower() == PLY and folder.is_file()):
-        raise SceneError(f"The scene folder {folder} is not there; choose it again")
+        raise SceneError(f"The scene folder {folder} is not there. Choose it again")
     return folder
 
 
@@ -244,7 +244,7 @@ def imported_file(settings: Any) -> Path | None:
         return None
     file = _absolute(settings.gaussians)
     if not file.is_file():
-        raise SceneError(f"The Gaussians {file} are not there; choose the file again, or empty the field to train")
+        raise SceneError(f"The Gaussians {file} are not there. Choose the file again, or empty the field to train")
     return file
 
 
@@ -300,7 +300,7 @@ def stored_file(text: str) -> Path:
 
 def _absolute(text: str) -> Path:
     if text.startswith("//") and not bpy.data.filepath:
-        raise SceneError(f"The folder {text} is relative to this .blend, which was never saved; choose it again")
+        raise SceneError(f"The folder {text} is relative to this .blend, which was never saved. Choose it again")
     return Path(bpy.path.abspath(text)).resolve()
 
 

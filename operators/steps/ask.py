@@ -106,7 +106,7 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
     if not features.are_of(places):
         raise OutputError(
             f"{question.features} has features of other Gaussians than those shown: a later run replaced it, or these "
-            "were edited; press Reconstruct or count again"
+            "were edited. Press Reconstruct or count again"
         )
     return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
 
@@ -136,7 +136,7 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
     if item is None or not settings.result.features:
         raise SceneError("There are no Gaussians to ask yet: press Reconstruct, or import a result")
     if item.mode == "EDIT":
-        raise SceneError("The Gaussians are in Edit Mode; leave it (Tab) and ask again")
+        raise SceneError("The Gaussians are in Edit Mode. Leave it (Tab) and ask again")
     from ...engine.config import CountConfig
 
     config = read_config(settings)

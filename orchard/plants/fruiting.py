@@ -121,7 +121,7 @@ class Fruiting:
         while hung < count:
             if failures > 800 or not len(self.spurs):
                 raise OrchardError(
-                    f"only {hung} of {count} fruit find room on this tree: ask for fewer, or for a greater tree_height"
+                    f"Only {hung} of {count} fruit find room on this tree: ask for fewer, or for a greater tree_height"
                 )
             spur = self.spurs[self.rng.choice(len(self.spurs), p=self.bearing)]
             body, diameter = self._hang(spur)
@@ -165,7 +165,7 @@ class Fruiting:
         fallen, tries = 0, 0
         while fallen < count:
             if tries > 50 * count + 200:
-                raise OrchardError(f"only {fallen} of {count} fallen fruit find room under this tree: ask for fewer")
+                raise OrchardError(f"Only {fallen} of {count} fallen fruit find room under this tree: ask for fewer")
             tries += 1
             turn, away = self.rng.uniform(0, 2 * np.pi), radius * np.sqrt(self.rng.uniform(0.1, 1.0))
             x, y = x0 + away * np.cos(turn), away * np.sin(turn)

@@ -151,7 +151,7 @@ def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list
     # PyTorch's own index is asked only where pip's usual sources have no build for the CPU.
     done &= not torch or any(_download(folder, torch, series, platform, *more) for more in ((), _CPU_SOURCE))
     if not done:
-        raise BuildError(f"pip cannot get all wheels for Blender {series.name} on {platform.name}; it says why above")
+        raise BuildError(f"pip cannot get all wheels for Blender {series.name} on {platform.name}. It says why above")
     wheels = [_wheel(folder, name, version) for name, version in versions.items()]
     assert not [wheel for wheel in wheels if wheel is None or _package(wheel) in NEVER]
     return sorted(wheel for wheel in wheels if wheel is not None)

@@ -328,10 +328,10 @@ def test_a_count_without_fruit_is_a_counted_zero(engine, settings, counted_with,
 
 def test_a_failure_is_a_report_and_leaves_the_last_result(engine, settings):
     bpy.ops.fruitlangs.count()
-    engine.error = SceneError("photo 7 is gone; put it back")
+    engine.error = SceneError("photo 7 is gone. Put it back")
     with pytest.raises(RuntimeError, match="photo 7 is gone"):
         bpy.ops.fruitlangs.count()
-    assert (settings.error, settings.failed) == ("photo 7 is gone; put it back", "Count")
+    assert (settings.error, settings.failed) == ("photo 7 is gone. Put it back", "Count")
     assert settings.result.count == 3
     assert len(bpy.data.collections["Fruits"].objects) == 3
 

@@ -55,7 +55,7 @@ def test_lengths_of_an_opened_result_are_scene_units_whatever_its_scale(counted,
 @pytest.fixture
 def without_encoder(monkeypatch):
     def missing(config):
-        raise EncoderError("the checkpoint is not there")
+        raise EncoderError("The checkpoint is not there")
 
     monkeypatch.setattr("fruitlangs.engine.open_result.Embedder.open", missing)
 
@@ -88,7 +88,7 @@ def test_an_older_result_whose_encoder_is_missing_is_still_shown(counted, before
     opened = open_result(before_selections)
     assert opened.fruit_count.count == counted.fruit_count.count
     assert float(opened.probability.max()) == 0.0
-    assert any("the checkpoint is not there" in notice for notice in opened.notices)
+    assert any("The checkpoint is not there" in notice for notice in opened.notices)
 
 
 def test_a_damaged_fruit_is_an_error_and_not_a_lower_count(counted, tmp_path):

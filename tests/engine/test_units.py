@@ -119,7 +119,7 @@ def test_without_a_length_or_with_that_of_a_thing_cameras_and_points_tell_no_sca
 
 
 def test_an_unknown_photo_is_an_error_that_names_the_nearest() -> None:
-    with pytest.raises(SceneError, match=r"no photo 'row/c\.jpg'; the nearest name is row/b\.jpg"):
+    with pytest.raises(SceneError, match=r"no photo 'row/c\.jpg'. The nearest name is row/b\.jpg"):
         scale_by_length(UnitsConfig(length=1.0, cameras=("a.jpg", "row/c.jpg")), NAMES, cameras())
 
 

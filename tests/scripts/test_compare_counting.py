@@ -200,7 +200,7 @@ def test_a_second_run_goes_on_with_the_first(tmp_path: Path, monkeypatch: pytest
     compare_counting.main(replace(options, first=5, methods=("b",)))
     assert counted == ["a", "b"] * 3 + ["b"]
     assert "| a |" not in (tmp_path / "counting.md").read_text()
-    with pytest.raises(ConfigError, match="unknown method 'c'; there are a, b"):
+    with pytest.raises(ConfigError, match=r"Unknown method 'c'. There are a, b"):
         compare_counting.main(replace(options, methods=("c",)))
 
 

@@ -46,7 +46,7 @@ def test_a_count_is_measured_against_every_thing_its_prompts_name(prompts, true,
     assert visible(capsys.readouterr().out) == true
 
 
-@pytest.mark.parametrize(("prompts", "said"), [(["red"], "names no fruit"), (["lemon"], "the truth has no lemon")])
+@pytest.mark.parametrize(("prompts", "said"), [(["red"], "names no fruit"), (["lemon"], "The truth has no lemon")])
 def test_prompts_without_any_true_fruit_are_an_error(prompts, said, tmp_path) -> None:
     with pytest.raises(FruitLangsError, match=said):
         measured(tmp_path, prompts)
@@ -67,9 +67,9 @@ def test_a_damaged_result_is_named(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["somewhere"], "give --out DIR"),
+        (["somewhere"], "Give --out DIR"),
         (["somewhere", "--out", "a", "--truth", "b"], "and not both"),
-        (["--truth", "truth.json"], "nothing is given"),
+        (["--truth", "truth.json"], "Nothing is given"),
     ],
 )
 def test_a_command_line_that_measures_nothing_is_an_error(arguments, said) -> None:

@@ -91,7 +91,7 @@ def test_rendered_walks_of_seeds_for_tests_are_refused_before_anything_is_traine
 ):
     ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK, seed=1003)
     ball_scene.write_scene(tmp_path / "7", views=LEAST_WALK, seed=7)
-    with pytest.raises(FormatError, match="has seed 7, and seeds below 1000 are for tests alone; take it out"):
+    with pytest.raises(FormatError, match=r"has seed 7, and seeds below 1000 are for tests alone. Take it out"):
         next(cases(tmp_path))
 
 

@@ -218,7 +218,7 @@ def merged(spots: Sequence[Spot], number: int) -> Spot:
     """
     volumes = np.array([spot.diameter**3 for spot in spots])
     if not volumes.sum() > 0.0:
-        raise CountingError("The fruit have no size; scale one of them up first")
+        raise CountingError("The fruit have no size. Scale one of them up first")
     weights = volumes / volumes.sum()
     center = weights @ np.stack([spot.center for spot in spots])
     spread = np.zeros((3, 3))
@@ -243,7 +243,7 @@ def split(
         CountingError: fewer than two parts are asked for, or more than twelve.
     """
     if not 2 <= parts <= 12:
-        raise CountingError(f"a fruit is split into 2 to 12 parts, not {parts}")
+        raise CountingError(f"A fruit is split into 2 to 12 parts, not {parts}")
     radius = spot.diameter / 2.0 / parts ** (1.0 / 3.0)
     if len(points) >= 4 * parts:
         from sklearn.cluster import KMeans  # here, because a panel asks for intervals where it may not be installed

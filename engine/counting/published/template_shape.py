@@ -72,9 +72,9 @@ def read_template(path: Path, *, seed: int = 0) -> Template:
         raise FormatError(f"{path} cannot be read as a mesh or a point cloud: {_line(error)}") from error
     vertices = np.asarray(getattr(shape, "vertices", ()), np.float64).reshape(-1, 3)
     if len(vertices) == 0:
-        raise FormatError(f"{path} holds neither a mesh nor points; export one fruit's surface into it")
+        raise FormatError(f"{path} holds neither a mesh nor points. Export one fruit's surface into it")
     if not np.isfinite(vertices).all():
-        raise FormatError(f"{path} holds coordinates that are not finite; export the template again")
+        raise FormatError(f"{path} holds coordinates that are not finite. Export the template again")
     if isinstance(shape, trimesh.Trimesh) and len(shape.faces):
         return _from_mesh(shape, path, seed)
     return _from_cloud(vertices, path, seed)
@@ -83,7 +83,7 @@ def read_template(path: Path, *, seed: int = 0) -> Template:
 def _from_mesh(mesh: trimesh.Trimesh, path: Path, seed: int) -> Template:
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight:
-        raise FormatError(f"{path} is a mesh with a hole; close it (Blender: Mesh, Clean Up, Fill Holes)")
+        raise FormatError(f"{path} is a mesh with a hole. Close it (Blender: Mesh, Clean Up, Fill Holes)")
     if not mesh.is_winding_consistent:
         mesh.fix_normals()
     volume = _checked_volume(abs(float(mesh.volume)), mesh.extents, path)
@@ -96,7 +96,7 @@ def _from_mesh(mesh: trimesh.Trimesh, path: Path, seed: int) -> Template:
 def _from_cloud(points: FloatArray, path: Path, seed: int) -> Template:
     points = np.unique(points, axis=0)
     if len(points) < FEWEST:
-        raise FormatError(f"{path} has {len(points)} points; a template needs at least {FEWEST}, all over one fruit")
+        raise FormatError(f"{path} has {len(points)} points. A template needs at least {FEWEST}, all over one fruit")
     volume = _checked_volume(alpha_shape_volume(points, np.inf), np.ptp(points, axis=0), path)
     order = np.random.default_rng(seed).permutation(len(points))[: 8 * POINTS]
     points = (_apart(points[order], POINTS) - _middle(points)) / np.cbrt(6.0 * volume / np.pi)
@@ -110,7 +110,7 @@ def _middle(points: FloatArray) -> FloatArray:
 
 def _checked_volume(volume: float, extents: Sequence[float] | FloatArray, path: Path) -> float:
     if not volume > LEAST_FULL * float(np.max(extents)) ** 3:
-        raise FormatError(f"{path} holds no volume: it is flat or a line; a template shows a fruit from all sides")
+        raise FormatError(f"{path} holds no volume: it is flat or a line. A template shows a fruit from all sides")
     return volume
 
 

@@ -71,9 +71,9 @@ class Prism:
         prism = Prism(axes, level, up, heights or (-np.inf, np.inf))
         size = np.ptp(corners, axis=0).max()
         if len(level) < 3 or abs(prism.area) <= LEAST_AREA * size**2:
-            raise ConfigError("--count.polygon has no area seen from above; give three or more corners not in line")
+            raise ConfigError("--count.polygon has no area seen from above. Give three or more corners not in line")
         if prism.crosses_itself():
-            raise ConfigError("--count.polygon crosses itself; give its corners in order around the outline")
+            raise ConfigError("--count.polygon crosses itself. Give its corners in order around the outline")
         return prism
 
     @property

@@ -70,7 +70,7 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
     if len(centers) < config.trees:
         raise CountingError(
             f"--count.trees asks for {config.trees} trees and only {len(centers)} fruit were counted, too few to find "
-            "them by; say where the trees stand with --count.tree-places"
+            "them by. Say where the trees stand with --count.tree-places"
         )
     axis = _main_axis(level)
     along = level @ (axis if axis @ right >= 0.0 else -axis)
@@ -79,8 +79,8 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
     found = len(np.unique(nearest))
     if found < config.trees:
         raise CountingError(
-            f"--count.trees asks for {config.trees} trees and the fruit hang about {found} places along the row only; "
-            "ask for fewer, or say where the trees stand with --count.tree-places"
+            f"--count.trees asks for {config.trees} trees and the fruit hang about {found} places along the row only. "
+            "Ask for fewer, or say where the trees stand with --count.tree-places"
         )
     places = np.array([centers[nearest == tree].mean(axis=0) for tree in range(config.trees)])
     return Row(places, nearest.astype(np.int64) + 1)

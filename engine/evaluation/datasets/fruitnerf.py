@@ -97,7 +97,7 @@ def read_fruitnerf_truth(folder: Path, *, label: str | None = None, fruits: Path
     if not shares[best] >= _LEAST_HITS:
         raise FormatError(
             f"{mesh}: its fruit lie on the masks of {folder} in no known frame ({shares[best]:.0%} of centres at "
-            "best); expected the mesh of this tree: align it and give the aligned one"
+            "best). Expected the mesh of this tree: align it and give the aligned one"
         )
     frame = frames[best]
     scale = float(np.cbrt(np.linalg.det(frame)))
@@ -125,7 +125,7 @@ def hit_share(centers: FloatArray, cameras: Sequence[Camera], masks: Sequence[ND
 def _mask_files(path: Path, photos: Sequence[FilePhoto]) -> list[Path]:
     named = named_files(path, FIELD)
     if len(named) != len(photos):
-        raise SceneError(f"{path}: has panoramas, which have no fruit masks; expected plain photos")
+        raise SceneError(f"{path}: has panoramas, which have no fruit masks. Expected plain photos")
     if not any(named):
         folder = (path if path.is_dir() else path.parent) / FOLDER
         by_stem = {file.stem: file for file in sorted(folder.glob("*")) if file.is_file()}
@@ -133,7 +133,7 @@ def _mask_files(path: Path, photos: Sequence[FilePhoto]) -> list[Path]:
     files = [file for file in named if file is not None]
     if len(files) < len(photos):
         missing = next(photo.name for photo, file in zip(photos, named, strict=True) if file is None)
-        raise SceneError(f"{path}: {missing} has no fruit mask; expected a {FIELD} a frame, or the folder {FOLDER}/")
+        raise SceneError(f"{path}: {missing} has no fruit mask. Expected a {FIELD} a frame, or the folder {FOLDER}/")
     return files
 
 
@@ -146,8 +146,8 @@ def _mask_header(photo: FilePhoto, file: Path) -> FilePhoto:
     shape, expected = (header.width, header.height), (photo.header.width, photo.header.height)
     if abs(shape[0] / expected[0] - shape[1] / expected[1]) > 1.0 / expected[0] + 1.0 / expected[1]:
         raise SceneError(
-            f"mask {file} has {shape[0]}x{shape[1]} pixels but its photo {expected[0]}x{expected[1]}; "
-            "expected one of the same shape"
+            f"Mask {file} has {shape[0]}x{shape[1]} pixels but its photo {expected[0]}x{expected[1]}. "
+            "Expected one of the same shape"
         )
     return replace(photo, path=file, header=header, mask_path=None)
 
@@ -158,7 +158,7 @@ def _only_mesh(folder: Path) -> Path:
     if len(meshes) != 1:
         found = ", ".join(mesh.name for mesh in meshes) if meshes else "none"
         raise FormatError(
-            f"{base}: expected one .obj with the true fruit, found {found}; name it with --fruits (real trees have "
+            f"{base}: expected one .obj with the true fruit, found {found}. Name it with --fruits (real trees have "
             "none: only their count is published)"
         )
     return meshes[0]
@@ -170,12 +170,12 @@ def _fruit_of(mesh: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
 
     objects = read_objects(mesh)
     if not objects:
-        raise FormatError(f"{mesh}: holds no vertex; expected one object a fruit")
+        raise FormatError(f"{mesh}: holds no vertex. Expected one object a fruit")
     centers, diameters = [], []
     for part in objects:
         spreads = np.linalg.svd(part.vertices - part.vertices.mean(axis=0), compute_uv=False)
         if len(spreads) < 3 or not spreads[2] > _LEAST_THICKNESS * spreads[0]:
-            raise FormatError(f"{mesh}: object {part.name} is flat or a point; expected a fruit's mesh")
+            raise FormatError(f"{mesh}: object {part.name} is flat or a point. Expected a fruit's mesh")
         hull = convex_hull(part.vertices)
         centers.append(hull.center_mass)
         diameters.append(float(np.cbrt(6.0 * abs(hull.volume) / np.pi)))
@@ -210,5 +210,5 @@ def _one_fruit(word: str, folder: Path) -> str:
         concepts = ()
     if len(concepts) != 1 or concepts[0] not in FRUITS:
         kinds = ", ".join(FRUITS)
-        raise FormatError(f"{folder}: {word!r} is not one kind of fruit; expected --label with one of {kinds}")
+        raise FormatError(f"{folder}: {word!r} is not one kind of fruit. Expected --label with one of {kinds}")
     return concepts[0]

@@ -39,10 +39,10 @@ def read_fuji_truth(folder: Path) -> ImportedTruth:
     found = [(path, _BOX_FILE.fullmatch(path.name)) for path in boxes.rglob("*.txt")] if boxes.is_dir() else []
     named = sorted((int(name[1]), int(name[2]), path) for path, name in found if name is not None)
     if not named:
-        raise FormatError(f"{boxes}: holds no box; expected training_set/ and test_set/ with Tree01-annotations_*.txt")
+        raise FormatError(f"{boxes}: holds no box. Expected training_set/ and test_set/ with Tree01-annotations_*.txt")
     repeated = next((path for before, path in pairwise(named) if before[:2] == path[:2]), None)
     if repeated is not None:
-        raise FormatError(f"{repeated[2]}: the same apple stands in two sets; expected each box once")
+        raise FormatError(f"{repeated[2]}: the same apple stands in two sets. Expected each box once")
     corners = np.stack([_corners(path) for _, _, path in named])
     sides = np.ptp(corners, axis=1)
     return ImportedTruth(
@@ -76,11 +76,11 @@ def _corners(path: Path) -> FloatArray:
     expected = "x y z of a box's middle and its 8 corners"
     rows = read_numbers(path, columns=3, expected=expected)[:, :3]
     if len(rows) not in (_CORNERS, _CORNERS + 1):
-        raise FormatError(f"{path}: has {len(rows)} rows; expected {expected}")
+        raise FormatError(f"{path}: has {len(rows)} rows. Expected {expected}")
     corners = rows[-_CORNERS:]
     sides = np.ptp(corners, axis=0)
     if not (sides > 0.0).all():
-        raise FormatError(f"{path}: its box is flat; expected {expected}")
+        raise FormatError(f"{path}: its box is flat. Expected {expected}")
     if len(rows) > _CORNERS and (np.abs(rows[0] - corners.mean(axis=0)) > 0.5 * sides).any():
-        raise FormatError(f"{path}: its first row lies outside the box of the others; expected {expected}")
+        raise FormatError(f"{path}: its first row lies outside the box of the others. Expected {expected}")
     return corners

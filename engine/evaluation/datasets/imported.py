@@ -62,10 +62,10 @@ def read_similarity(path: Path) -> NDArray[np.float64]:
     """
     matrix = read_numbers(path, columns=4, expected="4 numbers, 4 rows: a rotation times a scale, and a translation")
     if matrix.shape != (4, 4) or not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0]):
-        raise FormatError(f"{path}: is not a 4x4 matrix that ends with the row 0 0 0 1; expected a similarity")
+        raise FormatError(f"{path}: is not a 4x4 matrix that ends with the row 0 0 0 1. Expected a similarity")
     stretches = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if np.linalg.det(matrix[:3, :3]) <= 0.0 or stretches[0] > 1.01 * stretches[2]:
-        raise FormatError(f"{path}: mirrors or stretches the scene; expected a rotation times one scale")
+        raise FormatError(f"{path}: mirrors or stretches the scene. Expected a rotation times one scale")
     return matrix
 
 

@@ -64,7 +64,7 @@ def read_pfuji(folder: Path, part: str | None = None) -> ScannedApples:
         sphere = alone if known is None else fit_sphere(trusted, known / 2.0)
         if sphere is None:
             size = "" if known is None else f" of {1000.0 * known:g} mm"
-            raise FormatError(f"{path}: its {len(points)} points fix no sphere{size}; expected the points of an apple")
+            raise FormatError(f"{path}: its {len(points)} points fix no sphere{size}. Expected the points of an apple")
         centers.append(sphere.center)
         fitted.append(float("nan") if alone is None else 2.0 * alone.radius)
     measured = np.array([name in diameters for name in names])
@@ -84,12 +84,12 @@ def _cloud_files(folder: Path, part: str | None) -> list[Path]:
     found = [(path, _CLOUD_FILE.fullmatch(path.name)) for path in sorted(folder.glob("*.txt"))]
     parts = sorted({name[1] for _, name in found if name is not None})
     if not parts:
-        raise FormatError(f"{folder}: holds no apple; expected files such as 2018_01_001.txt")
+        raise FormatError(f"{folder}: holds no apple. Expected files such as 2018_01_001.txt")
     if part is None and len(parts) > 1:
-        raise FormatError(f"{folder}: holds the parts {', '.join(parts)}, each in its own frame; name one with --part")
+        raise FormatError(f"{folder}: holds the parts {', '.join(parts)}, each in its own frame. Name one with --part")
     chosen = parts[0] if part is None else part
     if chosen not in parts:
-        raise FormatError(f"{folder}: has no part {chosen}, only {', '.join(parts)}; name one of these with --part")
+        raise FormatError(f"{folder}: has no part {chosen}, only {', '.join(parts)}. Name one of these with --part")
     return [path for path, name in found if name is not None and name[1] == chosen]
 
 
@@ -98,7 +98,7 @@ def _diameters(path: Path) -> Mapping[str, float]:
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror}); expected rows of {_ROW}") from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror}). Expected rows of {_ROW}") from error
     diameters: dict[str, float] = {}
     for number, line in enumerate(lines, 1):
         cells = [cell.strip() for cell in re.split(r"[,;\t]", line)] if line.strip() else []
@@ -106,13 +106,13 @@ def _diameters(path: Path) -> Mapping[str, float]:
             continue
         millimetres = float(cells[1]) if _is_number(cells[1:2]) else float("nan")
         if not (np.isfinite(millimetres) and millimetres > 0.0):
-            raise FormatError(f"{path}: line {number} is {line.strip()!r}; expected {_ROW}")
+            raise FormatError(f"{path}: line {number} is {line.strip()!r}. Expected {_ROW}")
         name = cells[0].removesuffix(".txt")
         if name in diameters:
-            raise FormatError(f"{path}: line {number} gives {name} a second diameter; expected each apple once")
+            raise FormatError(f"{path}: line {number} gives {name} a second diameter. Expected each apple once")
         diameters[name] = millimetres / 1000.0
     if not diameters:
-        raise FormatError(f"{path}: lists no apple; expected rows of {_ROW}")
+        raise FormatError(f"{path}: lists no apple. Expected rows of {_ROW}")
     return diameters
 
 

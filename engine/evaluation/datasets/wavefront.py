@@ -36,7 +36,7 @@ def read_objects(path: Path) -> list[MeshObject]:
                     objects[-1][1].append(_vertex(rest, f"{path}: line {number}"))
     except OSError as error:
         raise FormatError(
-            f"{path}: cannot be read ({error.strerror}); expected an .obj with one object per fruit"
+            f"{path}: cannot be read ({error.strerror}). Expected an .obj with one object per fruit"
         ) from error
     return [MeshObject(name, np.array(points, dtype=np.float64).reshape(-1, 3)) for name, points in objects if points]
 
@@ -48,6 +48,6 @@ def _vertex(text: str, where: str) -> list[float]:
         place = []
     if len(place) != 3 or not np.isfinite(place).all():
         raise FormatError(
-            f"{where} is not a vertex of three finite numbers; expected an .obj with one object per fruit"
+            f"{where} is not a vertex of three finite numbers. Expected an .obj with one object per fruit"
         )
     return place

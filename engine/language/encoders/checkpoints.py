@@ -77,7 +77,7 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
     try:
         import transformers
     except ImportError as error:
-        raise EncoderError(f"{kind.name} needs the package transformers ({error}); run: {_INSTALL}") from error
+        raise EncoderError(f"{kind.name} needs the package transformers ({error}). Run: {_INSTALL}") from error
     folder = _folder(kind, name, allow_download)
     used = _checked_files(kind, folder)
     with _quiet(transformers), _explained(kind, folder):
@@ -95,8 +95,8 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
     absent = sorted(map(str, [*report["missing_keys"], *report["mismatched_keys"]]))
     if absent:
         raise EncoderError(
-            f"the weights in {folder} do not fit its config.json ({len(absent)} tensors are missing or of another size,"
-            f" first {absent[0]}); get both from the same place"
+            f"The weights in {folder} do not fit its config.json ({len(absent)} tensors are missing or of another size,"
+            f" first {absent[0]}). Get both from the same place"
         )
     identity = f"{Path(name).name}-{files_hash(used, folder)[:16]}"
     return Checkpoint(_placed(model.eval()), pictures, words, identity)
@@ -120,7 +120,7 @@ def _folder(kind: Kind, name: str, allow_download: bool) -> Path:
         return cached
     if not allow_download:
         raise EncoderError(
-            f"the {kind.name} checkpoint '{name}' is not on this computer; allow its download with --allow-download "
+            f"The {kind.name} checkpoint '{name}' is not on this computer. Allow its download with --allow-download "
             f"(in Blender with Allow Download and online access), or put {kind.files} from "
             f"https://huggingface.co/{name} into {own}, or name another folder with {kind.flag}"
         )
@@ -152,7 +152,7 @@ def _download(kind: Kind, name: str, own: Path) -> None:
         os.replace(arriving, own)
     except Exception as error:  # of the hub, of its network library, or of the disk
         raise EncoderError(
-            f"the {kind.name} checkpoint '{name}' cannot be downloaded ({_first_line(error)}); or put {kind.files} "
+            f"The {kind.name} checkpoint '{name}' cannot be downloaded ({_first_line(error)}). Try again, or put {kind.files} "
             f"from https://huggingface.co/{name} into {own}"
         ) from error
 
@@ -175,12 +175,12 @@ def _checked_files(kind: Kind, folder: Path) -> list[Path]:
     try:
         model_type = json.loads((folder / "config.json").read_text(encoding="utf-8"))["model_type"]
     except FileNotFoundError as error:
-        raise EncoderError(f"{folder} holds no config.json; put {kind.files} there") from error
+        raise EncoderError(f"{folder} holds no config.json. Put {kind.files} there") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise EncoderError(f"{folder / 'config.json'} cannot be read ({_first_line(error)}); get it again") from error
+        raise EncoderError(f"{folder / 'config.json'} cannot be read ({_first_line(error)}). Get it again") from error
     if model_type not in kind.types:
         raise EncoderError(
-            f"the checkpoint in {folder} is of the type '{model_type}', not {' or '.join(kind.types)}; give a "
+            f"The checkpoint in {folder} is of the type '{model_type}', not {' or '.join(kind.types)}. Give a "
             f"{kind.name} checkpoint with {kind.flag}"
         )
     present = {path.name for path in folder.iterdir() if path.is_file()}
@@ -188,14 +188,14 @@ def _checked_files(kind: Kind, folder: Path) -> list[Path]:
         pickles = sorted(name for name in present if name.endswith(_PICKLES))
         if pickles:
             raise EncoderError(
-                f"the weights {folder / pickles[0]} are a pickle, which can run any program when opened; if you trust "
+                f"The weights {folder / pickles[0]} are a pickle, which can run any program when opened. If you trust "
                 f"it, convert it once: {_conversion(folder)}"
             )
-        raise EncoderError(f"{folder} holds no model.safetensors; put {kind.files} there")
+        raise EncoderError(f"{folder} holds no model.safetensors. Put {kind.files} there")
     if not present & set(_PICTURES):
-        raise EncoderError(f"{folder} holds no preprocessor_config.json; put {kind.files} there")
+        raise EncoderError(f"{folder} holds no preprocessor_config.json. Put {kind.files} there")
     if kind.speaks and not present & set(_WORDS):
-        raise EncoderError(f"{folder} holds no tokenizer (tokenizer.json); put {kind.files} there")
+        raise EncoderError(f"{folder} holds no tokenizer (tokenizer.json). Put {kind.files} there")
     kinds = (".json", ".txt", ".model", ".safetensors")
     return sorted(folder / name for name in present if name.endswith(kinds))
 
@@ -219,7 +219,7 @@ def fitting(kind: Kind, name: str) -> Iterator[None]:
         yield
     except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise EncoderError(
-            f"the files of the {kind.name} checkpoint {name} do not fit each other ({_first_line(error)}); get all of "
+            f"The files of the {kind.name} checkpoint {name} do not fit each other ({_first_line(error)}). Get all of "
             "them from one place"
         ) from error
 
@@ -231,12 +231,12 @@ def _explained(kind: Kind, folder: Path) -> Iterator[None]:
         yield
     except ImportError as error:
         raise EncoderError(
-            f"the checkpoint in {folder} needs a package that is missing ({_first_line(error)}); run: python -m pip "
+            f"The checkpoint in {folder} needs a package that is missing ({_first_line(error)}). Run: python -m pip "
             "install sentencepiece protobuf"
         ) from error
     except Exception as error:  # safetensors, tokenizers, hub and torch each have their own, with no common base
         raise EncoderError(
-            f"the {kind.name} checkpoint in {folder} cannot be opened ({_first_line(error)}); get its files again: "
+            f"The {kind.name} checkpoint in {folder} cannot be opened ({_first_line(error)}). Get its files again: "
             f"{kind.files}"
         ) from error
 

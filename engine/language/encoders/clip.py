@@ -58,7 +58,7 @@ class ClipEncoder:
             pictures = cls(checkpoint, 0).encode_crops([np.zeros((8, 8, 3), np.uint8)]).shape[-1]
         if words != pictures:
             raise EncoderError(
-                f"the checkpoint {name} gives words {words} numbers and pictures {pictures}; a {CLIP.name} checkpoint "
+                f"The checkpoint {name} gives words {words} numbers and pictures {pictures}. A {CLIP.name} checkpoint "
                 "puts both into one space: give another one with --embed.clip"
             )
         return cls(checkpoint, words)
@@ -83,8 +83,8 @@ class ClipEncoder:
                 length = len(words(sentence)["input_ids"])
                 if length > limit:
                     raise VocabularyError(
-                        f"the prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}; "
-                        "say it shorter"
+                        f"The prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}. "
+                        "Say it shorter"
                     )
                 # SigLIP learnt from texts of full length; to CLIP what follows a text's end makes no difference.
                 tokens = words([sentence], padding="max_length", max_length=limit, return_tensors="pt")
@@ -127,7 +127,7 @@ def _normalised(prompt: str) -> str:
     while words and words[0] in ("a", "an", "the"):
         words = words[1:]
     if not words:
-        raise VocabularyError(f"the prompt '{prompt}' holds no word; say what to count, for example apple")
+        raise VocabularyError(f"The prompt '{prompt}' holds no word. Say what to count, for example apple")
     return " ".join(words)
 
 

@@ -67,7 +67,7 @@ class EmbeddedEncoder:
         stored = read_weights(path)
         if stored.concepts != CONCEPTS:
             raise EncoderError(
-                f"the encoder's weights {path} were made for another vocabulary; train them again with "
+                f"The encoder's weights {path} were made for another vocabulary. Train them again with "
                 "scripts/train_encoder.py"
             )
         network = stored.network()
@@ -165,7 +165,7 @@ def read_weights(path: Path) -> StoredWeights:
         EncoderError: it is missing or damaged.
     """
     if not path.is_file():
-        raise EncoderError(f"the encoder's weights {path} are missing; install the package again")
+        raise EncoderError(f"The encoder's weights {path} are missing. Install the package again")
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})["fruitlangs"])
@@ -182,7 +182,7 @@ def read_weights(path: Path) -> StoredWeights:
         stored.network()
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise EncoderError(
-            f"the encoder's weights {path} cannot be read ({str(error).splitlines()[0]}); install the package again"
+            f"The encoder's weights {path} cannot be read ({str(error).splitlines()[0]}). Install the package again"
         ) from error
     return stored
 

@@ -21,4 +21,4 @@ def open_encoder(config: EmbedConfig) -> DenseEncoder | CropEncoder:
         from .clip import ClipEncoder
 
         return ClipEncoder.open(config.clip, allow_download=config.allow_download)
-    raise EncoderError(f"unknown encoder '{config.encoder}'. Use 'embedded' or 'clip'")
+    raise EncoderError(f"Unknown encoder '{config.encoder}'. Use 'embedded' or 'clip'")

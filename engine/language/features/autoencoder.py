@@ -51,10 +51,10 @@ def train_autoencoder(vectors: Tensor, config: EmbedConfig, *, progress: Progres
         EncoderError: there is no feature, or one is not finite.
     """
     if len(vectors) == 0:
-        raise EncoderError("no mask has a feature to learn codes from; use other masks, or the embedded encoder")
+        raise EncoderError("No mask has a feature to learn codes from. Use other masks, or the embedded encoder")
     if not torch.isfinite(vectors).all():
         raise EncoderError(
-            "a mask has a feature that is not a number. Encode in full precision, or check the encoder's weights"
+            "A mask has a feature that is not a number. Encode in full precision, or check the encoder's weights"
         )
     generator = torch.Generator().manual_seed(config.seed)
     vectors = functional.normalize(vectors.detach().float(), dim=-1)

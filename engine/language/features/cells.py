@@ -78,8 +78,8 @@ def cell_weights(
         progress(index / len(cameras), f"Lifting masks of view {index + 1} of {len(cameras)}")
         if index and (len(view.labels), view.vectors.shape[1]) != (len(row_of[0]), vectors[0].shape[1]):
             raise SceneError(
-                f"view {index} has {len(view.labels)} levels of {view.vectors.shape[1]} numbers, those before "
-                f"{len(row_of[0])} of {vectors[0].shape[1]}; segment all photos the same way"
+                f"View {index} has {len(view.labels)} levels of {view.vectors.shape[1]} numbers, those before "
+                f"{len(row_of[0])} of {vectors[0].shape[1]}. Segment all photos the same way"
             )
         cells, table = cells_of(view.labels)
         drawn.append(label_weights(gaussians, camera, cells, workspace=workspace))
@@ -88,7 +88,7 @@ def cell_weights(
         vectors.append(view.vectors)
         rows += len(view.vectors)
     if rows == 0:
-        raise SceneError("no photo has a mask with a feature; use other masks, or the embedded encoder")
+        raise SceneError("No photo has a mask with a feature. Use other masks, or the embedded encoder")
     joined = _all_views(drawn, [len(numbers) for numbers in view_of], len(gaussians))
     return CellWeights(
         joined.starts,
@@ -122,11 +122,11 @@ def usable(view: SegmentedView, index: int) -> SegmentedView:
     vectors = view.vectors.detach().float()
     highest = int(view.labels.max(initial=-1))
     if highest >= len(vectors):
-        raise SceneError(f"view {index} has mask {highest} but {len(vectors)} features; give each mask one")
+        raise SceneError(f"View {index} has mask {highest} but {len(vectors)} features. Give each mask one")
     broken = (~torch.isfinite(vectors).all(1)).nonzero()
     if len(broken):
         raise EncoderError(
-            f"the feature of mask {int(broken[0])} of view {index} is not a number ({len(broken)} of "
+            f"The feature of mask {int(broken[0])} of view {index} is not a number ({len(broken)} of "
             f"{len(vectors)} are not). Encode in full precision, or check the encoder's weights"
         )
     empty = vectors.norm(dim=1) < LEAST_LENGTH

@@ -42,7 +42,7 @@ class Embedder:
         whole = sees_whole(encoder)
         if whole and config.features == "joint":
             raise ConfigError(
-                f"--features joint trains codes of masks, and encoder '{config.encoder}' has none; give --encoder clip "
+                f"--features joint trains codes of masks, and encoder '{config.encoder}' has none. Give --encoder clip "
                 "with it, or --features lift"
             )
         return cls(encoder, None if whole else open_segmenter(config), config)

@@ -122,7 +122,7 @@ def load_features(path: Path) -> Features:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})["fruitlangs"])
         if header["format"] != FORMAT:
-            raise FormatError(f"{path} holds {header['format']}, not {FORMAT}; count again from the photos")
+            raise FormatError(f"{path} holds {header['format']}, not {FORMAT}. Count again from the photos")
         tensors = load_file(path)
         decoders = tuple(_read_decoder(tensors, number) for number in range(int(header["decoders"])))
         features = Features(
@@ -140,7 +140,7 @@ def load_features(path: Path) -> Features:
             raise ValueError(f"{len(decoders)} decoders for {features.levels} levels")
         return features
     except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
-        raise FormatError(f"{path} holds no features ({str(error).splitlines()[0]}); lift them again") from error
+        raise FormatError(f"{path} holds no features ({str(error).splitlines()[0]}). Lift them again") from error
 
 
 def _read_decoder(tensors: dict[str, Tensor], number: int) -> Perceptron:

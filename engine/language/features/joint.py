@@ -106,11 +106,11 @@ def prepare_joint(
     known = [view for _, view in with_masks(cameras, views)]
     shapes = {(len(view.labels), view.vectors.shape[1]) for view in known}
     if len(shapes) > 1:
-        raise SceneError(f"the photos' masks differ in levels or features ({shapes}); segment all the same way")
+        raise SceneError(f"The photos' masks differ in levels or features ({shapes}). Segment all the same way")
     levels = len(known[0].labels)
     of_level = [torch.cat([view.vectors[_used(view.labels[level])] for view in known]) for level in range(levels)]
     if not sum(map(len, of_level)):
-        raise SceneError("no photo has a mask with a feature; use other masks, or the embedded encoder")
+        raise SceneError("No photo has a mask with a feature. Use other masks, or the embedded encoder")
     autoencoders = train_autoencoders(of_level, config, progress=progress)
     coded = [_coded(view, autoencoders) for view in known]
     digest = hashlib.sha256(json.dumps([asdict(config), encoder_id], sort_keys=True).encode())

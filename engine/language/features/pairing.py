@@ -23,15 +23,15 @@ def paired(
     for index, camera in enumerate(cameras):
         view = next(given, None)
         if view is None:
-            raise SceneError(f"{what} for {index} of {len(cameras)} views were given; give them for each camera")
+            raise SceneError(f"{what} for {index} of {len(cameras)} views were given. Give them for each camera")
         size = tuple(size_of(view))
         if size != (camera.height, camera.width):
             raise SceneError(
-                f"the {what} of view {index} are {'×'.join(map(str, reversed(size)))} pixels, its camera has "
-                f"{camera.width}×{camera.height}; make them at its size"
+                f"The {what} of view {index} are {'×'.join(map(str, reversed(size)))} pixels, its camera has "
+                f"{camera.width}×{camera.height}. Make them at its size"
             )
         yield camera, view
     if not len(cameras):
-        raise SceneError("the scene has no camera. Add at least one photo")
+        raise SceneError("The scene has no camera. Add at least one photo")
     if next(given, None) is not None:
-        raise SceneError(f"{what} for more views than the {len(cameras)} cameras were given; give them for each camera")
+        raise SceneError(f"{what} for more views than the {len(cameras)} cameras were given. Give them for each camera")

@@ -57,8 +57,8 @@ def segmented_views(
         image, usable = photo.pixels(), photo.mask()
         if image.shape[:2] != (camera.height, camera.width):
             raise SceneError(
-                f"the photo {photo.name} has {image.shape[1]}×{image.shape[0]} pixels, its camera "
-                f"{camera.width}×{camera.height}; resize it"
+                f"The photo {photo.name} has {image.shape[1]}×{image.shape[0]} pixels, its camera "
+                f"{camera.width}×{camera.height}. Resize it"
             )
         path = folder / f"{_content(image, usable)}.safetensors"
         view = _read(path, encoder.dimension)

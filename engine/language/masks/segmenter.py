@@ -40,4 +40,4 @@ def open_segmenter(config: EmbedConfig) -> Segmenter:
         from .sam import SamSegmenter
 
         return SamSegmenter.open(config.sam, allow_download=config.allow_download)
-    raise EncoderError(f"unknown masks '{config.masks}'. Use 'classical' or 'sam'")
+    raise EncoderError(f"Unknown masks '{config.masks}'. Use 'classical' or 'sam'")

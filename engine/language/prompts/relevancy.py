@@ -133,7 +133,7 @@ def check_encoder(features: Features, encoder: Encoder) -> None:
     """
     if features.encoder_id != encoder.identity:
         raise EncoderError(
-            f"the features were made by {features.encoder_id}, the words come from {encoder.identity}; lift the "
+            f"The features were made by {features.encoder_id}, the words come from {encoder.identity}. Lift the "
             "features again with this encoder"
         )
 
@@ -151,5 +151,5 @@ def check_prompts(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[
         for negative in negatives:
             if encoder.excludes(prompt, negative):
                 raise VocabularyError(
-                    f"the prompt '{prompt}' is excluded by the negative '{negative}'. Leave one of them out"
+                    f"The prompt '{prompt}' is excluded by the negative '{negative}'. Leave one of them out"
                 )

@@ -53,7 +53,7 @@ def camera_names(path: Path) -> list[str]:
     try:
         return [entry["name"] for entry in _read(path)["cameras"]]
     except (KeyError, TypeError) as error:
-        raise FormatError(f"{path} is not a cameras file ({error}); count again from the photos") from error
+        raise FormatError(f"{path} is not a cameras file ({error}). Count again from the photos") from error
 
 
 def read_cameras(path: Path) -> Scene:
@@ -83,18 +83,18 @@ def read_cameras(path: Path) -> Scene:
             metres_per_unit=document["metres_per_unit"],
         )
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"{path} is not a cameras file ({error}); count again from the photos") from error
+        raise FormatError(f"{path} is not a cameras file ({error}). Count again from the photos") from error
 
 
 def _read(path: Path) -> dict[str, Any]:
     """The document of a cameras file of this version."""
     if not path.is_file():
-        raise OutputError(f"{path} is missing; give the folder of the photos as SCENE instead of this result folder")
+        raise OutputError(f"{path} is missing. Give the folder of the photos as SCENE instead of this result folder")
     try:
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         schema = document["schema"]
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"{path} is not a cameras file ({error}); count again from the photos") from error
+        raise FormatError(f"{path} is not a cameras file ({error}). Count again from the photos") from error
     if schema != SCHEMA:
-        raise FormatError(f"{path} has schema {schema!r}; this version reads {SCHEMA!r}")
+        raise FormatError(f"{path} has schema {schema!r}. This version reads {SCHEMA!r}")
     return document

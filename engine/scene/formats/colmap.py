@@ -86,27 +86,27 @@ class _Model:
 
 def _open_model(path: Path, images: Path | None, masks: Path | None, progress: Progress) -> _Model:
     if not path.is_dir():
-        raise SceneError(f"{path} is not a folder; give the folder of a COLMAP model")
+        raise SceneError(f"{path} is not a folder. Give the folder of a COLMAP model")
     files = find_model(path, progress)
     if files is None:
         raise SceneError(
             f"{path} holds no COLMAP model (cameras, images and points3D as .bin or .txt) in sparse/0, sparse, itself "
-            "or colmap/sparse/0; give a folder that does"
+            "or colmap/sparse/0. Give a folder that does"
         )
     progress(0.0, f"reading {files.folder}")
     for stem in (*MODEL_FILES, *RIG_FILES):
         file = files.file(stem)
         if (stem in MODEL_FILES or file.is_file()) and check_records(file) == 0 and stem in ("cameras", "images"):
-            raise SceneError(f"{file} is empty (0 {stem}); reconstruct again from more or more overlapping photos")
+            raise SceneError(f"{file} is empty (0 {stem}). Reconstruct again from more or more overlapping photos")
     reconstruction = _read(files)
     try:
         posed = sorted((image for image in reconstruction.images.values() if image.has_pose), key=lambda i: i.name)
     except UnicodeDecodeError as error:
         file = files.file("images")
-        raise SceneError(f"{file} has the image name {error.object!r}, which is not UTF-8; rename it") from error
+        raise SceneError(f"{file} has the image name {error.object!r}, which is not UTF-8. Rename it") from error
     names = [image.name for image in posed]
     if not names:
-        raise SceneError(f"no image in {files.folder} has a pose; reconstruct again from more overlapping photos")
+        raise SceneError(f"No image in {files.folder} has a pose. Reconstruct again from more overlapping photos")
     photos = photo_paths(files.folder, names, images)
     return _Model(files, reconstruction, posed, photos, mask_paths(photos, names, masks))
 
@@ -119,7 +119,7 @@ def _read(files: ModelFiles) -> Any:
         (reconstruction.read_binary if files.suffix == ".bin" else reconstruction.read_text)(str(files.folder))
     except (ValueError, RuntimeError, LookupError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SceneError(f"{files.folder} is not a sound COLMAP model ({reason}); export it again") from error
+        raise SceneError(f"{files.folder} is not a sound COLMAP model ({reason}). Export it again") from error
     return reconstruction
 
 
@@ -127,7 +127,7 @@ def _lens(camera: Any, files: ModelFiles) -> Lens:
     try:
         return Lens(camera.model.name, tuple(float(p) for p in camera.params), camera.width, camera.height)
     except SceneError as error:
-        raise SceneError(f"camera {camera.camera_id} in {files.file('cameras')}: {error}") from error
+        raise SceneError(f"Camera {camera.camera_id} in {files.file('cameras')}: {error}") from error
 
 
 def _world_to_camera(image: Any, files: ModelFiles) -> FloatArray:
@@ -139,7 +139,7 @@ def _world_to_camera(image: Any, files: ModelFiles) -> FloatArray:
     with np.errstate(all="ignore"):
         rigid = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
     if not rigid:
-        raise SceneError(f"the pose of {image.name} in {files.file('images')} is not a rigid motion. Export it again")
+        raise SceneError(f"The pose of {image.name} in {files.file('images')} is not a rigid motion. Export it again")
     return matrix
 
 

@@ -34,7 +34,7 @@ def check_records(path: Path) -> int:
     try:
         return (_check_binary if path.suffix == ".bin" else _check_text)(path)
     except OSError as error:
-        raise SceneError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
+        raise SceneError(f"{path} cannot be read ({error.strerror}). Check its permissions") from error
 
 
 def _check_binary(path: Path) -> int:
@@ -48,13 +48,13 @@ def _check_binary(path: Path) -> int:
         end = len(content) + 1
     if end > len(content):
         raise SceneError(
-            f"{path} is cut short: it has {len(content)} bytes and its records need at least {end}; "
-            "copy the file again or export the model again"
+            f"{path} is cut short: it has {len(content)} bytes and its records need at least {end}. "
+            "Copy the file again or export the model again"
         )
     if end < len(content):
         raise SceneError(
-            f"{path} has {len(content)} bytes but its {count} records end at byte {end}; "
-            "copy the file again or export the model again"
+            f"{path} has {len(content)} bytes but its {count} records end at byte {end}. "
+            "Copy the file again or export the model again"
         )
     return count
 
@@ -87,7 +87,7 @@ def _parameter_count(model: int | str, where: str) -> int:
         return _parameter_counts()[model]
     except KeyError:
         names = ", ".join(str(key) for key in _parameter_counts() if isinstance(key, str))
-        raise SceneError(f"{where} has the camera model {model!r}; known are {names}") from None
+        raise SceneError(f"{where} has the camera model {model!r}. Known are {names}") from None
 
 
 def _walk_images(content: bytes, count: int, path: Path) -> int:
@@ -121,7 +121,7 @@ def _walk_points(content: bytes, count: int, path: Path) -> int:
 
 def _require_rotation(quaternion: Sequence[float], path: Path, what: str) -> None:
     if not 0.0 < sum(q * q for q in quaternion) < math.inf:  # pycolmap takes (0, 0, 0, 0) for no rotation
-        raise SceneError(f"{path}: {what} has the quaternion {tuple(quaternion)}; copy or export the model again")
+        raise SceneError(f"{path}: {what} has the quaternion {tuple(quaternion)}. Copy or export the model again")
 
 
 def _walk_rigs(content: bytes, count: int, path: Path) -> int:
@@ -157,7 +157,7 @@ def _check_text(path: Path) -> int:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:
-        raise SceneError(f"{path} is not a text file ({error}); export the model again") from error
+        raise SceneError(f"{path} is not a text file ({error}). Export the model again") from error
     count = 0
     check = _LINES.get(path.stem)
     numbered = iter(enumerate(lines, start=1))
@@ -176,7 +176,7 @@ def _check_text(path: Path) -> int:
                 number += 1
                 _check_observations(observations[1].split())
         except ValueError as error:
-            raise SceneError(f"{path}, line {number}: {error}; export the model again") from error
+            raise SceneError(f"{path}, line {number}: {error}. Export the model again") from error
     return count
 
 

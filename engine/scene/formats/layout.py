@@ -52,9 +52,9 @@ def _model_in(folder: Path) -> ModelFiles | None:
         if not missing:
             return ModelFiles(folder, suffix, check_records(folder / f"images{suffix}"))
         if suffix == ".bin" and len(missing) < len(MODEL_FILES) and not (folder / "images.txt").is_file():
-            raise SceneError(f"{folder / (missing[0] + suffix)} is missing; copy the whole model")
+            raise SceneError(f"{folder / (missing[0] + suffix)} is missing. Copy the whole model")
     if len(missing) < len(MODEL_FILES):
-        raise SceneError(f"{folder / (missing[0] + suffix)} is missing; copy the whole model")
+        raise SceneError(f"{folder / (missing[0] + suffix)} is missing. Copy the whole model")
     return None
 
 
@@ -72,7 +72,7 @@ def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[
             which = f"none of the model's {len(paths)} photos"
         else:
             which = f"{len(missing)} of the model's {len(paths)} photos not"
-        raise SceneError(f"{which} found; first {missing[0]}; put them there")
+        raise SceneError(f"{which} found. First {missing[0]}. Put them there")
     return paths
 
 
@@ -81,7 +81,7 @@ def _photo_folder(model: Path, names: Sequence[str]) -> Path:
     above = [model, *model.resolve().parents[:3]]
     folders = [folder / "images" for folder in above if (folder / "images").is_dir()]
     if not folders:
-        raise SceneError(f"no folder images next to {model}; put the model's {len(names)} photos there")
+        raise SceneError(f"No folder images next to {model}. Put the model's {len(names)} photos there")
     return next((folder for folder in folders if any((folder / name).is_file() for name in names)), folders[0])
 
 
@@ -97,5 +97,5 @@ def mask_paths(photos: Sequence[Path], names: Sequence[str], masks: Path | None)
         candidates = (folder / name, folder / f"{name}.png", (folder / name).with_suffix(".png"))
         paths.append(next((path for path in candidates if path.is_file()), None))
     if masks is not None and not any(paths):
-        raise SceneError(f"{masks} has no mask for any photo; name masks like the photos, or with .png appended")
+        raise SceneError(f"{masks} has no mask for any photo. Name masks like the photos, or with .png appended")
     return paths

@@ -115,7 +115,7 @@ def _open_transforms(path: Path) -> _Transforms:
     content = _read_json(file)
     entries = content.pop("frames", None)
     if not isinstance(entries, list) or not entries:
-        raise SceneError(f"{file} has no frames; give a transforms.json with at least one posed photo")
+        raise SceneError(f"{file} has no frames. Give a transforms.json with at least one posed photo")
     named = sorted(((_frame_name(entry, index, file), index) for index, entry in enumerate(entries)))
     frames = [
         _Frame(
@@ -133,18 +133,18 @@ def _read_json(file: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SceneError(f"{file} cannot be read ({error.strerror}); give a folder with a transforms.json") from error
+        raise SceneError(f"{file} cannot be read ({error.strerror}). Give a folder with a transforms.json") from error
     except ValueError as error:
-        raise SceneError(f"{file} is not JSON ({error}); export it again") from error
+        raise SceneError(f"{file} is not JSON ({error}). Export it again") from error
     if not isinstance(content, dict):
-        raise SceneError(f"{file} is not a transforms.json: it holds no object; export it again")
+        raise SceneError(f"{file} is not a transforms.json: it holds no object. Export it again")
     return content
 
 
 def _frame_name(frame: Any, index: int, file: Path) -> str:
     name = frame.get("file_path") if isinstance(frame, dict) else None
     if not isinstance(name, str) or not name:
-        raise SceneError(f"{file}: frame {index} has no file_path; export it again")
+        raise SceneError(f"{file}: frame {index} has no file_path. Export it again")
     return name.replace("\\", "/")
 
 
@@ -152,7 +152,7 @@ def _photo_path(path: Path, frames: int) -> Path:
     candidates = [path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES)]
     found = next((candidate for candidate in candidates if candidate.is_file()), None)
     if found is None:
-        raise SceneError(f"photo {path} (one of {frames}) cannot be found; put it there")
+        raise SceneError(f"Photo {path} (one of {frames}) cannot be found. Put it there")
     return found
 
 
@@ -162,7 +162,7 @@ def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
         return None
     path = file.parent / str(values[key]).replace("\\", "/")
     if not path.is_file():
-        raise SceneError(f"{path} cannot be found; put it there or take {key} out of {file}")
+        raise SceneError(f"{path} cannot be found. Put it there or take {key} out of {file}")
     return path
 
 
@@ -171,7 +171,7 @@ def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
         try:
             return float(values[key])
         except (TypeError, ValueError):
-            raise SceneError(f"{where}: {key} is {values[key]!r}, not a number; export it again") from None
+            raise SceneError(f"{where}: {key} is {values[key]!r}, not a number. Export it again") from None
 
     if "w" in values and "h" in values:
         width, height = int(number("w")), int(number("h"))
@@ -186,12 +186,12 @@ def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
     elif "camera_angle_x" in values:
         fx = 0.5 * width / np.tan(0.5 * number("camera_angle_x"))
     else:
-        raise SceneError(f"{where} has neither fl_x nor camera_angle_x; export it with intrinsics")
+        raise SceneError(f"{where} has neither fl_x nor camera_angle_x. Export it with intrinsics")
     fy = number("fl_y") if "fl_y" in values else fx
     cx = number("cx") if "cx" in values else width / 2
     cy = number("cy") if "cy" in values else height / 2
     if model not in ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
-        raise SceneError(f"{where} has the camera_model {model!r}; known are OPENCV, OPENCV_FISHEYE, EQUIRECTANGULAR")
+        raise SceneError(f"{where} has the camera_model {model!r}. Known are OPENCV, OPENCV_FISHEYE, EQUIRECTANGULAR")
     fisheye = model == "OPENCV_FISHEYE"
     distortion = tuple(number(key) if key in values else 0.0 for key in (_FISHEYE if fisheye else _DISTORTION))
     if fisheye:
@@ -207,7 +207,7 @@ def _world_to_camera(frame: Mapping[str, Any], where: str) -> FloatArray:
     except (KeyError, TypeError, ValueError):
         matrix = np.zeros((0, 0))
     if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
-        raise SceneError(f"{where} has no transform_matrix of 4x4 finite numbers; export it again")
+        raise SceneError(f"{where} has no transform_matrix of 4x4 finite numbers. Export it again")
     u, s, vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) <= 0.0 or np.abs(s - 1.0).max() > 1e-2:
         raise SceneError(f"{where}: transform_matrix is not a rigid motion (it scales or mirrors). Export it again")
@@ -230,7 +230,7 @@ def _cloud(path: Path) -> tuple[FloatArray, NDArray[np.uint8]]:
         vertex = PlyData.read(str(path))["vertex"].data
         points = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
     except (OSError, PlyParseError, KeyError, ValueError) as error:
-        raise SceneError(f"{path} cannot be read as a point cloud ({error}); export it again") from error
+        raise SceneError(f"{path} cannot be read as a point cloud ({error}). Export it again") from error
     if {"red", "green", "blue"} <= set(vertex.dtype.names):
         colors = np.stack([vertex[channel] for channel in ("red", "green", "blue")], axis=1).astype(np.uint8)
     else:

@@ -44,11 +44,11 @@ class Lens:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
-            raise SceneError(f"camera {self.model} has a size of {self.width}x{self.height}; calibrate it again")
+            raise SceneError(f"camera {self.model} has a size of {self.width}x{self.height}. Calibrate it again")
         if not np.isfinite(self.params).all():
-            raise SceneError(f"camera {self.model} has parameters that are not finite numbers; calibrate it again")
+            raise SceneError(f"camera {self.model} has parameters that are not finite numbers. Calibrate it again")
         if not self.is_panorama and min(self.K[0, 0], self.K[1, 1]) <= 0.0:
-            raise SceneError(f"camera {self.model} has a focal length that is not above 0; calibrate it again")
+            raise SceneError(f"camera {self.model} has a focal length that is not above 0. Calibrate it again")
 
     @property
     def is_panorama(self) -> bool:
@@ -79,7 +79,7 @@ class Lens:
 
         known = [name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"]
         if self.model not in known:
-            raise SceneError(f"camera model {self.model} is not known; pycolmap reads {', '.join(known)}")
+            raise SceneError(f"camera model {self.model} is not known. pycolmap reads {', '.join(known)}")
         camera = pycolmap.Camera(
             camera_id=1, model=self.model, width=self.width, height=self.height, params=list(self.params)
         )

@@ -60,7 +60,7 @@ def read_header(path: Path) -> Header:
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             return Header(image.width, image.height, has_alpha, orientation if orientation in range(1, 9) else 1)
     except DECODE_ERRORS as error:
-        raise SceneError(f"{path} cannot be read as a picture ({error}); replace the file") from error
+        raise SceneError(f"{path} cannot be read as a picture ({error}). Replace the file") from error
 
 
 def read_exif(image: Image.Image) -> Image.Exif:
@@ -130,9 +130,9 @@ class FilePhoto:
                 image.load()
                 decoded = image.copy()
         except DECODE_ERRORS as error:
-            raise SceneError(f"{path} cannot be decoded ({error}); replace the file") from error
+            raise SceneError(f"{path} cannot be decoded ({error}). Replace the file") from error
         if path == self.path and decoded.size != (self.header.width, self.header.height):
-            raise SceneError(f"{path} changed its size to {decoded.width}x{decoded.height}; read the scene again")
+            raise SceneError(f"{path} changed its size to {decoded.width}x{decoded.height}. Read the scene again")
         return decoded if self.turn is None else decoded.transpose(self.turn)
 
 
@@ -147,7 +147,7 @@ def _not_black(image: Image.Image, path: Path) -> NDArray[np.bool_]:
 def _rgb(image: Image.Image, path: Path) -> NDArray[np.uint8]:
     """(H, W, 3) 8-bit sRGB of any picture Pillow decodes."""
     if image.mode == "F":
-        raise SceneError(f"{path} holds floating-point pixels of unknown range; save it with 8 or 16 bits a channel")
+        raise SceneError(f"{path} holds floating-point pixels of unknown range. Save it with 8 or 16 bits a channel")
     if image.mode.startswith("I"):  # 16-bit grey
         grey = np.clip(np.rint(np.asarray(image, dtype=np.float64) / 257.0), 0, 255).astype(np.uint8)
         return np.repeat(grey[..., None], 3, axis=2)
@@ -190,16 +190,16 @@ def posed_photos(
     if not _same_shape(width, height, lens.width, lens.height):
         if header.orientation < 5 or not _same_shape(height, width, lens.width, lens.height):
             raise SceneError(
-                f"{path} has {width}x{height} pixels but its camera {lens.width}x{lens.height}, another shape; "
-                "give the photos that the model was made from, whole or evenly resized"
+                f"{path} has {width}x{height} pixels but its camera {lens.width}x{lens.height}, another shape. "
+                "Give the photos that the model was made from, whole or evenly resized"
             )
         turn, width, height = _UPRIGHT[header.orientation], height, width
     if mask_path is not None:
         mask = read_header(mask_path)
         if not _same_shape(mask.width, mask.height, header.width, header.height):
             raise SceneError(
-                f"mask {mask_path} has {mask.width}x{mask.height} pixels but its photo {header.width}x{header.height}; "
-                "make the mask for this photo"
+                f"Mask {mask_path} has {mask.width}x{mask.height} pixels but its photo {header.width}x{header.height}. "
+                "Make the mask for this photo"
             )
     skyward = np.array([*_SKYWARD.get(1 if turn is not None else header.orientation, (0.0, -1.0)), 0.0])
     if max_side > 0:
@@ -207,7 +207,7 @@ def posed_photos(
     width, height = round(width / downscale), round(height / downscale)
     if min(width, height) < LEAST_SIDE:
         raise SceneError(
-            f"{path} is read with {width}x{height} pixels, too few to count on; give photos, and a"
+            f"{path} is read with {width}x{height} pixels, too few to count on. Give photos, and a"
             f" --scene.downscale, that leave at least {LEAST_SIDE} a side"
         )
     posed = []

@@ -74,7 +74,7 @@ def find_poses(
     """
     files = list_photos(photos)
     if len(files) < LEAST_PHOTOS:
-        raise SceneError(f"{photos} has {len(files)} photos; take at least {LEAST_PHOTOS}, better 40, around the tree")
+        raise SceneError(f"{photos} has {len(files)} photos. Take at least {LEAST_PHOTOS}, better 40, around the tree")
     orientations = {read_header(file).orientation for file in files}
     if len(orientations) > 1:
         config = dataclasses.replace(config, upright=False)
@@ -86,7 +86,7 @@ def find_poses(
             os.replace(work / _MODEL, model)
             shutil.rmtree(work, ignore_errors=True)
         except OSError as error:
-            raise OutputError(f"{out} cannot be written ({error.strerror or error}); free space there") from error
+            raise OutputError(f"{out} cannot be written ({error.strerror or error}). Free space there") from error
     return FoundPoses(model=model, notices=_notices(files, model), reused=reused)
 
 
@@ -103,11 +103,11 @@ def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progres
     try:
         run_child("scene.sfm.mapping", [str(job.write())], work / "log.txt", part(progress, 0.1, 1.0))
     except ChildError as error:
-        raise SceneError(f"no cameras were found for the photos in {files[0].parent}: {error}") from error
+        raise SceneError(f"No cameras were found for the photos in {files[0].parent}: {error}") from error
     count = check_records(work / _MODEL / "images.bin")
     if count < max(LEAST_PHOTOS, len(files) / 2):
         raise SceneError(
-            f"only {count} of the {len(files)} photos in {files[0].parent} fit together; take more photos in smaller "
+            f"Only {count} of the {len(files)} photos in {files[0].parent} fit together. Take more photos in smaller "
             "steps (5 to 10 degrees) around the tree, without wind, or give a COLMAP model of them"
         )
 
@@ -126,7 +126,7 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
             with Image.open(file) as image:
                 grey = _grey(image)
         except DECODE_ERRORS as error:
-            raise SceneError(f"{file} cannot be decoded ({error}); replace it, or save it as JPEG") from error
+            raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
         with replacing(copy) as temporary:
             grey.resize(size, Image.Resampling.LANCZOS).save(temporary)
     return Copy(
@@ -154,11 +154,11 @@ def _notices(files: Sequence[Path], model: Path) -> list[str]:
     missing = sorted({file.name for file in files} - set(found["placed"]))
     if missing:
         notices.append(
-            f"{len(missing)} of {len(files)} photos fit nowhere and were left out, first {missing[0]}; take more there"
+            f"{len(missing)} of {len(files)} photos fit nowhere and were left out, first {missing[0]}. Take more there"
         )
     if len(found["models"]) > 1:
         notices.append(
-            f"the photos fall into {len(found['models'])} parts that do not fit together; the largest, "
+            f"the photos fall into {len(found['models'])} parts that do not fit together. The largest, "
             f"of {found['models'][0]} photos, was taken"
         )
     return notices

@@ -109,16 +109,16 @@ def _hash(file: Path) -> str:
     try:
         return file_hash(file)
     except FileNotFoundError as error:
-        raise FormatError(f"{file} is not there; give a .ply of Gaussians or coloured points") from error
+        raise FormatError(f"{file} is not there. Give a .ply of Gaussians or coloured points") from error
     except OSError as error:
-        raise FormatError(f"{file} cannot be read ({error.strerror}); give a .ply file") from error
+        raise FormatError(f"{file} cannot be read ({error.strerror}). Give a .ply file") from error
 
 
 def _scene_around(imported: ImportedPly, file: Path, up: Sequence[float] | None, notices: list[str]) -> Scene:
     """Cameras and pictures around it; adds what the user should know of them to `notices`."""
     guess: FloatArray = _UPS[imported.kind]
     drawn = scene_around(imported.gaussians, up, guess)
-    notices.append(f"{len(drawn.scene.cameras)} cameras were placed around {file.name}; their pictures serve as photos")
+    notices.append(f"{len(drawn.scene.cameras)} cameras were placed around {file.name}. Their pictures serve as photos")
     if not drawn.up_is_known:
         axis = "-y" if guess[1] else "+z"
         notices.append(f"no ground tells which way is up, so {axis} was taken; --scene.up X Y Z sets it")
@@ -129,11 +129,11 @@ def _check_fit(fit: Fit, file: Path) -> None:
     """Raise where cameras and reconstruction have different frames."""
     if fit.covered < LEAST_COVERED:
         raise SceneError(
-            f"the cameras see next to nothing of {file} ({fit.covered:.1%} of their photos): their frames differ;"
-            " export it in the frame of the scene's cameras, or give it alone as SCENE"
+            f"The cameras see next to nothing of {file} ({fit.covered:.1%} of their photos): their frames differ."
+            " Export it in the frame of the scene's cameras, or give it alone as SCENE"
         )
     if fit.own <= fit.other:
         raise SceneError(
             f"{file} looks no more like the photos of its cameras than like others (correlation {fit.own:.2f} against"
-            f" {fit.other:.2f}): their frames differ; export it in the frame of the scene's cameras, or give it alone"
+            f" {fit.other:.2f}): their frames differ. Export it in the frame of the scene's cameras, or give it alone"
         )

@@ -56,19 +56,19 @@ def points_of(vertices: Vertices, path: Path) -> ColoredPoints:
     names = _color_names(vertices)
     if names is None or not vertices.names >= {"x", "y", "z"}:
         raise FormatError(
-            f"{path} has neither colours (red, green, blue) nor what makes Gaussians (opacity, scale_0, rot_0, f_dc_0);"
-            " export it as coloured points or in the 3DGS layout"
+            f"{path} has neither colours (red, green, blue) nor what makes Gaussians (opacity, scale_0, rot_0, f_dc_0)."
+            " Export it as coloured points or in the 3DGS layout"
         )
     if len(vertices) == 0:
-        raise FormatError(f"{path} holds no points; export it again")
+        raise FormatError(f"{path} holds no points. Export it again")
     try:
         positions = np.stack([np.asarray(vertices.table[axis], np.float64) for axis in "xyz"], axis=1)
         colors = np.stack([np.asarray(vertices.table[name], np.float64) for name in names], axis=1)
     except (TypeError, ValueError) as error:
-        raise FormatError(f"{path} holds lists where numbers belong ({error}); export it again") from error
+        raise FormatError(f"{path} holds lists where numbers belong ({error}). Export it again") from error
     finite = np.isfinite(positions).all(axis=1) & np.isfinite(colors).all(axis=1)
     if not finite.any():
-        raise FormatError(f"{path}: none of its {len(finite):,} points is finite (NaN or infinity); export it again")
+        raise FormatError(f"{path}: none of its {len(finite):,} points is finite (NaN or infinity). Export it again")
     positions, colors = positions[finite], colors[finite]
     whole = np.issubdtype(vertices.table.dtype[names[0]], np.integer)
     ranges = (255.0, 65535.0) if whole else (1.0, 255.0, 65535.0)
@@ -118,14 +118,14 @@ def gaussians_from(points: ColoredPoints, path: Path) -> Gaussians:
     """
     if len(points) < FEWEST:
         raise FormatError(
-            f"{path} has only {len(points)} different points; give a cloud of at least {FEWEST:,} (of a mesh,"
+            f"{path} has only {len(points)} different points. Give a cloud of at least {FEWEST:,} (of a mesh,"
             " sample its surface first)"
         )
     distances = cKDTree(points.positions).query(points.positions, k=NEIGHBOURS + 1)[0][:, 1:].mean(axis=1)
     typical = float(np.median(distances))
     if typical < 8.0 * float(np.spacing(np.float32(np.median(np.abs(points.positions).max(axis=1))))):
         raise FormatError(
-            f"{path}: its points lie so far from the origin that 32-bit numbers cannot tell them apart; subtract an"
+            f"{path}: its points lie so far from the origin that 32-bit numbers cannot tell them apart. Subtract an"
             " offset from the coordinates first"
         )
     sizes = SIZE * np.minimum(distances, LARGEST * typical)

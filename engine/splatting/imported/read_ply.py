@@ -37,7 +37,7 @@ def read_imported_ply(path: Path, *, most_points: int = MOST_POINTS) -> Imported
     looks_like_gaussians = bool(vertices.names & {"opacity", "f_dc_0", "scale_0"})
     if has_gaussians(vertices) or (looks_like_gaussians and not has_colored_points(vertices)):
         if len(vertices) == 0:
-            raise FormatError(f"{path} holds no Gaussians; export it again")
+            raise FormatError(f"{path} holds no Gaussians. Export it again")
         return ImportedPly(gaussians_of(vertices, path), "gaussians")
     finite = points_of(vertices, path)
     points = thinned(finite, most_points)

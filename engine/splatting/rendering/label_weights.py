@@ -44,7 +44,7 @@ def label_weights(
     check_camera(camera)
     if labels.shape != (camera.height, camera.width):
         raise SceneError(
-            f"the labels are {labels.shape}; their sizes must be the camera's ({camera.height}, {camera.width})"
+            f"The labels are {labels.shape}. Their sizes must be the camera's ({camera.height}, {camera.width})"
         )
     workspace = workspace or Workspace()
     rules = DrawRules(sh_degree=0, antialiased=gaussians.antialiased)

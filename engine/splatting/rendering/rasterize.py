@@ -156,7 +156,7 @@ def render(
     n = len(gaussians)
     extra = torch.zeros(n, 0) if features is None else features
     if len(extra) != n:
-        raise SceneError(f"{len(extra)} features were given for {n} Gaussians; give one row each")
+        raise SceneError(f"{len(extra)} features were given for {n} Gaussians. Give one row each")
     behind = torch.zeros(3) if background is None else background
     offsets = torch.zeros(n, 2) if screen_offsets is None else screen_offsets
     rules = DrawRules(
@@ -221,7 +221,7 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
     check_camera(camera)
     if target.ndim != 3 or tuple(target.shape[:2]) != (camera.height, camera.width):
         raise SceneError(
-            f"the target is {tuple(target.shape)}; its first two sizes must be the camera's"
+            f"The target is {tuple(target.shape)}. Its first two sizes must be the camera's"
             f" ({camera.height}, {camera.width})"
         )
     n, channels = len(gaussians), target.shape[2]
@@ -270,4 +270,4 @@ def measure_load(gaussians: Gaussians, camera: Camera, rules: DrawRules) -> Load
 def check_camera(camera: Camera) -> None:
     """Refuse a camera with lens distortion, which is not drawn."""
     if camera.distortion is not None and np.any(camera.distortion):
-        raise SceneError("the camera has lens distortion; undistort its photo first (the scene readers do)")
+        raise SceneError("The camera has lens distortion. Undistort its photo first (the scene readers do)")

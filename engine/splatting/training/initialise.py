@@ -39,7 +39,7 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
     points, colors = points[finite], colors[finite]
     if len(points) > 0 and not _seen_by_any(shelf, views, points):
         raise TrainingError(
-            f"none of the {len(points):,} sparse points lies before any camera; the model's poses and points do not"
+            f"None of the {len(points):,} sparse points lies before any camera. The model's poses and points do not"
             " belong together"
         )
     dome = _dome(scene, points, min(DOME_POINTS, limit // 4))
@@ -52,7 +52,7 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
         extra_colors, seen = _colors_in_photos(shelf, views, extra)
         points, colors = np.concatenate([points, extra[seen]]), np.concatenate([colors, extra_colors[seen]])
     if len(points) + len(dome) == 0:
-        raise TrainingError("no camera sees any part of the scene; check the model's poses")
+        raise TrainingError("No camera sees any part of the scene. Check the model's poses")
     if len(points) > room:
         kept = np.sort(random.choice(len(points), room, replace=False))
         points, colors = points[kept], colors[kept]

@@ -74,7 +74,7 @@ def require_memory(gaussians: int, sh_degree: int, cameras: Sequence[Camera], fr
     fitting = int((available - fixed) / each) // 1000 * 1000
     advice = f"--train.max-gaussians {fitting}" if fitting >= 1000 else "--scene.downscale 2 or more"
     raise TrainingError(
-        f"training up to {gaussians:,} Gaussians on photos of up to {max(c.width for c in cameras)}×"
+        f"Training up to {gaussians:,} Gaussians on photos of up to {max(c.width for c in cameras)}×"
         f"{max(c.height for c in cameras)} needs about {needed / 2**30:.1f} GB of memory and {available / 2**30:.1f} GB"
-        f" are free; close other programs, or use {advice}"
+        f" are free. Close other programs, or use {advice}"
     )

@@ -73,8 +73,8 @@ class PhotoShelf:
         pixels, mask = photo.pixels(), photo.mask()
         if pixels.shape != (camera.height, camera.width, 3):
             raise SceneError(
-                f"photo {photo.name} has {pixels.shape[1]}×{pixels.shape[0]} pixels but its camera"
-                f" {camera.width}×{camera.height}; use the photos the model was made from"
+                f"Photo {photo.name} has {pixels.shape[1]}×{pixels.shape[0]} pixels but its camera"
+                f" {camera.width}×{camera.height}. Use the photos the model was made from"
             )
         if smaller > 1:
             camera = shrunk(camera, smaller)

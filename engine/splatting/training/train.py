@@ -103,7 +103,7 @@ def train(
     aside = held_out_views(scene, config.holdout_every)
     views = [view for view in range(len(scene.cameras)) if view not in aside]
     if not views:
-        raise TrainingError("the scene has no photo to train on; give at least one")
+        raise TrainingError("The scene has no photo to train on. Give at least one")
     middle = scene.middle
     require_digits(middle, scene.extent)
     require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
@@ -146,8 +146,8 @@ def require_digits(middle: NDArray[np.float64], extent: float) -> None:
     step = float(np.spacing(np.float32(away)))
     if not step <= COARSEST * extent:
         raise TrainingError(
-            f"the scene lies {away:.6g} units from its origin, where single precision has steps of {step:.2g} units,"
-            f" too coarse for a scene of {extent:.2g}; move the model to the middle of its cameras"
+            f"The scene lies {away:.6g} units from its origin, where single precision has steps of {step:.2g} units,"
+            f" too coarse for a scene of {extent:.2g}. Move the model to the middle of its cameras"
         )
 
 
@@ -184,7 +184,7 @@ def _train(
         picture = _picture(shelf, state.step, views, schedule)
         blank = blank + 1 if picture.mask is not None and not picture.mask.any() else 0
         if blank == 2 * len(views) - 1:  # a whole round is among them, whatever its order
-            raise TrainingError("the masks leave no pixel of any photo to learn from; white is what may be used")
+            raise TrainingError("The masks leave no pixel of any photo to learn from. White is what may be used")
         loss = step.take(state, picture)
         done = state.step
         if not math.isfinite(loss):
@@ -271,7 +271,7 @@ def finite(gaussians: Gaussians) -> Tensor:
 
 def _breakdown(step: int, reason: str) -> TrainingError:
     return TrainingError(
-        f"training broke down at step {step}: {reason}; look for broken photos and wrong camera poses, or lower the"
+        f"Training broke down at step {step}: {reason}. Look for broken photos and wrong camera poses, or lower the"
         " learning rates"
     )
 
@@ -308,7 +308,7 @@ def _needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]
     if not needed.any():
         raise TrainingError(
             f"--train.drop-unneeded {config.drop_unneeded:g} would remove every Gaussian: no photo shows one with more"
-            f" than {float(most.max()):.1f} pixels' weight; give less"
+            f" than {float(most.max()):.1f} pixels' weight. Give less"
         )
     return needed
 

@@ -63,7 +63,7 @@ def test_a_file_moved_without_its_results_says_so_and_loses_nothing(extension, c
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "tree.blend"))
     with pytest.raises(RuntimeError, match=r"features in .* are missing. Press Reconstruct"):
         bpy.ops.fruitlangs.ask()
-    with pytest.raises(RuntimeError, match=r"is not there; choose it again"):
+    with pytest.raises(RuntimeError, match=r"is not there. Choose it again"):
         bpy.ops.fruitlangs.count()
     assert len(owned_objects(bpy.context.scene, "fruit")) == fruit == bpy.context.scene.fruitlangs.result.count
 
@@ -144,7 +144,7 @@ def test_a_linked_scene_is_said_to_be_one_before_anything_is_done_in_it(extensio
     with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, here):
         here.scenes = ["Orchard"]
     bpy.context.window.scene = bpy.data.scenes["Orchard"]
-    with pytest.raises(RuntimeError, match="linked from another file; make it local first"):
+    with pytest.raises(RuntimeError, match=r"linked from another file. Make it local first"):
         getattr(bpy.ops.fruitlangs, name)()
 
 

@@ -230,7 +230,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(shown, monkeypatch):
         bpy.ops.fruitlangs.split_fruit(parts=2)
     fruit(1).scale = fruit(2).scale = (0.0, 0.0, 0.0)
     select(1, 2)
-    with pytest.raises(RuntimeError, match="The fruit have no size; scale one of them up first"):
+    with pytest.raises(RuntimeError, match=r"The fruit have no size. Scale one of them up first"):
         bpy.ops.fruitlangs.merge_fruit()
     assert numbers() == [1, 2, 3]
     assert read_log(shown) == []

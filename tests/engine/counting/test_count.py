@@ -357,7 +357,7 @@ def test_a_colour_that_is_no_number_is_refused(small: sim.Simulation, value: flo
 
 @pytest.mark.parametrize("up", [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0], [0.0, 0.0, np.inf], [0.0, 1.0]])
 def test_a_direction_up_that_is_none_is_refused(small: sim.Simulation, up: list[float]) -> None:
-    with pytest.raises(CountingError, match="the direction up is"):
+    with pytest.raises(CountingError, match="The direction up is"):
         count_fruit(small.gaussians, small.probability, small.cameras, CONFIG, label="apple", up=np.array(up))
 
 
@@ -376,7 +376,7 @@ def test_no_gaussians_and_no_cameras_are_refused(small: sim.Simulation) -> None:
     none = small.gaussians.select(torch.zeros(0, dtype=torch.long))
     with pytest.raises(CountingError, match="no Gaussians"):
         counted(dataclasses.replace(small, gaussians=none, probability=np.zeros(0)))
-    with pytest.raises(CountingError, match="no cameras"):
+    with pytest.raises(CountingError, match="No cameras"):
         counted(dataclasses.replace(small, cameras=[]))
 
 

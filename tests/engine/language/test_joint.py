@@ -233,7 +233,7 @@ def test_a_view_without_masks_has_no_loss(scene: Scene):
 
 def test_no_mask_in_any_photo_is_refused(scene: Scene):
     empty = SegmentedView(np.full((2, 48, 64), -1, np.int32), torch.zeros(0, DIMENSION))
-    with pytest.raises(SceneError, match="no photo has a mask"):
+    with pytest.raises(SceneError, match="No photo has a mask"):
         prepare_joint(scene.cameras, [empty] * 8, EMBED, encoder_id="x")
 
 

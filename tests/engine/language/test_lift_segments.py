@@ -116,7 +116,7 @@ def test_a_view_without_masks_changes_nothing(gaussians: Gaussians):
 
 def test_no_mask_in_any_photo_is_refused(gaussians: Gaussians):
     empty = SegmentedView(np.full((3, 50, 70), -1, np.int32), torch.zeros(0, DIMENSION))
-    with pytest.raises(SceneError, match="no photo has a mask"):
+    with pytest.raises(SceneError, match="No photo has a mask"):
         lifted(gaussians, [empty] * 2)
 
 

@@ -142,7 +142,7 @@ def test_the_gps_tags_of_the_photos_give_the_scale_with_its_error(few_photos: Pa
 
 
 def test_an_unknown_photo_costs_no_training(few_photos: Path, tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"no photo '34\.jpg'; the nearest name is"):
+    with pytest.raises(SceneError, match=r"no photo '34\.jpg'. The nearest name is"):
         count_scene(few_photos, ["fruit"], tmp_path, config=config(length=1.0, cameras=("001.jpg", "34.jpg")))
     assert not (tmp_path / "cache").exists()
 
@@ -156,7 +156,7 @@ def test_an_unknown_thing_costs_no_training(few_photos: Path, tmp_path: Path) ->
 def test_a_thing_that_is_not_in_the_scene_is_an_error_that_says_how_near_it_came(
     counted: Result, tmp_path: Path
 ) -> None:
-    with pytest.raises(SceneError, match=r"the scene has no ladder to measure: \d .*highest probability is 0\.\d\d"):
+    with pytest.raises(SceneError, match=r"The scene has no ladder to measure: \d .*highest probability is 0\.\d\d"):
         count_scene(counted.out, ["fruit"], tmp_path, config=config(length=2.0, object="ladder"))
     assert not (tmp_path / "fruits.json").exists()
 

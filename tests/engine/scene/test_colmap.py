@@ -112,17 +112,17 @@ def test_a_masks_folder_without_masks_is_named(tmp_path: Path) -> None:
 def test_one_missing_photo_is_named_with_its_path(tmp_path: Path) -> None:
     write_model(tmp_path)
     (tmp_path / "images" / "photo_2.png").unlink()
-    with pytest.raises(SceneError, match=rf"1 of the model's 4 photos not found; first {tmp_path}/images/photo_2\.png"):
+    with pytest.raises(SceneError, match=rf"1 of the model's 4 photos not found. First {tmp_path}/images/photo_2\.png"):
         read_colmap(tmp_path)
 
 
 def test_missing_photos_are_all_said_to_be_missing(tmp_path: Path) -> None:
     write_model(tmp_path)
     shutil.rmtree(tmp_path / "images")
-    with pytest.raises(SceneError, match="no folder images next to"):
+    with pytest.raises(SceneError, match="No folder images next to"):
         read_colmap(tmp_path)
     write_photo(tmp_path / "images" / "other.png", 32, 24)
-    with pytest.raises(SceneError, match="none of the model's 4 photos found"):
+    with pytest.raises(SceneError, match="None of the model's 4 photos found"):
         read_colmap(tmp_path)
 
 
@@ -152,7 +152,7 @@ def test_an_unknown_camera_model_is_named(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[12:16] = struct.pack("<i", 99)
     path.write_bytes(bytes(content))
-    with pytest.raises(SceneError, match=r"camera 1 has the camera model 99; known are SIMPLE_PINHOLE"):
+    with pytest.raises(SceneError, match=r"camera 1 has the camera model 99. Known are SIMPLE_PINHOLE"):
         read_colmap(tmp_path)
 
 

@@ -196,7 +196,7 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
 def test_a_child_that_crashes_is_an_error_and_not_a_wait(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(child_process, "_BOOT", "import os; os.abort()")
     write_photos(tmp_path / "images", 3)
-    with pytest.raises(SceneError, match=f"no cameras were found .* code -{int(signal.SIGABRT)}"):
+    with pytest.raises(SceneError, match=f"No cameras were found .* code -{int(signal.SIGABRT)}"):
         find_poses(tmp_path / "images", tmp_path)
 
 
@@ -210,7 +210,7 @@ def test_the_run_may_be_in_a_thread_as_in_blender(walk: Path) -> None:
 
 def few(folder: Path) -> str:
     write_photos(folder, 2)
-    return r"has 2 photos; take at least 3"
+    return r"has 2 photos. Take at least 3"
 
 
 def unreadable(folder: Path) -> str:

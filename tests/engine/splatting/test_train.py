@@ -482,7 +482,7 @@ def test_points_that_no_camera_sees_are_refused(scene: Scene) -> None:
     for camera in scene.cameras:
         pose = np.diag([-1.0, 1.0, -1.0, 1.0]) @ camera.world_to_camera  # looks the other way from the same place
         turned.append(replace(camera, world_to_camera=pose))
-    with pytest.raises(TrainingError, match=r"none of the .* sparse points lies before any camera"):
+    with pytest.raises(TrainingError, match=r"None of the .* sparse points lies before any camera"):
         train(replace(scene, cameras=turned), QUICK)
 
 
