@@ -59,8 +59,8 @@ def scene_folder(name: str, made: Path, *, report: Callable[[str], None] = lambd
     preset, _, seed = name.partition(":")
     if not (PRESETS / f"{preset}.toml").is_file() or not seed.isdecimal():
         raise SceneError(
-            f"{name} is neither a scene's folder nor a preset with a seed such as apple-small:101. "
-            "Scripts/make_orchard.py --list shows the presets"
+            f"{name} is neither a scene's folder nor a preset with a seed such as apple-small:101; "
+            "scripts/make_orchard.py --list shows the presets"
         )
     folder = made / f"{preset}-{seed}"
     command = [sys.executable, str(_MAKER), "--scene", preset, "--seed", seed, "--out", str(folder)]

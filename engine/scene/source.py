@@ -78,7 +78,7 @@ def posed_before(photos: Path, earlier: Path, cache: Path, config: PhotosConfig)
     """
     source, kept = _source(photos, earlier, config), _source(photos, cache, config)
     if not source.path.is_dir():
-        raise SceneError(f"The cameras of the photos in {photos} are no longer in {earlier}. Count again from the photos")
+        raise SceneError(f"The cameras of {photos} are no longer in {earlier}. Count again from the photos")
     if not kept.path.is_dir():
         staging = kept.path.with_name(f".model.{os.getpid()}")
         try:
@@ -95,7 +95,7 @@ def _source(photos: Path, cache: Path, config: PhotosConfig) -> Source:
         library = version("pycolmap")
         content = files_hash(list_photos(photos), photos)
     except PackageNotFoundError as error:
-        raise SceneError("The package pycolmap, which estimates cameras, is missing. Run: python -m pip install pycolmap") from error
+        raise SceneError("The package pycolmap is missing. Run: python -m pip install pycolmap") from error
     except OSError as error:
         raise SceneError(f"{error.filename} cannot be read ({error.strerror}). Check its permissions") from error
     key = stage_key(("scene",), content, config, library)

@@ -152,8 +152,8 @@ def _download(kind: Kind, name: str, own: Path) -> None:
         os.replace(arriving, own)
     except Exception as error:  # of the hub, of its network library, or of the disk
         raise EncoderError(
-            f"The {kind.name} checkpoint '{name}' cannot be downloaded ({_first_line(error)}). Try again, or put {kind.files} "
-            f"from https://huggingface.co/{name} into {own}"
+            f"The {kind.name} checkpoint '{name}' cannot be downloaded ({_first_line(error)}). Try again, or put "
+            f"{kind.files} from https://huggingface.co/{name} into {own}"
         ) from error
 
 
