@@ -39,21 +39,21 @@ IntArray = NDArray[np.int64]
 
 LEAST_OPACITY = 0.05
 FAINT = 1.0 / 3.0
-"""Share of the threshold from which a Gaussian may add to a fruit whose surer Gaussians come near the threshold."""
+"""Share of the threshold above which a Gaussian may belong to a fruit whose other Gaussians are above the threshold."""
 SIZING_POINTS, SIZING_SHARE = 20_000, 0.5
-"""Points that tell the size, or so many of each Gaussian where that is more: ten to a fruit are too few."""
+"""Points for the size estimate, or this many per Gaussian if that is more: ten per fruit are too few."""
 VOLUME_POINTS = 60_000
-"""Points of the paper's sampling."""
+"""Number of points of the paper's sampling."""
 ROUNDING = 1e-5
-"""By which a probability may lie outside 0…1: sums in float32 are off by so much."""
+"""Tolerance of a probability outside 0…1: rounding of sums in float32."""
 DEFAULT_SPREAD = 0.2
-"""Deviation of log diameter between fruit where the diameter is given and not estimated."""
+"""Standard deviation of log diameter between fruit if the diameter is given."""
 FACELESS = "has a side that faces the cameras and is not inside another"
-"""What is said of Gaussians without points of the skin: those seen from opposite sides alike face no way."""
+"""Text for Gaussians that give no surface points: seen equally from opposite sides, they have no outer side."""
 UNLIKE = 1.6
-"""Ratio of a given diameter and the scene's own from which the user is told."""
+"""Ratio of the given diameter to that of the scene above which the user is notified."""
 FIRST_SPREADS = (0.15, 0.35)
-"""Least and largest deviation of log diameter that is looked for first."""
+"""Least and largest standard deviation of log diameter to start from."""
 
 
 def count_fruit(
@@ -68,15 +68,15 @@ def count_fruit(
     known: KnownFruit = NOBODY,
     progress: Progress = silent,
 ) -> FruitCount:
-    """Count the fruit that the Gaussians with a probability (N,) near or above `config.threshold` make up.
+    """Count the fruit formed by the Gaussians with a probability (N,) near or above `config.threshold`.
 
-    Where a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well. With a region,
-    size and fruit come from what lies in it; what it cuts in two is looked at whole. A prompt that no Gaussian
-    satisfies is a count of 0 with one audit entry that says how near it came.
+    If a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well. With a region, size
+    and fruit come from its inside; a fruit that its border cuts is fitted whole. A prompt that no Gaussian matches is a
+    count of 0 with one audit entry that gives the highest probability.
 
-    up: (3,) away from the ground; as the cameras stand where it is not given. visibility: how the cameras see the
-    Gaussians, where it is known already; rendered otherwise. known: fruit that an earlier count of the scene numbered,
-    whose ids stay; new fruit are numbered from top to bottom as the cameras stand, from 1 or after the last id.
+    up: (3,) away from the ground; estimated from the cameras if not given. visibility: of the Gaussians in the cameras,
+    if known; rendered otherwise. known: fruit that an earlier count of the scene numbered, whose ids stay; new fruit
+    are numbered from top to bottom, from 1 or after the last id.
 
     Raises:
         ConfigError: the region is no region, two trees stand above one another, or the file that `config.template`
@@ -147,7 +147,7 @@ def count_fruit(
 def _on_trees(
     counted: FruitCount, lying: Sequence[bool | None], config: CountConfig, up: FloatArray, cameras: Sequence[Camera]
 ) -> FruitCount:
-    """The count with the place of each fruit, and a word where trees were asked for that no fruit tells."""
+    """The count with the position of each fruit, and an audit entry for trees that no fruit belongs to."""
     row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
     placed = place_fruit(counted, lying, row)
     if config.trees == 0 or row is not None:
@@ -185,7 +185,7 @@ def _with_intervals(
 
 
 def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
-    """(N,) which Gaussians lie in the region; an error with the scene's extent where none does."""
+    """(N,) which Gaussians lie in the region; an error with the extent of the scene if none does."""
     inside = region.contains(gaussians.means.detach().double().cpu().numpy())
     if not inside.any():
         subject = find_subject(gaussians)
@@ -198,7 +198,7 @@ def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
-    """The probabilities as (N,) float64, once everything that goes in has a sound shape and finite values."""
+    """The probabilities as (N,) float64, after shapes and values of all inputs were checked."""
     if isinstance(probability, torch.Tensor):
         probability = probability.detach().cpu().numpy()
     probabilities = np.asarray(probability, dtype=np.float64)
@@ -241,7 +241,7 @@ def _checked_up(up: FloatArray) -> FloatArray:
 
 
 def select_gaussians(gaussians: Gaussians, probabilities: FloatArray, config: CountConfig) -> IntArray:
-    """Which Gaussians may give surface points: opaque, and with a probability (N,) that is high enough."""
+    """Which Gaussians may give surface points: opaque, and with a high enough probability (N,)."""
     opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
     least = config.threshold * (FAINT if config.method == "voting" else 1.0)
     return np.flatnonzero((probabilities >= least) & opaque)
@@ -255,9 +255,9 @@ def fruit_size(
     config: CountConfig,
     progress: Progress = silent,
 ) -> FruitSize | None:
-    """The size of the fruit, given or estimated; None when nothing looks round or gives points.
+    """The size of the fruit, given or estimated; None if no part of the scene is round or gives points.
 
-    chances: (N,) probability of each Gaussian; seen: those that may be fruit and that a view sees.
+    probabilities: (N,) of the Gaussians; seen: those that may be fruit and that a view shows.
     """
     if config.diameter is not None:
         return FruitSize(config.diameter, DEFAULT_SPREAD)
@@ -272,7 +272,7 @@ def _measured_size(
     config: CountConfig,
     progress: Progress = silent,
 ) -> FruitSize | None:
-    """The size that the scene itself tells."""
+    """The size estimated from the scene."""
     points = _sizing_points(gaussians, probabilities, visibility, seen, config)
     typical = float(np.median(_widths(gaussians, seen)))
     estimate = estimate_diameter(points, typical, progress=progress)
@@ -289,7 +289,7 @@ def _check_diameter(
     config: CountConfig,
     progress: Progress = silent,
 ) -> list[str]:
-    """What the user should know of a diameter that was given: one in another unit would find other things, or nothing.
+    """Check a given diameter and return notices: one in another unit would find other objects, or nothing.
 
     Raises:
         CountingError: a fruit of that size is larger than all that may be fruit.
@@ -315,7 +315,7 @@ def _check_diameter(
 def _sizing_points(
     gaussians: Gaussians, probabilities: FloatArray, visibility: Visibility, seen: IntArray, config: CountConfig
 ) -> SurfacePoints:
-    """The points that tell the size."""
+    """The points for the size estimate."""
     return sample_surface(
         gaussians,
         probabilities,
@@ -341,14 +341,14 @@ def _why_no_size(
     config: CountConfig,
     label: str,
 ) -> str:
-    """Why the Gaussians that are seen tell no size."""
+    """Why no size can be estimated from the visible Gaussians."""
     if len(_sizing_points(gaussians, probabilities, visibility, seen, config)) == 0:
         return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
     return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
 
 
 def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:
-    """Why the Gaussians that are seen give no points to count in."""
+    """Why the visible Gaussians give no points."""
     large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
     if large == len(seen):
         return f"all {large} Gaussians of {label} are larger than the expected fruit"
@@ -364,7 +364,7 @@ def _sampled(
     diameter: float,
     config: CountConfig,
 ) -> SurfacePoints:
-    """The points that are counted in: of the skin, or spread through the volume as the published roads have them."""
+    """The points to count in: on surfaces, or spread through the volume for the published methods."""
     if config.method == "voting":
         return sample_enough(
             gaussians, probabilities, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed
@@ -382,7 +382,7 @@ def _find(
     config: CountConfig,
     progress: Progress,
 ) -> tuple[Clusters, Search | None]:
-    """What became of the points, and the weighed candidates that the published roads do not have."""
+    """What the points became, and the candidates with their probabilities, which the published methods do not have."""
     if config.method != "voting":
         template = read_template(Path(config.template), seed=config.seed) if config.template else None
         road = split_by_template if config.method == "template" else cluster_as_fruitnerf
@@ -393,7 +393,7 @@ def _find(
 
 
 def _mean_top(cameras: Sequence[Camera]) -> FloatArray:
-    """(3,) mean of the cameras' own upward axes, of length 1; cameras that cancel each other out leave the first's."""
+    """(3,) mean of the cameras' upward axes, of length 1; the first camera's if they cancel each other out."""
     upward = -np.mean([camera.world_to_camera[1, :3] for camera in cameras], axis=0)
     length = float(np.linalg.norm(upward))
     top: FloatArray = upward / length if length > 1e-6 else -cameras[0].world_to_camera[1, :3]
@@ -401,7 +401,7 @@ def _mean_top(cameras: Sequence[Camera]) -> FloatArray:
 
 
 def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-    """Order of the centres (F, 3) by falling height along the mean of the cameras' own upward axes."""
+    """Order of the centres (F, 3) by descending height along the mean of the cameras' upward axes."""
     return np.argsort(-(centers @ _mean_top(cameras)), kind="stable").astype(np.int64)
 
 

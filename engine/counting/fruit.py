@@ -1,4 +1,4 @@
-"""Counted fruit and the account of how they were counted."""
+"""Counted fruit and the audit of the count."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ FruitKind = Literal["single", "small", "compound-part"]
 Verdict = Literal["kept", "split", "merged", "dropped"]
 
 NEAR = 0.5
-"""Diameters within which the centre of a later count is that of the same fruit."""
+"""Diameters within which a centre of a later count is the same fruit."""
 NO_TREE = 0
-"""The number of a fruit that belongs to no tree of the row."""
+"""Tree number of a fruit that belongs to no tree of the row."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fruit:
     """One counted fruit.
 
-    center: (3,) in the scene's frame; diameter of the ball of its volume, diameter_sd: scene units; volume: cubed scene
-    units; axes: (3, 3), rows are its half axes in scene units, longest first, right-handed; probability that it is a
-    fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None where not measured;
-    views: how many show at least a tenth of it; color: (3,) mean sRGB of its surface, which tells how ripe it is; kind:
-    single, small, or part of a compound cluster; members: (M,) indices of the Gaussians it is made of; fallen: whether
-    it lies on the ground, None where no ground is seen; tree: the number of its tree, from 1, None where no trees were
-    asked for or it belongs to none.
+    center: (3,) in the scene frame; diameter of the sphere of equal volume, diameter_sd: scene units; volume: cubed
+    scene units; axes: (3, 3), rows are its half axes in scene units, longest first, right-handed; probability that it
+    is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None if not measured; views:
+    how many show at least a tenth of it; color: (3,) mean sRGB of its surface, which indicates its ripeness; kind:
+    single, small, or part of a compound cluster; members: (M,) indices of its Gaussians; fallen: whether it lies on the
+    ground, None if no ground is visible; tree: the number of its tree, from 1, None if no trees were requested or it
+    belongs to none.
     """
 
     id: int
@@ -54,7 +54,7 @@ class Fruit:
 
 
 def member_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
-    """(N,) the id of the fruit that each of `count` Gaussians is a member of, -1 for none."""
+    """(N,) the id of the fruit that each of `count` Gaussians belongs to, -1 for none."""
     ids = np.full(count, -1, np.int32)
     for fruit in fruits:
         ids[fruit.members] = fruit.id
@@ -63,8 +63,8 @@ def member_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One tree of a row. number: from 1 along the row; position: (3,) in the scene's frame; count: of its fruit;
-    interval, total, total_interval: as `FruitCount` has them, of this tree's fruit."""
+    """One tree of a row. number: from 1 along the row; position: (3,) in the scene frame; count: of its fruit;
+    interval, total, total_interval: as in `FruitCount`, for the fruit of this tree."""
 
     number: int
     position: NDArray[np.float64]
@@ -76,10 +76,10 @@ class Tree:
 
 @dataclass(frozen=True)
 class AuditEntry:
-    """Why one cluster of selected points became fruit, several fruit, or nothing.
+    """Why one cluster of selected points became fruit, several fruit, or none.
 
-    diameter: of its fruit, the mean of several, or of what was looked for, scene units; None where there is none.
-    reason holds no length, because the unit that people read may become known later.
+    diameter: of its fruit, the mean of several, or the size that was searched for, scene units; None without one.
+    reason contains no length, because the unit may become known later.
     """
 
     cluster: int
@@ -97,13 +97,10 @@ class FruitCount:
 
     count: visible fruit = len(fruits); interval, total_interval: low and high of 90 % intervals of the visible fruit
     and of all fruit; likely, total: most likely numbers of the visible fruit and of all fruit, hidden ones included;
-    None if the method gives no interval;
-    trees: those of the row, where they were asked for; notices: what the user should know; mean_diameter: scene units,
-    None when there is no fruit;
-    last_id: the highest id that this and earlier counts of the scene gave; max_probability: the highest any Gaussian
-    reached;
-    points, point_fruit_ids: (P, 3) and (P,) the sampled surface points with the id of their fruit (-1 none);
-    point_colors: (P, 3) uint8 sRGB.
+    None if the method gives no interval; trees: those of the row, if requested; notices: what the user should know;
+    mean_diameter: scene units, None without fruit; last_id: the highest id that this and earlier counts of the scene
+    gave; max_probability: the highest of any Gaussian; points, point_fruit_ids: (P, 3) and (P,) the sampled surface
+    points with the id of their fruit (-1 none); point_colors: (P, 3) uint8 sRGB.
     """
 
     fruits: Sequence[Fruit]
@@ -127,12 +124,12 @@ class FruitCount:
 
     @property
     def hanging(self) -> int | None:
-        """Fruit that do not lie on the ground; None where no ground is seen under any."""
+        """Fruit that do not lie on the ground; None if no ground is visible."""
         return self._known(False)
 
     @property
     def fallen(self) -> int | None:
-        """Fruit on the ground; None where no ground is seen under any."""
+        """Fruit on the ground; None if no ground is visible."""
         return self._known(True)
 
     def _known(self, fallen: bool) -> int | None:
@@ -141,10 +138,10 @@ class FruitCount:
 
     @property
     def centers(self) -> NDArray[np.float64]:
-        """(F, 3) the fruit's centres, in the scene's frame."""
+        """(F, 3) the centres of the fruit, in the scene frame."""
         return np.array([fruit.center for fruit in self.fruits], dtype=np.float64).reshape(-1, 3)
 
     @property
     def diameters(self) -> NDArray[np.float64]:
-        """(F,) the fruit's diameters, scene units."""
+        """(F,) the diameters of the fruit, scene units."""
         return np.array([fruit.diameter for fruit in self.fruits], dtype=np.float64)

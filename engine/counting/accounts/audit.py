@@ -1,4 +1,4 @@
-"""The audit: for every cluster of surface points, what became of it and why."""
+"""The audit: for every cluster of surface points, what it became and why."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..fruit import AuditEntry, Verdict
 IntArray = NDArray[np.int64]
 
 DUST = 20
-"""Clusters of fewer points than this are accounted for together."""
+"""Smaller clusters are summarised in one entry."""
 
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """entries: one a cluster; compound: (F,) whether a sphere shares its cluster with another."""
+    """entries: one per cluster; compound: (F,) whether a sphere shares its cluster with another."""
 
     entries: list[AuditEntry]
     compound: NDArray[np.bool_]
 
 
 def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Account:
-    """Say of every cluster why it was kept, split, merged or dropped.
+    """Give the reason why each cluster was kept, split, merged or dropped.
 
-    numbers: (F,) the fruit id of each sphere; beyond: fruit that were left out because their centres lie outside the
+    numbers: (F,) the fruit id of each sphere; beyond: number of fruit left out because their centres lie outside the
     region.
     """
     own = members(clusters.owners, len(numbers))
@@ -52,12 +52,12 @@ def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Ac
 
 
 def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
-    """What was dropped without a cluster of its own."""
+    """The entry for points that were dropped without a cluster of their own."""
     return AuditEntry(cluster=cluster, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
 
 
 def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArray, numbers: IntArray) -> AuditEntry:
-    """What became of one cluster; inside: its points; spheres: those that have most of their points in it."""
+    """What one cluster became; inside: its points; spheres: those that own most of their points in it."""
     x, y, z = clusters.points.positions[inside].mean(axis=0).tolist()
     center, size = (x, y, z), len(inside)
     ids = tuple(sorted(int(number) for number in numbers[spheres]))

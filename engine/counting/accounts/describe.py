@@ -1,4 +1,4 @@
-"""What is told of each fruit: its size, how it was seen, its colour and its Gaussians."""
+"""The description of each fruit: size, visibility, colour and Gaussians."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SMALL = 0.6
-"""A fruit below this many mean diameters is of kind "small"."""
+"""A fruit below this many mean diameters has the kind "small"."""
 MEMBER_REACH = 1.3
-"""Radii from a fruit's centre within which Gaussians are its own."""
+"""Radii around the centre of a fruit within which Gaussians belong to it."""
 ASKED = 1.001 * MEMBER_REACH
-"""Radii in which Gaussians are looked up: no rounding may leave one out."""
+"""Radii within which Gaussians are searched; larger than the reach, so that rounding leaves none out."""
 
 
 def describe(
@@ -36,10 +36,10 @@ def describe(
     view_evidence: ViewEvidence,
     label: str,
 ) -> list[Fruit]:
-    """The F fruit, by rising id.
+    """The F fruit, in ascending order of id.
 
-    seen: Gaussians that may be fruit; numbers, compound: (F,) id of each of the clusters' spheres and whether it shares
-    its cluster with another; looks: of the F spheres.
+    seen: Gaussians that may be fruit; numbers, compound: (F,) id of each sphere and whether it shares its cluster with
+    another; view_evidence: of the F spheres.
     """
     spheres, colors = clusters.spheres, point_colors(gaussians, clusters)
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else 0.0
@@ -71,7 +71,7 @@ def describe(
 
 
 def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | None) -> FruitCount:
-    """The fruit with what is known of where they are: on the ground or not, and on which tree."""
+    """The fruit with their position in the scene: on the ground or not, and on which tree."""
     numbers = [NO_TREE] * counted.count if row is None else row.numbers.tolist()
     fruits = [
         replace(fruit, fallen=fallen, tree=None if number == NO_TREE else number)
@@ -83,12 +83,13 @@ def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | No
 
 
 def point_colors(gaussians: Gaussians, clusters: Clusters) -> FloatArray:
-    """(P, 3) sRGB in 0…255 of the clusters' points: the base colours of their Gaussians."""
+    """(P, 3) sRGB in 0…255 of the points of the clusters: the base colours of their Gaussians."""
     return 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
 
 
 def nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:
-    """(N,) index of the sphere each mean (N, 3) lies in or near (MEMBER_REACH), the relatively nearest; -1 none."""
+    """(N,) index of the sphere in or near which each mean (N, 3) lies (MEMBER_REACH), the relatively nearest; -1 for
+    none."""
     owners, best = np.full(len(means), -1, np.int64), np.full(len(means), MEMBER_REACH)
     tree = cKDTree(means)
     for index, (center, radius) in enumerate(zip(centers, radii, strict=True)):

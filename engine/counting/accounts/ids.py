@@ -1,4 +1,4 @@
-"""Numbers of fruit that stay: a later count of the same scene calls each fruit what any earlier one called it."""
+"""Stable fruit ids: a later count of the same scene gives a fruit the id that an earlier count gave it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class KnownFruit:
-    """Every fruit that earlier counts of the scene numbered, where the last count that found it did. ids: (K,);
-    centers: (K, 3) in the scene's frame; diameters: (K,) scene units; last: the highest id that was ever given in the
-    scene, also by results that kept only the fruit of their own count."""
+    """Every fruit that earlier counts of the scene numbered, at the position of the last count that found it. ids:
+    (K,); centers: (K, 3) in the scene frame; diameters: (K,) scene units; last: the highest id ever used in the scene,
+    including results that stored only their own fruit."""
 
     ids: IntArray
     centers: FloatArray
@@ -30,11 +30,11 @@ NOBODY = KnownFruit(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), 0)
 
 
 def number(centers: FloatArray, order: IntArray, diameter: float, known: KnownFruit = NOBODY) -> IntArray:
-    """(F,) the id of each fruit: of the known one that it is matched with, one to one, else a new one.
+    """(F,) the id of each fruit: that of the known fruit it matches, one to one, else a new id.
 
-    centers: (F, 3); order: (F,) in which new ids are given, from known.last + 1 on; diameter: mean, scene units.
+    centers: (F, 3); order: (F,) in which new ids are given, from known.last + 1; diameter: mean, scene units.
     """
-    # Of the smaller of both: a count that took the crown for one fruit must not take a number from far away.
+    # The smaller of both: a count that mistook the crown for one fruit must not take over an id from far away.
     same = match_centers(centers, known.centers, NEAR * np.minimum(diameter, known.diameters))
     ids = np.zeros(len(centers), np.int64)
     ids[same.predicted] = known.ids[same.true]

@@ -1,7 +1,7 @@
-"""90 % intervals of the number of visible fruit and of all fruit, hidden ones included.
+"""90 % intervals of the number of visible fruit and of all fruit, including hidden ones.
 
-Log ratios of true fruit to the sum of the candidates' probabilities are predicted from what the scene shows, with a
-normal error of its own size; fitted by `scripts/developer/fit_interval.py`.
+The log ratio of true fruit to the sum of the candidate probabilities is predicted from what the scene shows, with a
+normal error that depends on the scene. Fitted by `scripts/developer/fit_interval.py`.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ FloatArray = NDArray[np.float64]
 
 STORED = Path(__file__).with_name("interval.json")
 TELLING = ("doubt", "faint", "hidden")
-"""What predicts a ratio and how far it errs; all 0 where every fruit is sure, of the prompt and well seen."""
+"""Names of the covariates that predict the ratio and its error; all 0 if every fruit is certain and fully visible."""
 PLACES = 2000
-"""Places inside the hull of the fruit that are asked."""
+"""Places inside the hull of the fruit that are tested for visibility."""
 OUTSIDE, FALLING = 2.2, 0.39
-"""Of a ball in which n fruit hang evenly, their hull leaves about OUTSIDE / n^FALLING out (drawn at random: .86 for 10
-fruit, .52 for 50, .19 for 500). There they are seen."""
+"""The hull of n fruit that are spread evenly in a ball leaves out about OUTSIDE / n^FALLING of the ball (measured on
+random samples: .86 for 10 fruit, .52 for 50, .19 for 500). That part is visible."""
 TRAINED = 0.1
-"""What is told of the faintness of trained scenes; that of true surfaces is 0."""
+"""Typical faintness of trained scenes; that of true surfaces is 0."""
 QUANTILE = 1.645
-"""Standard deviations of a normal on either side of 90 %."""
+"""Standard deviations of a normal distribution on either side of 90 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a scene shows of its count. expected, variance: sum and variance of the number of fruit by the candidates'
-    probabilities; telling: (3,) numbers in the order of TELLING."""
+    """What a scene shows about its count. expected, variance: sum and variance of the number of fruit by the candidate
+    probabilities; covariates: (3,) in the order of TELLING."""
 
     expected: float
     variance: float
@@ -47,15 +47,15 @@ class Evidence:
 
     @property
     def faint(self) -> float:
-        """How far the fruit's points are from sure of the prompt, 0…1."""
+        """How far the probabilities of the fruit's points are below certainty, 0…1."""
         return float(self.covariates[TELLING.index("faint")])
 
 
 @dataclass(frozen=True, eq=False)
 class Ratio:
-    """log (fruit / expected) = bias + weights · telling, give or take a stretch times the square root of
-    floor² + variance / expected² + Σ (slopes · telling)²; weights, slopes: (3,) in the order of TELLING; stretches:
-    (2,) of scenes that are not faint and of trained ones, in proportion between them."""
+    """log (fruit / expected) = bias + weights · covariates ± stretch · √(floor² + variance / expected² + Σ (slopes ·
+    covariates)²); weights, slopes: (3,) in the order of TELLING; stretches: (2,) for scenes that are not faint and for
+    trained ones, interpolated between them."""
 
     bias: float
     weights: FloatArray
@@ -65,12 +65,12 @@ class Ratio:
 
     @classmethod
     def read(cls, document: dict[str, Any]) -> Ratio:
-        """What `document` made into JSON."""
+        """The ratio from the JSON of `document`."""
         arrays = {name: np.array(document[name], np.float64) for name in ("weights", "slopes", "stretches")}
         return cls(**{**document, **arrays})
 
     def document(self) -> dict[str, Any]:
-        """The ratio as JSON has it."""
+        """The ratio as JSON."""
         names = ("bias", "weights", "floor", "slopes", "stretches")
         return {name: np.round(getattr(self, name), 5).tolist() for name in names}
 
@@ -90,10 +90,10 @@ class Ratio:
         return evidence.expected * float(np.exp(self.mean(evidence)))
 
     def interval(self, evidence: Evidence, least_deviation: float = 0.0) -> tuple[int, int]:
-        """Low and high number of fruit; least_deviation: of the log ratio, where something else is known of it."""
+        """Low and high number of fruit; least_deviation: lower bound of the deviation of the log ratio."""
         deviation = max(self.deviation(evidence), least_deviation)
         number, factor = self.likeliest(evidence), float(np.exp(QUANTILE * deviation))
-        # Half a fruit either way: of a few fruit nothing is surer than that.
+        # Half a fruit either way: for a few fruit no interval is narrower.
         return max(int(np.ceil(number / factor - 0.5)), 0), int(np.floor(number * factor + 0.5))
 
 
@@ -109,10 +109,11 @@ class Estimate:
 
 
 def estimate(evidence: Evidence, count: int) -> Estimate:
-    """The intervals for a count. Both hold the count or values above it; `likely` and `total` lie in theirs."""
+    """The intervals of a count. Both contain the count or start above it; `likely` and `total` lie in their
+    intervals."""
     of_visible, of_all = stored_ratios()
     low, high = of_visible.interval(evidence)
-    # The visible fruit are among all: nobody is surer of these than of those.
+    # The visible fruit are part of all fruit, so the interval of all fruit is not the narrower one.
     least, most = of_all.interval(evidence, of_visible.deviation(evidence))
     low, high = min(low, count), max(high, count)
     total = max(of_all.likeliest(evidence), float(count))
@@ -122,7 +123,7 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
 
 
 def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
-    """What the weighed candidates that lie `inside` (C,) the region, and the views, tell of a count."""
+    """What the candidates that lie `inside` (C,) the region, and the views, show about a count."""
     probabilities = np.where(inside, found.probabilities, 0.0)
     expected = float(probabilities.sum())
     if expected <= 0.0:
@@ -136,12 +137,12 @@ def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Pic
 
 
 def hull_share(count: int) -> float:
-    """Share of the room in which so many fruit hang that their hull holds."""
+    """Share of the volume of a crown that the hull of this many fruit contains."""
     return float(max(1.0 - OUTSIDE / max(count, 1) ** FALLING, 0.0))
 
 
 def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Places spread evenly over the hull of centers (F, 3); none where they have no hull."""
+    """Places spread evenly over the hull of centers (F, 3); none if they have no hull."""
     try:
         hull = Delaunay(centers)
     except (QhullError, ValueError):
@@ -151,13 +152,13 @@ def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def _shown(pictures: Sequence[Picture], places: FloatArray, radius: float) -> float:
-    """Share of places (K, 3) at which any view would show a fruit; 1 of none."""
+    """Share of places (K, 3) at which at least one view would show a fruit; 1 for no place."""
     views = open_views(pictures, places, np.full(len(places), radius))
     return float((views > 0).mean()) if len(places) else 1.0
 
 
 @cache
 def stored_ratios() -> tuple[Ratio, Ratio]:
-    """Of visible fruit, and of all fruit, as the package has them."""
+    """The ratios for visible fruit and for all fruit that come with the package."""
     document = json.loads(STORED.read_text(encoding="utf-8"))
     return Ratio.read(document["visible"]), Ratio.read(document["total"])

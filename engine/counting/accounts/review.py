@@ -1,7 +1,7 @@
-"""What a person decided about counted fruit, kept through later counts of the same scene.
+"""Decisions of the user about counted fruit, which stay valid in later counts of the same scene.
 
-A decision names fruit by where they are, never by number alone: a later count finds each of them where it was, and what
-the person said of it holds on. The interval narrows with what has been looked at.
+A decision identifies fruit by their position, never by id alone: a later count finds each fruit at its position, and
+the decision applies to it again. The interval narrows with the number of reviewed fruit.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ IntArray = NDArray[np.int64]
 
 Action = Literal["confirm", "reject", "reopen", "merge", "split", "add", "relabel"]
 Standing = Literal["", "confirmed", "rejected", "added"]
-"""What a person says of a fruit: nothing yet, that it is one, that it is none, or that they made it."""
+"""The state of a fruit in the review: not reviewed, confirmed, rejected, or made by the user."""
 
 SOLID = 0.2
-"""Variance of a solid ellipsoid's points along an axis, in half axes squared."""
+"""Variance of the points of a solid ellipsoid along an axis, in half axes squared."""
 LEAST_DOUBT = 1e-3
-"""A fruit never looked at is at least so doubtful, p (1 - p)."""
+"""Least uncertainty p (1 - p) of a fruit that is not reviewed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """Where a fruit is. center: (3,) in the scene's frame; axes: (3, 3), rows are its half axes, scene units."""
+    """Position of a fruit. center: (3,) in the scene frame; axes: (3, 3), rows are its half axes, scene units."""
 
     id: int
     label: str
@@ -40,15 +40,15 @@ class Spot:
 
     @property
     def diameter(self) -> float:
-        """Of the ball of its volume, scene units."""
+        """Diameter of the sphere of equal volume, scene units."""
         return 2.0 * float(np.abs(np.linalg.det(self.axes)) ** (1.0 / 3.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """One entry of the log: what was there before and what is there after.
+    """One entry of the log: the fruit before and after the decision.
 
-    time: ISO 8601, UTC; reason: as the person gave it; before, after: one spot each for a relabelling, none after a
+    time: ISO 8601, UTC; reason: as the user entered it; before, after: one spot each for a relabelling, none after a
     confirmation, rejection or reopening, none before an addition.
     """
 
@@ -61,10 +61,9 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Reviewed:
-    """Fruit with what persons said of them. spots and standings: (F,) one each, of which `sources` (F,) are the indices
-    of the machine's fruit, -1 for what a person made; origins: (F,) the machine's fruit that each is or was made of;
-    lost: decisions about fruit that are no longer found; taken: numbers that are given; last: the highest ever given;
-    renumbered: {number in the log: what it is now}."""
+    """Fruit with the decisions about them. spots and standings: (F,); sources: (F,) index of the counted fruit, -1 for
+    one that the user made; origins: (F,) the counted fruit that each is or was made from; lost: decisions about fruit
+    that were not found; taken: ids in use; last: the highest id ever used; renumbered: {id in the log: id now}."""
 
     spots: list[Spot]
     standings: list[Standing]
@@ -77,9 +76,9 @@ class Reviewed:
 
 
 def about(decisions: Sequence[Decision], labels: Collection[str]) -> tuple[list[Decision], list[Decision]]:
-    """The decisions on fruit of these labels, and those on others, in their order.
+    """The decisions about fruit of these labels, and those about others, in order.
 
-    A fruit that was moved from one of the labels to another one stays one of them; an added one is what it was called.
+    A fruit that was moved from one of the labels to another still belongs to them; an added fruit belongs to its label.
     """
     known, own, others = set(labels), [], []
     for decision in decisions:
@@ -94,11 +93,11 @@ def about(decisions: Sequence[Decision], labels: Collection[str]) -> tuple[list[
 
 
 def replay(decisions: Sequence[Decision], fruits: Sequence[Spot], last: int = 0) -> Reviewed:
-    """Apply decisions, in their order, to what a count found.
+    """Apply decisions, in order, to a count.
 
-    Where the count by now agrees with what a person made (parts of a split, the whole of a merge, an addition), its own
-    fruit stay and are confirmed. A fruit that a person made keeps its number unless the count gave it to another;
-    then it gets one above all of these and above `last`.
+    If the count now agrees with a fruit that the user made (parts of a split, the result of a merge, an addition), the
+    counted fruit stay and are confirmed. A fruit that the user made keeps its id unless the count gave it to another;
+    then it gets one above all ids in use and above `last`.
     """
     state = Reviewed(
         spots=list(fruits),
@@ -117,7 +116,7 @@ def replay(decisions: Sequence[Decision], fruits: Sequence[Spot], last: int = 0)
 
 
 def _apply(state: Reviewed, decision: Decision) -> bool:
-    """Apply one decision; False where its fruit are not found."""
+    """Apply one decision; False if its fruit are not found."""
     if decision.action in {"merge", "split", "add"}:
         return _make(state, decision)
     found = _found(state, decision.before)
@@ -130,7 +129,7 @@ def _apply(state: Reviewed, decision: Decision) -> bool:
 
 
 def _make(state: Reviewed, decision: Decision) -> bool:
-    """Put what a person made in the place of what was there, or confirm it where the count found it by itself."""
+    """Replace fruit by what the user made, or confirm them if the count found the same."""
     before, after = _found(state, decision.before), _found(state, decision.after)
     still_apart = decision.action == "merge" and len(before) > 1
     if len(after) == len(decision.after) and not still_apart:
@@ -146,7 +145,7 @@ def _make(state: Reviewed, decision: Decision) -> bool:
 
 
 def _found(state: Reviewed, spots: Sequence[Spot]) -> list[int]:
-    """Indices of the fruit that these spots are, one to one, nearest first."""
+    """Indices of the fruit at these spots, one to one, nearest first."""
     if not state.spots:
         return []
     centers = np.stack([spot.center for spot in state.spots])
@@ -197,11 +196,11 @@ def corrected_interval(
 ) -> tuple[int, int]:
     """90 % interval of the visible fruit after a review.
 
-    The machine counted `count` fruit with probabilities chances (F,) and an interval; the person has looked at
-    `reviewed` (F,) of them, rejected some, and ends with `after` fruit. Below, only fruit nobody looked at may be
-    false: the distance to the lower end shrinks as the square root of their share of the doubt, Σ p (1 - p). Above, the
-    machine may have missed fruit: that distance shrinks by those that the person made. The count after the review lies
-    within; where nothing was looked at the interval is the machine's.
+    The count had `count` fruit with `probabilities` (F,) and an interval. The user reviewed `reviewed` (F,) of them,
+    rejected some, and ends with `after` fruit. Below the count, only fruit that were not reviewed may be false: the
+    distance to the lower end shrinks with the square root of their share of the uncertainty Σ p (1 - p). Above it, the
+    count may have missed fruit: that distance shrinks by the fruit that the user made. The reviewed count lies in the
+    interval; without any review the interval does not change.
     """
     doubt = np.maximum(probabilities * (1.0 - probabilities), LEAST_DOUBT)
     share = float(np.sqrt(doubt[~reviewed].sum() / doubt.sum())) if len(doubt) else 1.0
@@ -211,7 +210,7 @@ def corrected_interval(
 
 
 def merged(spots: Sequence[Spot], number: int) -> Spot:
-    """One fruit for several: the solid ellipsoid with the centre and second moments of theirs together.
+    """One fruit for several: the solid ellipsoid with their common centre and second moments.
 
     Raises:
         CountingError: none of them has a size.
@@ -234,10 +233,10 @@ def merged(spots: Sequence[Spot], number: int) -> Spot:
 def split(
     spot: Spot, parts: int, points: FloatArray, numbers: Sequence[int], seed: int = 0
 ) -> tuple[list[Spot], IntArray]:
-    """`parts` balls for one fruit, of its volume together, and the part (P,) that each of its points (P, 3) is of.
+    """Split a fruit into `parts` spheres of its total volume, and assign each of its points (P, 3) to a part (P,).
 
-    The points, places of its Gaussians, are clustered; a part stands as far from the middle as its points tell. With
-    too few points the parts lie in a row along the longest axis.
+    The points, positions of its Gaussians, are clustered; the distance of the parts from the centre follows from the
+    points. With too few points the parts lie in a row along the longest axis.
 
     Raises:
         CountingError: fewer than two parts are asked for, or more than twelve.
@@ -246,7 +245,7 @@ def split(
         raise CountingError(f"A fruit is split into 2 to 12 parts, not {parts}")
     radius = spot.diameter / 2.0 / parts ** (1.0 / 3.0)
     if len(points) >= 4 * parts:
-        from sklearn.cluster import KMeans  # here, because a panel asks for intervals where it may not be installed
+        from sklearn.cluster import KMeans  # here, because a panel that asks for intervals must work without it
 
         found = KMeans(parts, n_init=10, random_state=seed).fit(points)
         centers, owners = found.cluster_centers_, found.labels_.astype(np.int64)
@@ -263,5 +262,5 @@ def split(
 
 
 def ball(number: int, label: str, center: FloatArray, diameter: float) -> Spot:
-    """A round fruit that a person pointed at."""
+    """A round fruit at a point that the user clicked."""
     return Spot(number, label, np.asarray(center, np.float64), 0.5 * diameter * np.eye(3))

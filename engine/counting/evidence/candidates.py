@@ -23,32 +23,32 @@ IntArray = NDArray[np.int64]
 CELL = 0.6
 """Side of the cells of points, in mean radii."""
 NORMAL_REACH, NORMAL_NEIGHBORS = 0.4, 32
-"""Points within so many mean radii, and at most so many of them, tell a point's normal."""
+"""The normal of a point is estimated from points within this many mean radii, and at most this many."""
 VOTE_STEP = 0.3
 """Logarithm of the ratio between the radii at which points vote."""
 VOTED = 2.2
 """Radii vote within this many deviations of log radius about the mean one."""
 LEAST_VOTES, LEAST_VOTE_SHARE = 2.0, 0.01
-"""A centre has at least so many votes, and this share of those of the densest tenth."""
+"""A centre has at least this many votes, and this share of the votes of the densest tenth."""
 LEAST_THINNESS, LEAST_COVERAGE, LEAST_SHELL, LEAST_SUPPORT = 0.03, 0.05, 0.4, 0.015
 LEAST_AGREEMENT, LEAST_SOLIDITY, LEAST_PROBABILITY = 0.2, 0.08, 0.03
 MOST_OFF = 3.5
-"""What no fruit goes below, or beyond (deviations of log diameter): spheres that fail are not even weighed."""
+"""Limits that no fruit exceeds (deviations of log diameter): spheres beyond them are not considered."""
 RESIDUAL = 0.05
-"""Radii off the surface at which a sphere's merit falls."""
+"""Radii off the surface at which the merit of a sphere falls."""
 SAME = 0.08
-"""Spheres whose centres and radii differ by fewer radii are one."""
+"""Spheres whose centres and radii differ by less than this many radii are one."""
 ROUND = 0.3
-"""Spheres covered on more than this share tell how many points a whole fruit has."""
+"""Spheres covered on more than this share show how many points a whole fruit has."""
 OVERLAP = 0.8
-"""Two fruit's centres are at least this many sums of their radii apart."""
+"""The centres of two fruit are at least this many sums of their radii apart."""
 LEAST_FREE = 0.5
-"""A sphere keeps at least this share of its points once better ones have taken theirs."""
+"""A sphere keeps at least this share of its points after better spheres have claimed theirs."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceIndex:
-    """P surface points in the order of their cells, with normals (P, 3) that their neighbours had a say in."""
+    """P surface points in the order of their cells, with normals (P, 3) smoothed over their neighbours."""
 
     points: SurfacePoints
     cells: Cells
@@ -56,7 +56,7 @@ class SurfaceIndex:
 
     @classmethod
     def of(cls, points: SurfacePoints, diameter: float) -> SurfaceIndex:
-        """Sort the points into cells and mend their normals; diameter: of a fruit, scene units."""
+        """Sort the points into cells and smooth their normals; diameter: of a fruit, scene units."""
         cells = Cells.of(points.positions, CELL * diameter / 2.0, points.turns)
         ordered, normals = points.select(cells.index), np.empty_like(points.normals)
         reach = NORMAL_REACH * diameter / 2.0
@@ -66,10 +66,10 @@ class SurfaceIndex:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """C spheres that may be fruit, of which no two share much.
+    """C spheres that may be fruit and that overlap little.
 
-    shares: (C,) points on each for its surface, in those of a typical whole fruit; free: (C,) share of its points that
-    no better sphere took; owners: (P,) sphere of each point, -1 none.
+    shares: (C,) points on each relative to its surface, in those of a typical whole fruit; free: (C,) share of its
+    points that no better sphere claimed; owners: (P,) sphere of each point, -1 for none.
     """
 
     spheres: Spheres
@@ -108,8 +108,8 @@ def find_candidates(
         & (view_evidence.probabilities > LEAST_PROBABILITY)
         & (np.abs(off) < MOST_OFF)
     )
-    # A sphere over two fruit explains more points than one of them, but is of an unlikely size and off the surface, and
-    # its points face elsewhere; one in the gap between fruit is seen through.
+    # A sphere over two fruit explains more points than one of them, but has an unlikely size, misses the surface, and
+    # its points face elsewhere. One in the gap between fruit is transparent in the views.
     fitting = np.maximum(spheres.agreement, 0.0) ** 2 * np.exp(-0.5 * (spheres.residual / RESIDUAL) ** 2)
     merit = np.exp(-0.5 * off**2) * fitting * view_evidence.solidity * view_evidence.probabilities
     chosen, owners, free = cover(surface, spheres.select(possible), merit[possible])
@@ -119,7 +119,7 @@ def find_candidates(
 
 def vote(surface: SurfaceIndex, radius: float, least_share: float = LEAST_VOTE_SHARE) -> FloatArray:
     """(C, 3) peaks of the density of the centres p − r·n that the points vote for, at least 0.35 r apart; least_share:
-    of the votes of the densest tenth."""
+    relative to the votes of the densest tenth."""
     cells = Cells.of(surface.points.positions - radius * surface.normals, 0.35 * radius, surface.points.turns)
     density = cells.numbers(cells.positions, np.full(len(surface.points), 0.25 * radius))
     least = max(LEAST_VOTES, least_share * float(np.quantile(density, 0.9)))
@@ -131,7 +131,8 @@ def vote(surface: SurfaceIndex, radius: float, least_share: float = LEAST_VOTE_S
 
 
 def support_shares(spheres: Spheres) -> FloatArray:
-    """(C,) points on each sphere for its surface, in those of a typical whole fruit (upper quartile of round fits)."""
+    """(C,) points on each sphere relative to its surface, in those of a typical whole fruit (upper quartile of round
+    fits)."""
     density = spheres.support / np.maximum(spheres.radii, 1e-12) ** 2
     round_fits = density[(spheres.shell > 0.5) & (spheres.coverage > ROUND)]
     whole = np.quantile(round_fits, 0.75) if len(round_fits) else density.max(initial=1.0)
@@ -139,9 +140,9 @@ def support_shares(spheres: Spheres) -> FloatArray:
 
 
 def cover(surface: SurfaceIndex, spheres: Spheres, merit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Choose spheres greedily by merit (C,) times the points that no better sphere has.
+    """Choose spheres greedily by merit (C,) times the points that no better sphere has claimed.
 
-    Returns which are chosen (F,), the one that owns each point (P,), and the share of its points that each kept (F,).
+    Returns which are chosen (F,), the owner of each point (P,), and the share of its points that each kept (F,).
     """
     claims = claim(surface.cells, surface.normals, spheres.centers, spheres.radii)
     owners = np.full(len(surface.points), -1, np.int64)

@@ -1,4 +1,4 @@
-"""Which points each sphere explains: what spheres compete for."""
+"""Which points each sphere explains: the points that spheres compete for."""
 
 from __future__ import annotations
 
@@ -15,47 +15,48 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 REACH = 1.35
-"""Radii within which a point may be a sphere's."""
+"""Radii within which a sphere may claim a point."""
 FALL = 0.35
-"""A point's worth falls to 0 at this many radii from the surface."""
+"""The value of a point falls to 0 at this many radii from the surface."""
 OFF, INSIDE = -2.0, -1.0
-"""Worth of points that neither are on the sphere nor lie well inside it, and of those well inside."""
+"""Value of points that are neither on the sphere nor well inside it, and of those well inside."""
 
 
 @dataclass(frozen=True, eq=False)
 class Claims:
-    """points: (K,) of all spheres, one sphere's after the other's; worths: (K,) of each to its sphere, in 0…1 on the
-    surface, INSIDE well below it; bounds: (C + 1,) where each sphere's points begin."""
+    """points: (K,) of all spheres, one sphere after the other; worths: (K,) of each to its sphere, in 0…1 on the
+    surface, INSIDE well below it; bounds: (C + 1,) where the points of each sphere begin."""
 
     points: IntArray
     worths: FloatArray
     bounds: IntArray
 
     def value(self, sphere: int, owners: IntArray) -> tuple[float, float]:
-        """Summed worth, and points well inside, of a sphere's points that nobody owns; owners: (P,), -1 none."""
+        """Summed value of the points of a sphere without an owner, and how many of them lie well inside; owners: (P,),
+        -1 for none."""
         part = slice(self.bounds[sphere], self.bounds[sphere + 1])
         return _free(self.points[part], self.worths[part], owners)  # type: ignore[no-any-return]
 
     def take(self, sphere: int, number: int, owners: IntArray) -> None:
-        """Make `number` the owner of the sphere's points that nobody owns."""
+        """Make `number` the owner of the points of the sphere without an owner."""
         points = self.points[self.bounds[sphere] : self.bounds[sphere + 1]]
         owners[points[owners[points] < 0]] = number
 
 
 def members(owners: IntArray, count: int) -> list[IntArray]:
-    """The points of each of `count` owners, rising; owners: (P,), -1 none."""
+    """The points of each of `count` owners, ascending; owners: (P,), -1 for none."""
     order = np.argsort(owners, kind="stable")
     return np.split(order, np.searchsorted(owners[order], np.arange(count + 1)))[1:-1]
 
 
 def commonest(numbers: IntArray) -> int:
-    """The commonest of one or more numbers, the least of those that are as common."""
+    """The most common of one or more numbers; the least of equally common ones."""
     values, times = np.unique(numbers, return_counts=True)
     return int(values[times.argmax()])
 
 
 def claim(cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray) -> Claims:
-    """What each of C spheres, centers (C, 3) and radii (C,), claims of the points in their cells."""
+    """The points that each of C spheres, centers (C, 3) and radii (C,), claims."""
     numbers = np.minimum(cells.numbers(centers, REACH * radii), room(MOST_POINTS))
     bounds = np.concatenate([np.zeros(1, np.int64), np.cumsum(numbers)])
     points, worths = np.empty(bounds[-1], np.int64), np.full(bounds[-1], OFF)

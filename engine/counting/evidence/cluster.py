@@ -1,4 +1,4 @@
-"""Fruit among surface points: candidates, weighed; what became of every cluster of points."""
+"""Fruit among surface points: candidates with probabilities, and what every cluster of points became."""
 
 from __future__ import annotations
 
@@ -25,45 +25,45 @@ IntArray = NDArray[np.int64]
 LINK = 0.15
 """Points nearer to each other than this, in mean diameters, belong to one cluster."""
 LINKS = 5.0
-"""Points nearer than this part of a link ask for their neighbours but once."""
+"""Of points nearer than this share of a link, only one searches for neighbours."""
 LIKELY = 0.5
 """Least probability of a fruit that is counted."""
 SPREADS = (0.08, 0.5)
-"""Least and largest deviation of log diameter that is believed."""
+"""Least and largest standard deviation of log diameter that is accepted."""
 SETTLED = 0.03
-"""A size that changes the logarithms of diameter and spread by less needs no further round."""
+"""Refinement stops when the logarithms of diameter and spread change by less."""
 DIAMETER_STEP, SPREAD_STEP = 0.02, 0.02
-"""To which estimates of log diameter and of its deviation are rounded."""
+"""Estimates of log diameter and of its deviation are rounded to this."""
 FEWEST = 3
-"""Fruit from which a size can be told."""
+"""Number of fruit needed to refine a size."""
 USUAL, USUALLY = 0.15, 5.0
-"""Deviation of log diameter before a fruit is found, and as many fruit as that counts for: a few tell no spread."""
+"""Prior deviation of log diameter, and the number of fruit that it counts for: a few fruit do not determine a
+spread."""
 ROUNDS, COARSE = 3, 3
-"""Of looking for fruit of the size that the round before found, and of how many points one tells the size."""
+"""Rounds of refinement, and the share of the points used for it."""
 LOOSE, FAR = 0.6, 0.5
-"""Deviation of log radius to which loose fits are held, and radii that they may move: fruit that are held to the mean
-are as alike as they are held to be."""
+"""Deviation of log radius that loose fits are held to, and radii that they may move: fruit held to the mean are as
+alike as they are held to be."""
 COVERED, ENOUGH = 0.3, 10
-"""Coverage of a loose fit that tells its size, and how many of them tell a spread."""
+"""Coverage of a loose fit that is used for the spread, and how many of them are needed."""
 NOISE, CUT = 0.07, 0.88
-"""Deviation of their log radii that noise alone makes, and that of a normal distribution cut at two deviations."""
+"""Deviation of their log radii from noise alone, and that of a normal distribution truncated at two deviations."""
 UNTOLD = 0.4
-"""Of the spread of sizes, what a fit's own deviation does not tell of its error: what is not round, and what hides."""
+"""Share of the spread of sizes that is added to the fit's own deviation: deviation from a sphere, and hidden parts."""
 STEADY = 0.25
-"""Radii by which a fruit may move when it is fitted from its own place, so that it does not tell from which start it
-came."""
+"""Radii by which a fruit may move when it is fitted again from its own position, so that the start does not matter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clusters:
-    """What became of the surface points.
+    """What the surface points became.
 
-    points: the P surface points, in an order of their own; spheres: the F accepted fruit; owners: (P,) index of the
-    sphere each point belongs to, -1 none; components: (P,) index of the connected cluster a point is in; probabilities:
-    (F,) that a sphere is a fruit of the prompt; refusals: why the likeliest candidate of a cluster without fruit was
-    refused, by cluster; findings: why a cluster with fruit was kept, by cluster, where not by its spheres; small:
-    spheres of kind small, whatever their size; axes: (F, 3, 3), rows are half axes in radii as `ellipsoid.Ellipsoids`
-    has them, None where fruit are spheres.
+    points: the P surface points, in their own order; spheres: the F accepted fruit; owners: (P,) index of the sphere
+    each point belongs to, -1 for none; components: (P,) index of the connected cluster of a point; probabilities: (F,)
+    that a sphere is a fruit of the prompt; refusals: by cluster, why the most probable candidate of a cluster without
+    fruit was refused; findings: by cluster, why a cluster with fruit was kept, if not by its spheres; small: spheres of
+    kind small, whatever their size; axes: (F, 3, 3), rows are half axes in radii as in `ellipsoid.Ellipsoids`, None if
+    fruit are spheres.
     """
 
     points: SurfacePoints
@@ -77,7 +77,7 @@ class Clusters:
     axes: FloatArray | None = None
 
     def refusal(self, component: int) -> str:
-        """Why a cluster holds no fruit."""
+        """Why a cluster has no fruit."""
         return self.refusals.get(component, "its points face no common centre")
 
 
@@ -101,10 +101,10 @@ def search(
     given: bool = False,
     progress: Progress = silent,
 ) -> Search:
-    """Look for spheres that explain the points, and weigh them.
+    """Search for spheres that explain the points, and estimate their probabilities.
 
-    size: as estimated, or `given` by the user: an estimate is refined by the fruit that are found with it; threshold:
-    of the Gaussians' probability.
+    size: estimated, or `given` by the user: an estimate is refined by the fruit that are found with it; threshold: of
+    the Gaussians' probability.
     """
     progress(0.0, "finding normals")
     if not given:
@@ -130,7 +130,7 @@ def _searched(surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture
 
 
 def find_fruit(result: Search) -> Clusters:
-    """The likely fruit among the candidates, and what became of every cluster of points."""
+    """The likely fruit among the candidates, and what every cluster of points became."""
     found, probabilities = result.found, result.probabilities
     components = connected(result.surface.points, LINK * result.size.diameter)
     kept = probabilities > LIKELY
@@ -150,8 +150,8 @@ def find_fruit(result: Search) -> Clusters:
 
 
 def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
-    """The spheres, each fitted from its own place, held to the size by a deviation `spread` of log radius; one that
-    moves by `farthest` of its radius or more stays as it was."""
+    """The spheres, each fitted again from its own position and held to the size by a deviation `spread` of log radius;
+    one that moves by `farthest` of its radius or more stays unchanged."""
     fitted = fit_spheres(
         result.surface.cells, result.surface.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
         prior=result.size.diameter / 2.0, prior_sd=spread,
@@ -161,12 +161,12 @@ def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) 
 
 
 def refine(size: FruitSize, spheres: Spheres, probabilities: FloatArray, loose: Spheres) -> FruitSize:
-    """The mean and spread of log diameter of the likely fruit (C,), a step of expectation maximisation.
+    """The mean and spread of log diameter of the likely fruit (C,): one step of expectation maximisation.
 
-    A sphere's own uncertainty adds to the spread: those that tell little of their size were held at the mean. Where the
-    well covered ones among the `loose` fits differ by more than noise makes them, that is the spread, of which the
-    choice of likely fruit has cut the ends off. Of a few fruit that are alike by chance, another one would be refused
-    for its size: the spread is held near the usual one.
+    The uncertainty of each sphere adds to the spread, because poorly determined spheres were held at the mean. If the
+    well covered ones among the `loose` fits differ by more than noise, that difference is the spread, corrected for the
+    truncation by the choice of likely fruit. The spread is held near its prior: if a few fruit are alike by chance,
+    another one must not be refused for its size.
     """
     weights = np.where(probabilities > LIKELY, probabilities, 0.0)
     if np.count_nonzero(weights) < FEWEST:
@@ -182,8 +182,8 @@ def refine(size: FruitSize, spheres: Spheres, probabilities: FloatArray, loose: 
 
 
 def rounded(size: FruitSize, unit: float) -> FruitSize:
-    """The size to steps of log diameter and spread: sizes that differ by less than an estimate can tell find the same
-    fruit. unit: a length that is scaled with the scene."""
+    """Round the size to steps of log diameter and spread, so that sizes that differ by less than the error of an
+    estimate give the same fruit. unit: a length that scales with the scene."""
     diameter = unit * np.exp(DIAMETER_STEP * np.round(np.log(size.diameter / unit) / DIAMETER_STEP))
     return FruitSize(float(diameter), float(SPREAD_STEP * np.round(size.spread / SPREAD_STEP)))
 
@@ -198,7 +198,7 @@ def _moments(spheres: Spheres, weights: FloatArray) -> tuple[float, float]:
 def connected(points: SurfacePoints, link: float) -> IntArray:
     """(P,) index of the connected cluster of each point; points nearer than `link` are linked.
 
-    Of a dense surface, points LINKS times as close do for one another.
+    In a dense surface, points LINKS times as close represent each other.
     """
     cells = Cells.of(points.positions, link)
     numbers = np.empty(len(points), np.int64)
@@ -207,7 +207,7 @@ def connected(points: SurfacePoints, link: float) -> IntArray:
 
 
 def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> dict[int, str]:
-    """By cluster, why the likeliest of its candidates that are not kept was refused."""
+    """By cluster, why the most probable of its rejected candidates was refused."""
     gate, reasons, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
     for index in np.argsort(-result.probabilities, kind="stable"):
         if not kept[index]:

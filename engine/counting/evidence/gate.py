@@ -1,4 +1,4 @@
-"""How likely a sphere is a fruit: a logistic regression on what speaks for it and on the products of these, fitted by
+"""The probability that a sphere is a fruit: a logistic regression on features and their products, fitted by
 `scripts/developer/fit_gate.py`."""
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from .size import FruitSize
 
 FloatArray = NDArray[np.float64]
 Features = Mapping[str, FloatArray]
-"""(C,) numbers by name, one a candidate."""
+"""(C,) numbers by name, one per candidate."""
 
 STORED = Path(__file__).with_name("gate.json")
 WEIGHED = (
     "coverage", "solidity", "thinness", "residual", "agreement", "share", "free", "off", "mean", "shown",
     "looked", "shell", "spread", "curvature",
 )  # fmt: skip
-"""Features that the regression weighs. `looked` tells how much solidity is worth, `spread` how much size is."""
+"""Features of the regression. `looked` says how reliable solidity is, `spread` how reliable size is."""
 HALF = 0.5
-"""Probabilities are weighed as if this were the threshold that the user set."""
+"""Probabilities are scaled as if the user had set this threshold."""
 SUREST = 0.25
-"""What the surest tenth of a fruit's points exceed, as weighed; its other points may be fainter."""
+"""Scaled probability that the most probable tenth of a fruit's points exceeds; its other points may be fainter."""
 LOOKS = 120.0
-"""Free looks that a candidate is taken to have where no view has any: neither few nor many."""
+"""Number of free spots assumed for a candidate that no view shows: neither few nor many."""
 WELL = 0.5
-"""Spheres covered on more than this share tell how solid a fruit looks in a scene, and how curved."""
+"""Spheres covered on more than this share show how solid and how curved a fruit looks in the scene."""
 SPOT = 0.03
-"""Radii: points that lie closer together than this tell no curvature."""
+"""Radii: points closer together than this give no curvature."""
 LEAST_USUAL = 0.1
-"""What the usual solidity and curvature of a scene are at least taken for."""
+"""Lower bounds of the typical solidity and curvature of a scene."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """score = bias + Σ linear_i x_i + Σ quadratic_ij x_i x_j of n features x, cut at `low` and `high`, less `center`
-    and by `scale`.
+    """score = bias + Σ linear_i x_i + Σ quadratic_ij x_i x_j of n features x, clipped to `low` and `high`, minus
+    `center` and divided by `scale`.
 
-    low, high, center, scale, linear: (n,) in the order of WEIGHED; quadratic: (n, n), 0 below the diagonal. What lies
-    beyond all that the gate was fitted to weighs as the last that it was: a product knows nothing of what goes on.
+    low, high, center, scale, linear: (n,) in the order of WEIGHED; quadratic: (n, n), 0 below the diagonal. Values
+    beyond the range of the fit are clipped, because products extrapolate poorly.
     """
 
     low: FloatArray
@@ -60,29 +60,29 @@ class Gate:
 
     @classmethod
     def read(cls, path: Path) -> Gate:
-        """The gate that `document` made into JSON."""
+        """The classifier from the JSON of `document`."""
         document = json.loads(path.read_text(encoding="utf-8"))
         names = ("low", "high", "center", "scale", "linear", "quadratic")
         return cls(**{name: np.array(document[name], np.float64) for name in names}, bias=float(document["bias"]))
 
     def document(self) -> dict[str, Any]:
-        """The gate as JSON has it."""
+        """The classifier as JSON."""
         names = ("low", "high", "center", "scale", "linear", "quadratic")
         parts = {name: getattr(self, name).round(5).tolist() for name in names}
         return {"features": list(WEIGHED), **parts, "bias": round(self.bias, 5)}
 
     def score(self, values: FloatArray) -> FloatArray:
-        """(C,) logarithm of the odds of a fruit, from features (C, n) in the order of WEIGHED."""
+        """(C,) log odds of a fruit, from features (C, n) in the order of WEIGHED."""
         x = (np.clip(values, self.low, self.high) - self.center) / self.scale
         scores: FloatArray = self.bias + x @ self.linear + ((x @ self.quadratic) * x).sum(axis=1)
         return scores
 
     def probabilities(self, features: Features) -> FloatArray:
-        """(C,) probability of a fruit; 0 where not even the surest tenth of the points come near the threshold."""
+        """(C,) probability of a fruit; 0 if not even the most probable tenth of the points comes near the threshold."""
         return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-self.score(weighed(features)))), 0.0)
 
     def reason(self, features: Features, index: int) -> str:
-        """What speaks most against a candidate, beside a fruit that is well seen, in words."""
+        """What counts most against a candidate compared with a fully visible fruit, in words."""
         if features["surest"][index] <= SUREST:
             return (
                 f"its most probable points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
@@ -117,14 +117,14 @@ _TOLD = {
     "free": (1.0, "on points of better fruit ({:.0%} are its own)"),
     "mean": (0.9, "hardly of the prompt (its points are {:.2f} probable)"),
 }
-"""Each feature of a fruit that is well seen, and what is said of a candidate that lacks it."""
+"""Each feature of a fully visible fruit, and the text for a candidate that lacks it."""
 
 
 def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, threshold: float) -> Features:
-    """What speaks for and against the candidates.
+    """The features of the candidates.
 
-    Solidity and curvature are relative to those of the scene's well covered spheres, because they depend on how opaque
-    and how even training made the Gaussians. skin: of the points that `found.owners` tells of; threshold: of the
+    Solidity and curvature are relative to those of the well covered spheres of the scene, because they depend on how
+    opaque and even training made the Gaussians. surface: the points that `found.owners` refers to; threshold: of the
     Gaussians' probability.
     """
     spheres, view_evidence = found.spheres, found.view_evidence
@@ -151,9 +151,10 @@ def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, thres
 
 
 def curvatures(found: Candidates, surface: SurfaceIndex) -> FloatArray:
-    """(C,) how fast the normals n turn along each candidate's own points x, in radii of it: 1 on a sphere, 0 on a leaf.
+    """(C,) how fast the normals n turn along each candidate's own points x, in its radii: 1 on a sphere, 0 on a leaf.
 
-    The slope Σ (x - x̄)·(n - n̄) / Σ |x - x̄|² tells a piece of a sphere from a flat one however small it is.
+    The slope Σ (x - x̄)·(n - n̄) / Σ |x - x̄|² distinguishes a piece of a sphere from a flat surface, however small it
+    is.
     """
     owned = found.owners >= 0
     owner, count = found.owners[owned], len(found)
@@ -173,12 +174,12 @@ def curvatures(found: Candidates, surface: SurfaceIndex) -> FloatArray:
 
 
 def _beside(values: FloatArray, well: NDArray[np.bool_]) -> FloatArray:
-    """(C,) values in those that are usual of the `well` covered spheres (C,); as they are where there are none."""
+    """(C,) values relative to the typical value of the `well` covered spheres (C,); unchanged if there are none."""
     usual = float(np.median(values[well])) if well.any() else 1.0
     return values / max(usual, LEAST_USUAL)
 
 
 @cache
 def stored_gate() -> Gate:
-    """The gate of the package."""
+    """The classifier that comes with the package."""
     return Gate.read(STORED)

@@ -1,4 +1,4 @@
-"""The fruit's diameter from the scene itself: which sphere radius the surface points reproduce best."""
+"""The fruit diameter estimated from the scene: the sphere radius that the surface points reproduce best."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ SEEDS = 400
 GRID_STEP = 1.18
 NEIGHBORS = 96
 CROWDED = 6 * NEIGHBORS
-"""Points of a fit in the median, from which larger radii are tried on every other point."""
+"""Median number of points of a fit above which larger radii are tried on every other point."""
 BANDWIDTH = 0.08
 LEAST_PEAK = 0.5
-"""Of two radii that the points reproduce, the smaller is the fruit's if it has at least this share of the larger's
-evidence, and enough in itself: the outline of a whole crown is round as well."""
+"""Of two radii that the points reproduce, the smaller one is used if it has at least this share of the evidence of the
+larger one, and enough of its own: the outline of a whole crown is round as well."""
 LEAST_EVIDENCE = 0.2
-"""Below this summed weight a seed of the sphere fits behind a diameter, the selection is sheets and scatter. Leaves,
-branches, grass and soil reach .03 to .16, the most blurred plums .29, other fruit .9 and more."""
+"""Below this summed weight per seed the selection is sheets and scatter, not fruit. Leaves, branches, grass and soil
+reach .03 to .16, the most blurred plums .29, other fruit .9 and more."""
 LEAST_AGREEMENT, AGREEMENT_RISE = 0.4, 0.3
-"""Mean cosine between normals and a sphere's own from which it votes, and by how much more it does so fully: a crown is
+"""Mean cosine between normals and those of a sphere from which it votes, and the range until it votes fully: a crown is
 round as well, but its fruit face all sides."""
 LEAST_THINNESS = 0.12
-"""Flat neighbourhoods reproduce any radius; thinner ones than this (in radii) do not vote."""
+"""Flat neighbourhoods reproduce any radius; those thinner than this (in radii) do not vote."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class FruitSize:
 
 @dataclass(frozen=True)
 class SizeEstimate(FruitSize):
-    """evidence: summed weight of the fits at that diameter, a share of the seeds."""
+    """evidence: summed weight of the fits at that diameter, per seed."""
 
     evidence: float
 
@@ -51,9 +51,9 @@ class SizeEstimate(FruitSize):
 def estimate_diameter(points: SurfacePoints, smallest: float, *, progress: Progress = silent) -> SizeEstimate | None:
     """First high mode of the radii that spheres started at p − r·n along a log grid of r keep when refined freely.
 
-    `smallest`: least radius tried, scene units (about the size of a Gaussian). A fit counts when it keeps its radius
-    within 0.6 to 1.6 of the start, by its coverage of directions times the share of its points that lie on the shell.
-    None when nothing in the scene looks round: nothing does of no points, nor of points or Gaussians without extent.
+    `smallest`: least radius tried, scene units (about the size of a Gaussian). A fit counts if it keeps its radius
+    within 0.6 to 1.6 of the start, weighted by its coverage of directions and the share of its points on the shell.
+    None if no part of the scene is round, which includes no points and points or Gaussians without extent.
     """
     largest = 0.5 * float(np.linalg.norm(np.ptp(points.positions, axis=0))) if len(points) else 0.0
     if largest == 0.0 or smallest == 0.0:
@@ -83,7 +83,7 @@ def estimate_diameter(points: SurfacePoints, smallest: float, *, progress: Progr
 
 
 def _first_peak(density: FloatArray, enough: float) -> int:
-    """The leftmost of the peaks that reach LEAST_PEAK of the highest and are `enough`: fruit, not the crown of them."""
+    """The leftmost of the peaks that reach LEAST_PEAK of the highest and are `enough`: the fruit, not the crown."""
     padded, highest = np.pad(density, 1), density.max()
     peaks = (density >= padded[:-2]) & (density >= padded[2:])
     peaks &= density >= max(LEAST_PEAK * highest, min(enough, highest))

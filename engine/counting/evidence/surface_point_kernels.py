@@ -1,4 +1,4 @@
-"""The loop behind points of the skin, compiled: which of them lie inside Gaussians."""
+"""The kernel of surface points: which of them lie inside Gaussians."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surface points of the selected Gaussians (paper eq. 12), each with its normal and where it was seen from."""
+"""Surface points of the selected Gaussians (paper eq. 12), each with its normal and the direction it was seen from."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SURFACE = 2.0
-"""Standard deviations from its mean at which an opaque Gaussian is seen to end."""
+"""Standard deviations from the mean at which an opaque Gaussian appears to end."""
 FACING = 0.1
-"""Least cosine between a skin point's normal and the mean direction to the cameras that saw its Gaussian."""
+"""Least cosine between the normal of a surface point and the mean direction to the cameras that show its Gaussian."""
 LEAST_OPACITY = 0.2
 SPARE = 3
-"""Skin points tried for each that is wanted: about a third are faced and not covered."""
+"""Surface points tried per point needed: about a third are on the visible side and not covered."""
 LARGEST_SCALE = 0.5
 """Largest standard deviation, in mean fruit diameters, of a Gaussian that gives points."""
 ENOUGH = 50.0
-"""Points within a quarter of a diameter of one that tell a fruit well."""
+"""Points within a quarter of a diameter that represent a fruit well."""
 BLOCK = 2_000_000
-"""Points that are tried at once: so much memory, whatever their number."""
+"""Points tried at once, which bounds the memory."""
 SURVEY, SURVEYED = 60_000, 5_000
-"""Points of a first sample, and how many of them are asked how dense they lie."""
+"""Points of a first sample, and how many of them are used to measure the density."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
     """P points sampled from selected Gaussians.
 
-    positions: (P, 3) scene units; normals: (P, 3) unit, out of the surface towards the cameras that saw it;
-    gaussians: (P,) index of the Gaussian each came from; probabilities: (P,); directions: (P, 3) mean direction towards
-    the seeing cameras; turns: (P,) of [0, 1), those below a share are an even part of the points.
+    positions: (P, 3) scene units; normals: (P, 3) unit, out of the surface towards the cameras that show it; gaussians:
+    (P,) index of the Gaussian each came from; probabilities: (P,); directions: (P, 3) mean direction towards the seeing
+    cameras; turns: (P,) in [0, 1); the points below a share are an even sample of all.
     """
 
     positions: FloatArray
@@ -55,7 +55,7 @@ class SurfacePoints:
         return len(self.positions)
 
     def thinned(self, share: float) -> SurfacePoints:
-        """An even part of the points, which is the same one however they were moved."""
+        """An even sample of the points, which does not depend on how the scene was moved."""
         part = self.select(self.turns < share)
         return replace(part, turns=part.turns / share)
 
@@ -82,8 +82,9 @@ def sample_volume(
 ) -> SurfacePoints:
     """Sample `budget` points inside the selected Gaussians, N_i ∝ det(Σ_i)^½ · α_i (paper eq. 12).
 
-    Only Gaussians whose largest standard deviation is at most `largest` scene units give points: else a few big blurry
-    ones would take the whole budget. A point's normal is its Gaussian's flat axis, turned to the cameras that saw it.
+    Only Gaussians whose largest standard deviation is at most `largest` scene units give points: a few large blurred
+    ones would otherwise use the whole budget. The normal of a point is the flat axis of its Gaussian, turned to the
+    cameras that show it.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
     logs = np.log(chosen.scales).sum(axis=1)
@@ -107,13 +108,14 @@ def sample_surface(
     seed: int,
     largest: float = np.inf,
 ) -> SurfacePoints:
-    """Sample about `budget` points of the skin that the selected Gaussians draw together.
+    """Sample about `budget` points of the surface that the selected Gaussians represent together.
 
-    Trained Gaussians lie below the surface they draw and the big ones fill it, so points spread through their volume
-    make fruit look a fifth too small. These points lie on the ellipsoids of SKIN standard deviations, on the side that
-    the seeing cameras face and outside the other Gaussians; the normal is the ellipsoid's. N_i ∝ the pixels that
-    Gaussian i draws in a view that sees it: fruit that few views see have as many points as the others. Gaussians wider
-    than `largest` give none. Where a Gaussian's points lie depends only on its position in the cameras' frame.
+    Trained Gaussians lie below the surface they represent and large ones fill the volume, so points spread through the
+    volume make fruit a fifth too small. These points lie on the ellipsoids of SURFACE standard deviations, on the side
+    of the cameras that show them and outside other Gaussians; the normal is that of the ellipsoid. N_i ∝ the pixels
+    that Gaussian i covers in a view that shows it: fruit that few views show have as many points as others. Gaussians
+    wider than `largest` give none. Where the points of a Gaussian lie depends only on its position in the cameras'
+    frame.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, largest)
     return _surface(chosen, chosen.streams(visibility.frame, seed), budget)
@@ -128,7 +130,8 @@ def _surface(chosen: _Chosen, streams: RandomStreams, budget: int) -> SurfacePoi
 
 
 def _surface_of(chosen: _Chosen, streams: RandomStreams, owner: IntArray, numbers: IntArray) -> SurfacePoints:
-    """Of a point for each entry of `owner`, with its number in that Gaussian's place, those that are seen."""
+    """The visible ones of these points; owner: the Gaussian of each, numbers: its number within that Gaussian's
+    position."""
     own, turns = streams.directions(owner, numbers), streams.turns(owner, numbers)
     axes, scales = chosen.axes[owner], chosen.scales[owner]
     normals = np.einsum("pij,pj->pi", axes, own / scales)
@@ -150,9 +153,9 @@ def sample_enough(
     most: int,
     seed: int,
 ) -> SurfacePoints:
-    """Points of the skin, as many as fruit of `diameter` scene units need to be told apart, and at most about `most`.
+    """As many surface points as fruit of `diameter` scene units need to be separated, and at most about `most`.
 
-    A first sample tells how dense its points lie on the fruit; density grows with the budget.
+    A first sample measures how densely its points lie on the fruit; density grows with the budget.
     """
     chosen = _Chosen.of(gaussians, probability, visibility, selected, LARGEST_SCALE * diameter)
     streams, budget = chosen.streams(visibility.frame, seed), min(SURVEY, most)
@@ -163,7 +166,7 @@ def sample_enough(
 
 
 def density(points: SurfacePoints, diameter: float) -> float:
-    """Median over the points of how many lie within a quarter of a diameter, itself among them."""
+    """Median over the points of the number of points within a quarter of a diameter, itself included."""
     cells = Cells.of(points.positions, 0.3 * diameter)
     asked = points.thinned(min(1.0, SURVEYED / len(points))).positions
     return float(np.median(cells.numbers(asked, np.full(len(asked), 0.25 * diameter))))
@@ -171,7 +174,7 @@ def density(points: SurfacePoints, diameter: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Chosen:
-    """The G Gaussians that give points, in an order that neither shuffling nor a rigid motion changes."""
+    """The G Gaussians that give points, in an order that does not depend on shuffling or rigid motion."""
 
     index: IntArray
     means: FloatArray
@@ -207,7 +210,7 @@ class _Chosen:
         )
 
     def streams(self, frame: FloatArray, seed: int) -> RandomStreams:
-        """What is drawn for each in the cameras' frame (3, 4)."""
+        """The random streams of the Gaussians in the cameras' frame (3, 4)."""
         return RandomStreams.draw(self.means @ frame[:, :3].T + frame[:, 3], seed)
 
     def points(self, positions: FloatArray, normals: FloatArray, owner: IntArray, turns: FloatArray) -> SurfacePoints:
@@ -244,8 +247,8 @@ def share_out(shares: FloatArray, budget: int) -> IntArray:
 def spread_out(shares: FloatArray, budget: int) -> IntArray:
     """Whole numbers (N,) that sum to `budget`; over any run of them within 1 of the non-negative `shares` (N,).
 
-    Where N is above the budget, largest remainders would give the largest shares one each and all others none: fruit of
-    small Gaussians would vanish.
+    If N is above the budget, largest remainders would give one point to each of the largest shares and none to the
+    others: fruit of small Gaussians would disappear.
     """
     total = np.cumsum(shares)
     if len(shares) == 0 or total[-1] <= 0.0:
@@ -256,7 +259,7 @@ def spread_out(shares: FloatArray, budget: int) -> IntArray:
 
 
 def canonical_order(gaussians: Gaussians, probability: FloatArray, selected: IntArray) -> IntArray:
-    """Order of the selected Gaussians by opacity, colour, probability and, only among equals, position."""
+    """Order of the selected Gaussians by opacity, colour, probability and, if these are equal, position."""
     part = gaussians.select(torch.from_numpy(selected))
     return np.lexsort(
         (*_array(part.means).T, probability[selected], *_array(part.sh[:, 0]).T, _array(part.opacity_logits))

@@ -1,4 +1,4 @@
-"""What the cameras see: of each Gaussian by its blending weights, of each fruit by the depths of rendered views."""
+"""What the views show: of each Gaussian by its blending weights, of each fruit by the depths of rendered views."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from .visibility_kernels import measure_discs
 FloatArray = NDArray[np.float64]
 
 SEEN_WEIGHT = 0.3
-"""Summed blending weight in pixels from which a view counts as seeing a Gaussian."""
+"""Summed blending weight in pixels from which a Gaussian counts as visible in a view."""
 MOST_PIXELS = 40_000_000
-"""Pixels of all pictures together; larger views are drawn smaller."""
+"""Pixels of all views together; larger views are rendered smaller."""
 SPOTS = 48
-"""Pixels looked up on each sphere's disc in each view."""
+"""Pixels tested on the disc of each sphere in each view."""
 RIM = 0.8
-"""Only the disc within this many radii tells what lies behind a sphere: a fit is a little off at its rim."""
+"""Only the disc within this many radii shows what lies behind a sphere: a fit is slightly off at its rim."""
 TOLERANCE = 0.5
-"""Radii in front of a sphere's surface from which something is an occluder."""
+"""Radii in front of the surface of a sphere from which an object is an occluder."""
 LEAST_SHARE = 0.1
-"""Share of a disc with nothing in front from which a view sees a fruit."""
+"""Share of the disc without occluders from which a view shows a fruit."""
 STOP = 0.3
-"""A look is stopped by a sphere when it ends before this share of the way from the middle to the back."""
+"""A ray is stopped by a sphere if it ends before this share of the way from the centre to the back."""
 SHOWN = 0.25
-"""Blended probability, in thresholds, of a spot that shows a fruit; below it something lies on the fruit."""
+"""Blended probability, in thresholds, of a spot that shows a fruit; below it an object covers the fruit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A view drawn from the Gaussians. depth: (H, W) of the surface, as in `SurfaceView`; fruit: (H, W) blended
+    """A view rendered from the Gaussians. depth: (H, W) of the surface, as in `SurfaceView`; fruit: (H, W) blended
     probability Σ α T p."""
 
     camera: Camera
@@ -48,11 +48,11 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """How the views see N Gaussians.
+    """How N Gaussians appear in the views.
 
-    weights: (N,) pixels drawn by each Gaussian, summed over views; views: (N,) views that see it;
-    directions: (N, 3) weighted mean of the unit directions towards the seeing cameras, zero where none sees it. Its
-    length tells how alike these directions are. frame: (3, 4) of the cameras, see `frame_of`.
+    weights: (N,) pixels drawn by each Gaussian, summed over views; views: (N,) views that show it; directions: (N, 3)
+    weighted mean of the unit directions towards the cameras that show it, zero if none does. Its length says how
+    similar these directions are. frame: (3, 4) of the cameras, see `frame_of`.
     """
 
     weights: FloatArray
@@ -63,12 +63,12 @@ class Visibility:
 
 @dataclass(frozen=True, eq=False)
 class ViewEvidence:
-    """How C spheres look in the views.
+    """How C spheres appear in the views.
 
-    visible_fractions: largest over views of the share of the disc with nothing in front, NaN where no view frames half
-    of it; free: the disc's spots with nothing in front, over all views; solidity: the share of these that does not show
-    what is behind the sphere; probabilities: mean blended probability on those that show the sphere, both 1 where no
-    view has a free look; views: how many show at least LEAST_SHARE of the disc.
+    visible_fractions: largest over views of the share of the disc without occluders, NaN if no view frames half of it;
+    free: spots of the disc without occluders, over all views; solidity: the share of these that does not show what is
+    behind the sphere; probabilities: mean blended probability on those that show the sphere, both 1 if no view has a
+    free spot; views: how many show at least LEAST_SHARE of the disc.
     """
 
     visible_fractions: FloatArray
@@ -78,12 +78,12 @@ class ViewEvidence:
     views: NDArray[np.int64]
 
     def select(self, index: NDArray) -> ViewEvidence:
-        """The looks at the spheres at `index`."""
+        """The evidence of the spheres at `index`."""
         return ViewEvidence(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
 
 
 def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress: Progress = silent) -> Visibility:
-    """Sum every view's blending weights α·T into the Gaussians that drew its pixels."""
+    """Sum the blending weights α·T of every view into the Gaussians that rendered its pixels."""
     means = gaussians.means.detach().double().cpu().numpy()
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
     directions = np.zeros((len(means), 3))
@@ -100,14 +100,14 @@ def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress
 
 
 def frame_of(cameras: Sequence[Camera]) -> FloatArray:
-    """(3, 4) from the world to the frame of the first camera, in units of `distance_of` them: a place keeps its
-    coordinates when scene and cameras are moved alike."""
+    """(3, 4) from the world to the frame of the first camera, in units of `distance_of`: a position keeps its
+    coordinates if scene and cameras are moved together."""
     frame: FloatArray = cameras[0].world_to_camera[:3] / distance_of(cameras)
     return frame
 
 
 def distance_of(cameras: Sequence[Camera]) -> float:
-    """Root mean square distance of the cameras from their middle, scene units; 1 where they stand in one place."""
+    """Root mean square distance of the cameras from their middle, scene units; 1 if they are at the same position."""
     centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
     if len(centers) < 2:
         return 1.0
@@ -130,7 +130,7 @@ def draw(
 def gather_view_evidence(
     pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray, threshold: float
 ) -> ViewEvidence:
-    """Look up the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
+    """Test the discs of C spheres, centers (C, 3) and radii (C,) in scene units, in every picture."""
     best, sums = _measure_discs(pictures, centers, radii, tolerance=TOLERANCE, stop=STOP, shown=SHOWN * threshold)
     stopped, free, probable, views = sums.T
     unknown = free == 0
@@ -144,8 +144,8 @@ def gather_view_evidence(
 
 
 def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
-    """(C,) views that have nothing in front of at least LEAST_SHARE of the disc of each of C spheres, which need not be
-    there: how many would show a fruit in that place."""
+    """(C,) views in which at least LEAST_SHARE of the disc of each of C spheres, which need not exist, has no occluder:
+    how many would show a fruit at that position."""
     _, sums = _measure_discs(pictures, centers, radii, tolerance=0.0, stop=float(NOTHING), shown=-1.0)
     return sums[:, 3].astype(np.int64)
 
@@ -159,7 +159,8 @@ def _measure_discs(
     stop: float,
     shown: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see `look_kernels.measure_discs`."""
+    """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see
+    `visibility_kernels.measure_discs`."""
     disc = np.stack(_disc(SPOTS), axis=1)
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
     best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
@@ -180,7 +181,7 @@ def _disc(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
-    """The cameras, all shrunk by one factor where their pixels together are too many to keep."""
+    """The cameras, all scaled down by one factor if their pixels together are too many to keep."""
     pixels = sum(camera.width * camera.height for camera in cameras)
     return [shrunk(camera, min(1.0, (MOST_PIXELS / pixels) ** 0.5)) for camera in cameras]
 

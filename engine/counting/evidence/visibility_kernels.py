@@ -1,4 +1,4 @@
-"""The loop behind looking spheres up in a picture, compiled."""
+"""The kernel that tests spheres in a rendered view."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def measure_discs(
     best: FloatArray,
     sums: FloatArray,
 ) -> None:
-    """Add one picture's looks at C spheres; see `visibility.ViewEvidence`.
+    """Add the evidence of one picture about C spheres; see `visibility.ViewEvidence`.
 
     best: (C,) visible share, -1 for none; sums: (C, 4) spots that are stopped, that are free, the probability of those
     stopped, and pictures that show at least `least_share`; disc: (S, 2) spots of the unit disc; shown: least
-    probability of a spot that shows the fruit and not a leaf on it.
+    probability of a spot that shows the fruit and not a leaf in front.
     """
     height, width = depth.shape
     for c in prange(len(radii)):

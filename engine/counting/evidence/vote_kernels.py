@@ -1,4 +1,4 @@
-"""The loops behind normals and votes for centres, compiled."""
+"""The kernels of normals and of votes for centres."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAST_FLAT = 8
-"""Neighbours from which a scatter tells a normal."""
+"""Neighbours needed for a normal from their scatter."""
 MOST_VOTES = 256
-"""Points that tell a middle."""
+"""Points needed for a mean."""
 FLAT = 0.5
-"""A scatter is flat where its least variance is below this share of the next one."""
+"""A scatter is flat if its least variance is below this share of the next one."""
 
 
 @kernel
@@ -48,14 +48,14 @@ def turn_normals(
             with_own += axes[i, 0] * normals[p, i]
         if to_camera < 0.0:
             with_own = -with_own
-        if with_own <= 0.0:  # the scatter says that the Gaussian's own axis points into the fruit
+        if with_own <= 0.0:  # the scatter shows that the axis of the Gaussian points into the fruit
             turned[p] = 0.0
         for i in range(3):
             turned[p, i] += axes[i, 0] if to_camera >= 0.0 else -axes[i, 0]
         turned[p] /= max(np.sqrt((turned[p] ** 2).sum()), 1e-12)
 
 
-# Strict arithmetic: a sum that may be reordered came out otherwise in the process that compiled it than from the cache.
+# Strict arithmetic: with reordered sums, the process that compiled it and one that loads it from the cache differed.
 @kernel(fastmath=False)
 def middles(table: Table, centers: FloatArray, reach: float, found: FloatArray) -> None:
     """The mean (C, 3) of the points within `reach` of each center (C, 3); each has at least one."""

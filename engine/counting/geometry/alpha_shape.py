@@ -1,4 +1,4 @@
-"""The volume that points enclose as far as a ball of a given radius cannot enter: their alpha shape's."""
+"""The volume of the alpha shape of points: what a ball of a given radius cannot enter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points sorted into cubic cells, in which neighbours are found in about the time that it takes to read them."""
+"""Points sorted into cubic cells, in which neighbours are found in about the time it takes to read them."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from .random_streams import even_turns
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Table = tuple[FloatArray, IntArray, IntArray, FloatArray, float, IntArray, FloatArray]
-"""What kernels look neighbours up in: positions, keys, starts, corner, size, shape and turns of `Cells`."""
+"""The arrays that kernels need to find neighbours: positions, keys, starts, corner, size, shape and turns of
+`Cells`."""
 
 MOST_CELLS = 1 << 20
-"""Cells along one axis; points that lie farther out share the outermost."""
+"""Cells along one axis; points farther out share the outermost."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
     """P points in the order of their cells.
 
-    positions: (P, 3) in that order; index: (P,) the number that each had before; keys: (K,) of the cells with points,
+    positions: (P, 3) in that order; index: (P,) the original number of each; keys: (K,) of the cells with points,
     rising; starts: (K + 1,) where each cell's points begin; corner: (3,) where the cells begin; size: their side, scene
-    units; shape: (3,) cells along each axis; turns: (P,) of [0, 1), which come first where neighbours are thinned.
+    units; shape: (3,) cells along each axis; turns: (P,) in [0, 1); when neighbours are thinned, those with lower turns
+    stay.
     """
 
     positions: FloatArray
@@ -65,8 +67,8 @@ class Cells:
 
 
 def least_near(cells: Cells, numbers: IntArray, centers: FloatArray, reach: float, most: int) -> IntArray:
-    """(C,) the least of the numbers (P,) from 0 on, in the order of the cells, of the points within `reach` of each
-    center (C, 3), of which there are fewer than `most`; -1 where there is none."""
+    """(C,) the least of the numbers (P,), from 0, in the order of the cells, of the points within `reach` of each
+    center (C, 3), if there are fewer than `most` of them; -1 if there is none."""
     found = np.full(len(centers), -1, np.int64)
     _least_near(cells.table, numbers, np.ascontiguousarray(centers), reach, most, found)
     return found
@@ -81,7 +83,7 @@ def place(table: Table, along: float, axis: int) -> int:
 
 @njit
 def room(limit: int) -> int:
-    """How long `near` should be, so that about `limit` points fit in whatever turns they have."""
+    """Size of `near` so that about `limit` points fit, whatever their turns."""
     return int(limit + 4.0 * np.sqrt(limit))
 
 
@@ -89,8 +91,8 @@ def room(limit: int) -> int:
 def gather(table: Table, center: FloatArray, reach: float, limit: int, near: IntArray) -> int:
     """Write which points lie within `reach` of a center (3,) into `near` (K,) and return how many were written.
 
-    Of more than `limit`, those whose turn comes first, about `limit` of them: which they are does not depend on how the
-    cells lie. The points are numbered in the order of the cells.
+    Of more than `limit` points, about `limit` with the lowest turns are written: the choice does not depend on the
+    position of the cells. Points are numbered in the order of the cells.
     """
     total = count(table, center, reach)
     return walk(table, center, reach, limit / max(total, limit), near)
@@ -104,7 +106,7 @@ def count(table: Table, center: FloatArray, reach: float) -> int:
 
 @njit
 def walk(table: Table, center: FloatArray, reach: float, share: float, near: IntArray) -> int:
-    """Write the points whose turn is below `share` as `gather` does; count them all where `near` is empty."""
+    """Write the points whose turn is below `share` as `gather` does; count them all if `near` is empty."""
     positions, keys, starts, _, _, shape, turns = table
     space, written = len(near), 0
     z0, z1 = place(table, center[2] - reach, 2), place(table, center[2] + reach, 2)
@@ -131,8 +133,8 @@ def walk(table: Table, center: FloatArray, reach: float, share: float, near: Int
 
 @njit
 def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> IntArray:
-    """Of spheres in this order, each that differs by `share` of its radius or more, in centre or radius, from those
-    before it that are kept; table: of the centres, radii: (C,) in the order of the cells."""
+    """Choose, in this order, the spheres that differ by `share` of their radius or more, in centre or radius, from all
+    chosen before; table: of the centres, radii: (C,) in the order of the cells."""
     centers = table[0]
     taken, near = np.zeros(len(radii), np.bool_), np.empty(len(radii), np.int64)
     kept = np.empty(len(order), np.int64)
@@ -150,10 +152,10 @@ def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> Int
 
 @njit
 def linked(table: Table, reach: float, near: float) -> IntArray:
-    """(P,) the first point of the cluster that each is in.
+    """(P,) the first point of the cluster of each point.
 
-    Points within `reach` of each other are linked; one within `near` of a point that asked for its neighbours does not
-    ask for its own.
+    Points within `reach` of each other are linked; one within `near` of a point that searched for neighbours does not
+    search itself.
     """
     positions, keys, starts, _, _, shape, _ = table
     parents, answered = np.arange(len(positions)), np.zeros(len(positions), np.bool_)
@@ -172,7 +174,7 @@ def linked(table: Table, reach: float, near: float) -> IntArray:
                         square = dx * dx + dy * dy + dz * dz
                         if square <= reach * reach:
                             answered[q] |= square <= near * near
-                            if parents[q] != root:  # most are joined already, and looking that up again takes longest
+                            if parents[q] != root:  # most are joined already, and this lookup takes longest
                                 root = _join(parents, root, q)
                     cell += 1
     for p in range(len(positions)):
@@ -190,7 +192,7 @@ def _root(parents: IntArray, p: int) -> int:
 
 @njit
 def _join(parents: IntArray, p: int, q: int) -> int:
-    """Make the clusters of p and q one; returns its first point."""
+    """Join the clusters of p and q; returns its first point."""
     first, second = _root(parents, p), _root(parents, q)
     parents[max(first, second)] = min(first, second)
     return min(first, second)

@@ -1,7 +1,7 @@
-"""Long fruit: an ellipsoid on the points of each sphere, as long as the scene's fruit are wont to be.
+"""Long fruit: an ellipsoid for the points of each sphere, as long as is typical of the scene.
 
-One half-seen fruit tells little of its length; all fruit of a scene together tell how far from round they are
-(`wont`, by expectation maximisation), and each is held to a sphere as much as that asks for.
+A half-hidden fruit constrains its own length poorly. The typical elongation is estimated from all fruit of the scene
+(`wont`, by expectation maximisation), and each fruit is held to a sphere accordingly.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ REACH, MOST_POINTS = 1.6, 300
 SHIFT, GROWTH = 0.05, 0.03
 """Deviations of the centre, in radii, and of the logarithm of the size from those of the sphere."""
 WONT = 0.05
-"""Deviation of the logarithms of the axes from their mean, before a fruit of the scene is seen."""
+"""Prior deviation of the logarithms of the axes from their mean."""
 KNOWN = 4
-"""As many fruit as that counts for."""
+"""Number of fruit that the prior counts for."""
 ASKED, ROUNDS, STEPS = 200, 4, 8
-"""Fruit that tell how long fruit are, rounds of asking them, and steps of a fit."""
+"""Fruit needed to estimate the typical elongation, rounds of estimation, and steps of a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,8 @@ class Ellipsoids:
 def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres: Spheres) -> Ellipsoids:
     """Refine F spheres into ellipsoids.
 
-    cells, normals: the points (P, 3) in their cells and the normal of each; owners: (P,) the sphere of each, -1 none.
+    cells, normals: the points (P, 3) in their cells and the normal of each; owners: (P,) the sphere of each, -1 for
+    none.
     """
     count = len(spheres)
     if count == 0:
@@ -57,7 +58,7 @@ def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres:
         wont = float(np.sqrt((spread.sum() + 5 * KNOWN * WONT**2) / (5 * (len(asked) + KNOWN))))
     shapes, _ = _fitted(cells, normals, owners, spheres, np.arange(count), wont)
     values, vectors = np.linalg.eigh(np.eye(3) + _matrices(shapes[:, 3:]))
-    lengths = 1.0 / np.maximum(values, 0.1)  # falling: the values rise
+    lengths = 1.0 / np.maximum(values, 0.1)  # descending: the values ascend
     growth = np.cbrt(lengths.prod(axis=1))
     vectors[:, :, 2] *= np.linalg.det(vectors)[:, None]
     axes = (vectors * (lengths / growth[:, None])[:, None, :]).transpose(0, 2, 1)
@@ -73,7 +74,7 @@ def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres:
 def _fitted(
     cells: Cells, normals: FloatArray, owners: IntArray, spheres: Spheres, chosen: IntArray, wont: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Shapes (K, 9) and their covariances of the chosen spheres, as `ellipsoid_kernels.fit_all` has them."""
+    """Shapes (K, 9) and their covariances of the chosen spheres; see `ellipsoid_kernels.fit_all`."""
     hold = np.zeros((9, 9))
     hold[:3, :3] = np.eye(3) / SHIFT**2
     hold += _UNEVEN / wont**2 + _EVEN / GROWTH**2
@@ -86,7 +87,7 @@ def _fitted(
 
 
 def _matrices(numbers: FloatArray) -> FloatArray:
-    """(K, 3, 3) symmetric, of their numbers (K, 6): xx, yy, zz, xy, xz, yz."""
+    """(K, 3, 3) symmetric matrices from their numbers (K, 6): xx, yy, zz, xy, xz, yz."""
     return numbers[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
 
@@ -98,6 +99,6 @@ def _quadratic(diagonal: FloatArray, other: float) -> FloatArray:
 
 
 _UNEVEN = _quadratic(np.eye(3) - 1.0 / 3.0, 2.0)
-"""Squared norm of what is uneven in S."""
+"""Squared norm of the deviatoric part of S."""
 _EVEN = _quadratic(np.full((3, 3), 1.0 / 9.0), 0.0)
 """Square of the mean of its diagonal."""

@@ -1,4 +1,4 @@
-"""The loops behind ellipsoid fits, compiled: one fruit a turn, each on its own points."""
+"""The kernels of ellipsoid fits: one fruit per iteration, each on its own points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TILT = 0.3
 TURNED = 0.5
 """Tilt at which a normal's weight has fallen to a quarter."""
 INDEPENDENT = 60.0
-"""Points of one Gaussian move together: a fruit's tell no more than so many free ones."""
+"""Points of one Gaussian move together: those of a fruit count as at most this many independent ones."""
 LONGEST_STEP = 0.3
 
 
@@ -39,10 +39,10 @@ def fit_all(
 ) -> None:
     """Fit an ellipsoid to the points of each of the chosen (K,) spheres.
 
-    Points within `reach` radii count that the sphere owns or nobody, at most `limit`. An ellipsoid is |S (x − c)| = 1,
-    S symmetric, lengths in radii of its sphere: found (K, 9) is how far c and the six numbers of S − 1 (xx, yy, zz, xy,
-    xz, yz) are from the sphere's, `hold` (9, 9) the inverse of their covariance before a point is seen, covariances
-    (K, 9, 9) that after.
+    Points within `reach` radii count if the sphere or no sphere owns them, at most `limit`. An ellipsoid is |S (x − c)|
+    = 1, S symmetric, lengths in radii of its sphere: found (K, 9) is how far c and the six numbers of S − 1 (xx, yy,
+    zz, xy, xz, yz) differ from those of the sphere, `hold` (9, 9) the inverse of their prior covariance, covariances
+    (K, 9, 9) the posterior ones.
     """
     positions, turns = table[0], table[6]
     for k in prange(len(chosen)):
@@ -133,7 +133,7 @@ def fit(
 
 @njit
 def shape_row(image: FloatArray, offset: FloatArray, row: FloatArray) -> None:
-    """Derivative of |S x|²/2 in the six numbers of S, into row[3:]; image: S x."""
+    """Derivative of |S x|²/2 with respect to the six numbers of S, into row[3:]; image: S x."""
     for i in range(3):
         row[3 + i] = image[i] * offset[i]
     row[6] = image[0] * offset[1] + image[1] * offset[0]
@@ -143,7 +143,7 @@ def shape_row(image: FloatArray, offset: FloatArray, row: FloatArray) -> None:
 
 @njit
 def slope_rows(shape: FloatArray, image: FloatArray, offset: FloatArray, derivative: FloatArray) -> None:
-    """Derivative (3, 9) of S S x in the centre and the six numbers of S; image: S x."""
+    """Derivative (3, 9) of S S x with respect to the centre and the six numbers of S; image: S x."""
     for i in range(3):
         for j in range(3):
             derivative[i, j] = -(shape[i, 0] * shape[0, j] + shape[i, 1] * shape[1, j] + shape[i, 2] * shape[2, j])
@@ -163,7 +163,7 @@ def slope_rows(shape: FloatArray, image: FloatArray, offset: FloatArray, derivat
 
 @njit
 def add(matrix: FloatArray, gradient: FloatArray, row: FloatArray, error: float, weight: float) -> None:
-    """Add a row's square and its product with the error; the lower half of the matrix alone."""
+    """Add the square of a row and its product with the error; only the lower half of the matrix."""
     for i in range(9):
         gradient[i] += weight * row[i] * error
         for j in range(i + 1):

@@ -1,4 +1,4 @@
-"""Robust sphere fits to surface points, many at once, and what speaks for each."""
+"""Robust sphere fits to surface points, many at once, with measures of their quality."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ REACH = 1.6
 SHELL = 0.25
 """A point within this many radii of the surface, its normal outwards, is on the sphere."""
 CORE = 0.65
-"""A point nearer to the centre than this many radii speaks against the sphere."""
+"""A point nearer to the centre than this many radii counts against the sphere."""
 FACING = 0.2
 """Least cosine between a point's normal and its direction from the centre for the point to be on the sphere."""
 NEIGHBORS = 384
-"""Points that a sphere is fitted to."""
+"""Points of a fit."""
 MOST_POINTS = 4096
-"""Points that are weighed for and against a sphere."""
+"""Points used to evaluate a sphere."""
 BINS = 60
 """Directions in which the coverage of a sphere is counted."""
 
@@ -58,7 +58,7 @@ class Spheres:
         return Spheres(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
     def where(self, chosen: NDArray[np.bool_], others: Spheres) -> Spheres:
-        """These spheres where `chosen` (C,), the others elsewhere."""
+        """These spheres where `chosen` (C,) is true, the others elsewhere."""
 
         def pick(name: str) -> FloatArray:
             own, other = getattr(self, name), getattr(others, name)
@@ -83,8 +83,8 @@ def fit_spheres(
     """Refine C spheres on the points within reaches (C,) of starts (C, 3), by Gauss-Newton with redescending weights.
 
     cells, normals: the points (P, 3) in their cells, and the normal of each; radii: (C,) starts. A normal prior of
-    deviation `prior_sd` holds log r near that of `prior`: a half-seen cap alone leaves centre and radius tied to each
-    other. Of more than `limit` points, an even part is fitted to. Of spheres whose centres and radii differ by less
+    deviation `prior_sd` holds log r near that of `prior`: for a half-visible cap alone, centre and radius are
+    correlated. Of more than `limit` points, an even sample is used. Of spheres whose centres and radii differ by less
     than `same` radii, those of earlier starts remain.
     """
     count = len(starts)
@@ -98,7 +98,7 @@ def fit_spheres(
 
 
 def _distinct(centers: FloatArray, radii: FloatArray, same: float) -> IntArray:
-    """Which of C spheres differ by `same` radii or more, in centre or radius, from those before them that are kept."""
+    """Which of C spheres differ by `same` radii or more, in centre or radius, from those kept before."""
     places = Cells.of(centers, same * float(np.median(radii)))
     order = np.argsort(places.index, kind="stable")
     return np.sort(places.index[apart(places.table, radii[places.index], order, same)])
@@ -107,7 +107,7 @@ def _distinct(centers: FloatArray, radii: FloatArray, same: float) -> IntArray:
 def weighed(
     cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray, radius_sds: FloatArray
 ) -> Spheres:
-    """What the points say for and against each of C spheres."""
+    """The quality of each of C spheres, measured on the points."""
     found = np.empty((len(radii), 6))
     reaches = (1.0 + SHELL) * radii
     directions = unit_directions(BINS)

@@ -1,4 +1,4 @@
-"""The loops behind sphere fits, compiled: one sphere a turn, each on its own points."""
+"""The kernels of sphere fits: one sphere per iteration, each on its own points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 WIDE, NARROW, NARROWING = 0.3, 0.1, 6
-"""Radii off the surface at which a point's weight falls, at first and after so many rounds."""
+"""Radii off the surface at which the weight of a point falls, at first and after this many rounds."""
 
 
 @kernel
@@ -56,7 +56,7 @@ def refine(near: FloatArray, sphere: FloatArray, prior: float, prior_sd: float, 
         width = (WIDE - (WIDE - NARROW) * min(step / NARROWING, 1.0)) * radius
         total, ex, ey, ez, e = 0.0, 0.0, 0.0, 0.0, 0.0
         xx, yx, yy, zx, zy, zz, rx, ry, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(len(x)):  # without branches or arrays of its own: several points a turn
+        for k in range(len(x)):  # without branches or arrays: several points per instruction
             dx, dy, dz = x[k] - cx, y[k] - cy, z[k] - cz
             distance = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
             dx, dy, dz = dx / distance, dy / distance, dz / distance
@@ -74,7 +74,7 @@ def refine(near: FloatArray, sphere: FloatArray, prior: float, prior_sd: float, 
         normal[0, 0], normal[1, 0], normal[1, 1] = xx, yx, yy
         normal[2, 0], normal[2, 1], normal[2, 2] = zx, zy, zz
         normal[3, 0], normal[3, 1], normal[3, 2], normal[3, 3] = rx, ry, rz, total
-        # Points of one Gaussian move together, so a neighbourhood tells no more than some tens of free points would.
+        # Points of one Gaussian move together, so a neighbourhood counts as at most some tens of independent points.
         share = min(len(x), 40.0) / max(total, 1e-9) / width**2
         for i in range(4):
             gradient[i] *= share
@@ -169,9 +169,10 @@ def weigh(
 
 @njit
 def coverage(points: FloatArray, middle: FloatArray, first: FloatArray, directions: FloatArray) -> float:
-    """Share of the directions (D, 3) that are the nearest of a point (P, 3) on a sphere about the origin.
+    """Share of the directions (D, 3) that are the nearest to a point (P, 3) on a sphere around the origin.
 
-    They are laid out from the middle of the points (3,), turned to the first of them (3,): they turn with the points.
+    The directions start at the mean of the points (3,) and are turned to the first of them (3,), so they rotate with
+    the points.
     """
     frame = np.eye(3)
     frame[0] = middle / max(np.sqrt((middle**2).sum()), 1e-12)

@@ -1,4 +1,4 @@
-"""Points by how densely they lie: DBSCAN with a threshold that follows the scene."""
+"""Points by density: DBSCAN with a threshold that follows the scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAST_POINTS = 4
-"""DBSCAN's min_samples is never below this: three points are always a chain."""
+"""Lower bound of DBSCAN's min_samples: three points are always a chain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Density:
 def dense_clusters(positions: FloatArray, reach: float, density: Density, share: float) -> list[IntArray]:
     """The points of each cluster of positions (P, 3), by DBSCAN.
 
-    reach: ε, in the unit of the positions; min_samples is `share` of the usual number of neighbours within it.
+    reach: ε, in the unit of the positions; min_samples is `share` of the typical number of neighbours within it.
     """
     labels = dbscan(positions, reach, max(LEAST_POINTS, round(share * density.usual)))
     return members(labels, int(labels.max(initial=-1)) + 1)
@@ -46,8 +46,8 @@ def dbscan(positions: FloatArray, reach: float, least: int) -> IntArray:
 
     A point with `least` neighbours within `reach`, itself included, is a core point; core points in reach of each other
     are of one cluster, and every other point is of the clusters of the core points in its reach. Clusters are numbered
-    by their first core points; a point of several is of the first, as in scikit-learn, which keeps all pairs of
-    neighbours: of 60,000 points in one place more than 14 GB.
+    by their first core points; a point of several belongs to the first, as in scikit-learn. scikit-learn keeps all
+    pairs of neighbours, which takes more than 14 GB for 60,000 points at one position.
     """
     labels = np.full(len(positions), -1, np.int64)
     cells = Cells.of(positions, reach)

@@ -1,4 +1,4 @@
-"""What a road by templates says of a cluster, and all of it as clusters of fruit."""
+"""Result of a template method for a cluster, and all results as clusters of fruit."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .parts import Part, hausdorff
 IntArray = NDArray[np.int64]
 
 RADIUS_SD = 0.1
-"""Standard deviation of a fruit's radius, in radii, where all have the template's."""
+"""Standard deviation of a fruit's radius, in radii, since all have the size of the template."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """index: (M,) points of one cluster; parts: its fruit, none when it is dropped; reason: why, for the audit."""
+    """index: (M,) points of one cluster; parts: its fruit, none if it is dropped; reason: for the audit."""
 
     index: IntArray
     parts: Sequence[Part]
@@ -29,7 +29,7 @@ class Finding:
 
     @classmethod
     def kept(cls, index: IntArray, volume: float, parts: Sequence[Part]) -> Finding:
-        """A cluster of so many template volumes that is these fruit."""
+        """A cluster of this many template volumes that consists of these fruit."""
         kind = "a compound" if len(parts) > 1 else "a small fruit" if parts[0].small else "a single fruit"
         return cls(
             index,
@@ -41,12 +41,12 @@ class Finding:
 
     @classmethod
     def dropped(cls, index: IntArray, reason: str) -> Finding:
-        """A cluster that is no fruit."""
+        """A cluster without fruit."""
         return cls(index, [], f"{reason}, γ = 0")
 
 
 def clusters_of(surface: SurfaceIndex, diameter: float, findings: Sequence[Finding]) -> Clusters:
-    """The fruit of all clusters of the skin's points, each of `diameter` scene units."""
+    """The fruit of all clusters of the surface points, each of `diameter` scene units."""
     parts = [part for finding in findings for part in finding.parts]
     owners, components = (
         np.full(len(surface.points), -1, np.int64),

@@ -1,13 +1,14 @@
 """FruitNeRF's clustering (Meyer et al. 2024, "FruitNeRF: A Unified Neural Radiance Field based Fruit Counting
-Framework"), built from its description and with its published parameters, as a rival to count beside.
+Framework"), built from its description with its published parameters, as a baseline.
 
-Points are cleaned, thinned to one a voxel, and clustered by DBSCAN. Small clusters near each other are pieces of one
-fruit and are merged; what then holds less than 0.3 template volumes is discarded, and what holds more than 0.9 is split
-by agglomerative clustering into the k = 2 … 6 parts with the least Hausdorff distance to the aligned template.
+Points are cleaned, thinned to one per voxel, and clustered by DBSCAN. Small clusters near each other are pieces of one
+fruit and are merged; clusters of less than 0.3 template volumes are then discarded, and those of more than 0.9 are
+split by agglomerative clustering into the k = 2 … 6 parts with the least Hausdorff distance to the aligned template.
 
 The published lengths are in units of scenes whose fruit have other sizes; here they are in fruit diameters. Those of
-its synthetic apple tree (voxel 0.001, ε and radius of cleaning 0.01, merging 0.04, template scaled by 0.7) are taken
-with a template of 0.08 at scale 1, an apple of 8 cm: its file is not described. A voxel is then a 56th of a diameter.
+its synthetic apple tree (voxel 0.001, ε and radius of cleaning 0.01, merging 0.04, template scaled by 0.7) are read
+with a template of 0.08 at scale 1, an apple of 8 cm, because its file is not described. A voxel is then a 56th of a
+diameter.
 """
 
 from __future__ import annotations
@@ -35,16 +36,16 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 FRUIT = 0.7 * 0.08
-"""Diameter of its apples, in its scene's units."""
+"""Diameter of its apples, in units of its scene."""
 VOXEL, LINK, MERGED = 0.001 / FRUIT, 0.01 / FRUIT, 0.04 / FRUIT
 """Side of the voxels, DBSCAN's ε (and radius of cleaning), and how far apart small clusters of one fruit are, all in
 diameters."""
 SURFACE_POINTS = 3 * np.pi * (LINK / VOXEL) ** 2
-"""Voxels within ε of a point on a fruit whose skin is three voxels thick, as its radiance field draws it."""
+"""Voxels within ε of a point on a fruit whose surface is three voxels thick, as in its radiance field."""
 CLEAN_SHARE, CORE_SHARE = 200 / SURFACE_POINTS, 100 / SURFACE_POINTS
-"""Neighbours that a point needs to be kept (200) and min_samples (100), as shares of the usual number within ε."""
+"""Neighbours that a point needs to be kept (200) and min_samples (100), as shares of the typical number within ε."""
 LEAST_VOLUME, SPLIT_VOLUME, MOST_PARTS = 0.3, 0.9, 6
-"""In template volumes, below which a cluster is discarded and above which it is split, into so many parts at most."""
+"""In template volumes: below the first a cluster is discarded, above the second it is split; and the most parts."""
 
 
 def cluster_as_fruitnerf(
@@ -76,14 +77,14 @@ def _one_a_voxel(points: SurfacePoints, side: float) -> SurfacePoints:
 
 
 def _clustered(positions: FloatArray) -> list[IntArray]:
-    """The points of each cluster; those with too few neighbours are cleaned away first."""
+    """The points of each cluster; points with too few neighbours are removed first."""
     density = Density.of(positions, LINK)
     kept = np.flatnonzero(density.numbers >= CLEAN_SHARE * density.usual)
     return [kept[own] for own in dense_clusters(positions[kept], LINK, density, CORE_SHARE)]
 
 
 def _merged(cloud: Cloud, clusters: list[IntArray]) -> list[IntArray]:
-    """The clusters (C), with small ones whose middles lie near each other in one."""
+    """The clusters (C), with small ones whose centres lie near each other merged."""
     small = [cloud.volume(index) < LEAST_VOLUME for index in clusters]
     pieces = list(compress(clusters, small))
     if len(pieces) < 2:
@@ -95,7 +96,7 @@ def _merged(cloud: Cloud, clusters: list[IntArray]) -> list[IntArray]:
 
 
 def _linked(middles: FloatArray) -> list[IntArray]:
-    """Groups of middles (C, 3) in chains of near ones; the pairs of all middles would not fit into memory."""
+    """Groups of centres (C, 3) in chains of near ones; the pairs of all centres would not fit into memory."""
     pairs = cKDTree(middles).query_pairs(MERGED, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(middles),) * 2)
     count, labels = connected_components(graph, directed=False)
@@ -103,7 +104,7 @@ def _linked(middles: FloatArray) -> list[IntArray]:
 
 
 def _near(middles: FloatArray) -> list[IntArray]:
-    """Groups of middles (C, 3) that lie on the mean no farther from each other than pieces of one fruit."""
+    """Groups of centres (C, 3) whose mean distance is at most that of pieces of one fruit."""
     if len(middles) == 1:
         return [np.zeros(1, np.int64)]
     labels = fcluster(linkage(middles, "average"), MERGED, criterion="distance").astype(np.int64)

@@ -1,4 +1,4 @@
-"""Parts of a cluster of points, each with a template laid onto it."""
+"""Parts of a cluster of points, each with an aligned template."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MOST_JOINED = 2000
-"""Points, evenly thinned, whose tree of parts is built: its time grows with their square."""
+"""Points, evenly thinned, of the tree of parts: its time grows with their square."""
 VOLUME_POINTS = 4000
-"""Points, evenly thinned, that an alpha shape is made of."""
+"""Points, evenly thinned, of an alpha shape."""
 SMALLEST = 8
-"""Points of the smallest part that a template is laid onto."""
+"""Points of the smallest part that a template is aligned to."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """index: (M,) points that one template was laid onto; small: a fruit of which little shows, or a small one."""
+    """index: (M,) points that one template was aligned to; small: a fruit of which little is visible, or a small
+    one."""
 
     index: IntArray
     fit: Registration
@@ -37,9 +38,10 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """What templates are laid onto. Lengths are in fruit diameters.
+    """The points that templates are aligned to. Lengths are in fruit diameters.
 
-    positions: (P, 3); origins: (P, 3) where each point has the centre of its fruit, the mean of which is a first guess.
+    positions: (P, 3); origins: (P, 3) the centre of its fruit according to each point, the mean of which is a first
+    estimate.
     """
 
     positions: FloatArray
@@ -51,7 +53,7 @@ class Cloud:
         return alpha_shape_volume(self.positions[thinned(index, VOLUME_POINTS)], ALPHA) / self.template.volume
 
     def part(self, index: IntArray, *, small: bool = False) -> Part:
-        """The points at `index` with the template laid onto them."""
+        """The points at `index` with the aligned template."""
         return Part(index, register(self.positions[index], self.template, self.origins[index].mean(axis=0)), small)
 
 
@@ -66,7 +68,7 @@ def hausdorff(parts: Sequence[Part]) -> float:
 
 
 def best_split(cloud: Cloud, index: IntArray, most: int) -> list[Part]:
-    """The points at `index` as one part, or as those 2 to `most` of the least mean Hausdorff distance."""
+    """The points at `index` as one part, or as the 2 to `most` parts with the least mean Hausdorff distance."""
     best = [cloud.part(index)]
     fitted = {index.tobytes(): best[0]}
     for groups in cuts(cloud.positions, index, most):
@@ -78,10 +80,10 @@ def best_split(cloud: Cloud, index: IntArray, most: int) -> list[Part]:
 
 
 def cuts(positions: FloatArray, index: IntArray, most: int) -> Iterator[list[IntArray]]:
-    """The points at `index` of positions (P, 3) in 2, 3, … `most` groups, less those of too few points.
+    """The points at `index` of positions (P, 3) in 2, 3, … `most` groups, without those of too few points.
 
-    All are cuts of one tree of agglomerative clustering (Ward 1963): no chance has a part in it, unlike in k-means, and
-    each splits one group of the one before.
+    All are cuts of one tree of agglomerative clustering (Ward 1963), which has no random start, unlike k-means; each
+    splits one group of the one before.
     """
     few = thinned(np.arange(len(index)), MOST_JOINED)
     if len(few) < 2 * SMALLEST:

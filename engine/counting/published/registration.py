@@ -1,4 +1,4 @@
-"""A template laid onto points by iterative closest points, and how far the two then differ."""
+"""A template aligned to points by iterative closest points, and their remaining distance."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ FloatArray = NDArray[np.float64]
 
 ROUNDS = 20
 MOST = 200
-"""Points, evenly thinned, that a template is laid onto."""
+"""Points, evenly thinned, that a template is aligned to."""
 SETTLED = 2e-3
-"""A step of the centre that ends the rounds."""
+"""A step of the centre that ends the iterations."""
 QUANTILE = 0.95
-"""Of the distances that the Hausdorff distance is the largest of: one stray point must not rule."""
+"""Quantile of the distances that is used as the Hausdorff distance: a single stray point must not decide it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
     """Lengths are in fruit diameters.
 
-    center: (3,) of the template; off: how far the points lie from the template; bare: how far the template's points lie
-    from them, which for a fruit seen from one side is much.
+    center: (3,) of the template; off: distance of the points from the template; bare: distance of the template's points
+    from them, which is large for a fruit that is visible from one side only.
     """
 
     center: FloatArray
@@ -40,10 +40,10 @@ class Registration:
 
 
 def register(points: FloatArray, template: Template, start: FloatArray) -> Registration:
-    """Lay the template onto points (M, 3) in fruit diameters; start: (3,) a first guess of its centre.
+    """Align the template to points (M, 3) in fruit diameters; start: (3,) a first estimate of its centre.
 
-    Every point is drawn to the nearest one of the template, not the other way round: what a fruit seen from one side
-    does not show would else draw the template into the side that it shows.
+    Every point is moved to the nearest one of the template, not the other way round: the hidden side of a fruit would
+    otherwise pull the template into the visible side.
     """
     points = points[np.linspace(0, len(points) - 1, min(len(points), MOST)).astype(np.int64)]
     tree = cKDTree(template.points)

@@ -1,9 +1,9 @@
 """The paper's clustering (section 3.3): DBSCAN, density pruning, and splitting by a template of a fruit.
 
-A cluster is compared with the template by the volume of its alpha shape and, once the template is laid onto it, by
-Hausdorff distance. Where either says that they differ, the cluster is split into the parts that fit best, and those of
-them that still differ again, until no split fits better. γ of a cluster is the number of templates laid onto it; a
-cluster is a single fruit, a small one, or a compound. Every length is in fruit diameters, which the scene gives.
+A cluster is compared with the template by the volume of its alpha shape and, after alignment, by Hausdorff distance. If
+either differs, the cluster is split into the parts that fit best, and parts that still differ are split again, until no
+split fits better. γ of a cluster is the number of templates aligned to it; a cluster is a single fruit, a small one, or
+a compound. Every length is in fruit diameters.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ IntArray = NDArray[np.int64]
 LINK = 0.22
 """DBSCAN's ε in diameters."""
 CORE_SHARE = 0.25
-"""DBSCAN's min_samples, as a share of the usual number of neighbours within ε."""
+"""DBSCAN's min_samples, as a share of the typical number of neighbours within ε."""
 THIN = 0.3
-"""A cluster is pruned when half of its points have less than this share of the usual number of neighbours."""
+"""A cluster is pruned if half of its points have less than this share of the typical number of neighbours."""
 SMALLEST_VOLUME, LEAST_VOLUME, SPLIT_VOLUME = 0.1, 0.3, 0.9
-"""In template volumes: the least of a small fruit, the least of a single one, and the most of it (the last two are
-FruitNeRF's, Meyer et al. 2024, and so is the first, for its second real tree)."""
+"""In template volumes: the least of a small fruit, the least of a single one, and the most of a single one (the last
+two from FruitNeRF, Meyer et al. 2024, and so is the first, for its second real tree)."""
 MOST_PARTS = 60
-"""Into which a cluster is split at once, or into as many as 0.3 template volumes each allow."""
+"""Parts that a cluster is split into at once, or as many as 0.3 template volumes each allow."""
 MISMATCH = 0.2
 """A cluster whose points lie farther than this from the template is split, whatever its volume."""
 SMALL_OFF = 0.12
-"""Points of a small fruit lie on the template up to this; those of leaves and twigs do not."""
+"""Points of a small fruit lie on the template up to this distance; those of leaves and twigs do not."""
 TYPICAL = (0.7, 1.2)
-"""In volumes of a ball, what a fruit that shows from most sides has."""
+"""In volumes of a sphere, the volume of a fruit that is visible from most sides."""
 BARE = 0.25
-"""How far the ball's points may lie from those of a fruit that shows from most sides."""
+"""Largest distance of the sphere's points from those of a fruit that is visible from most sides."""
 TRIED = 8
-"""Single fruit of which the most typical becomes the template."""
+"""Number of single fruit of which the most typical becomes the template."""
 FEWEST = 3
-"""Single fruit without which the template is a ball."""
+"""Number of single fruit below which the template is a sphere."""
 
 
 def split_by_template(
     points: SurfacePoints, diameter: float, template: Template | None = None, *, progress: Progress = silent
 ) -> Clusters:
-    """Cluster the points and lay templates of `diameter` scene units onto each cluster.
+    """Cluster the points and align templates of `diameter` scene units to each cluster.
 
-    template: the fruit's shape; without one, the scene's most typical single fruit.
+    template: the shape of the fruit; without one, the most typical single fruit of the scene.
     """
     surface = SurfaceIndex.of(points, diameter)
     positions = surface.points.positions / diameter
@@ -74,7 +74,7 @@ def split_by_template(
 
 
 def judged(cloud: Cloud, index: IntArray, dense: float) -> Finding:
-    """What the points at `index` are; dense: the usual number of their neighbours, as a share of the scene's."""
+    """The result for the points at `index`; dense: the typical number of their neighbours, relative to the scene."""
     if dense < THIN:
         return Finding.dropped(
             index, f"its points lie thinner than fruit: {dense:.2f} of the usual density ({THIN} is asked)"
@@ -95,7 +95,7 @@ def judged(cloud: Cloud, index: IntArray, dense: float) -> Finding:
 
 
 def fitted(cloud: Cloud, index: IntArray) -> list[Part]:
-    """The fruit that the points at `index` are made of."""
+    """The fruit that the points at `index` consist of."""
     whole, volume = cloud.part(index), cloud.volume(index)
     if volume <= SPLIT_VOLUME and whole.fit.off <= MISMATCH:
         return [whole]
@@ -106,9 +106,9 @@ def fitted(cloud: Cloud, index: IntArray) -> list[Part]:
 
 
 def typical_fruit(cloud: Cloud, clusters: Sequence[IntArray]) -> Template:
-    """The single fruit whose shape is nearest to the others', of those that show most; a ball where there are none.
+    """The single fruit whose shape is nearest to the others', among the most visible ones; a sphere if there are none.
 
-    cloud: with a ball as its template, which tells what is a single fruit.
+    cloud: with a sphere as its template, which decides what is a single fruit.
     """
     sized = [index for index in clusters if TYPICAL[0] < cloud.volume(index) < TYPICAL[1]]
     single = [part for part in map(cloud.part, sized) if part.fit.off < MISMATCH and part.fit.bare < BARE]

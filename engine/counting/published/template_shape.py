@@ -1,4 +1,5 @@
-"""The shape that clusters are compared with: one fruit's surface as points, from a file, from the scene, or a ball."""
+"""The shape that clusters are compared with: the surface of one fruit as points, from a file, from the scene, or a
+sphere."""
 
 from __future__ import annotations
 
@@ -17,12 +18,12 @@ from ..geometry.sphere import unit_directions
 FloatArray = NDArray[np.float64]
 
 ALPHA = 0.65
-"""Radius, in fruit diameters, of the ball that carves an alpha shape. Points of a fruit's surface are hollow: a ball
-smaller than the fruit gets in between them, and one much larger fills the gaps between fruit that touch."""
+"""Radius, in fruit diameters, of the ball that defines an alpha shape. Points of a surface are hollow: a ball smaller
+than the fruit gets in between them, and a much larger one fills the gaps between touching fruit."""
 POINTS = 250
-"""Of a template."""
+"""Points of a template."""
 FEWEST = 30
-"""Points from which a cloud tells a shape."""
+"""Least points of a cloud that defines a shape."""
 LEAST_FULL = 1e-3
 """Least share of its bounding box that a template fills."""
 
@@ -48,7 +49,7 @@ def ball() -> Template:
 
 
 def cut_out(points: FloatArray) -> Template:
-    """The template of a fruit's points (M, 3) in a scene, in fruit diameters; of many points, an even part."""
+    """The template of the points (M, 3) of a fruit in a scene, in fruit diameters; of many points, an even sample."""
     thinned = points[np.linspace(0, len(points) - 1, min(len(points), POINTS)).astype(np.int64)]
     return Template.of(thinned - _middle(points))
 
@@ -68,7 +69,7 @@ def read_template(path: Path, *, seed: int = 0) -> Template:
         shape = trimesh.load(path)
         if isinstance(shape, trimesh.Scene):
             shape = shape.to_mesh() if len(shape.geometry) > 1 else shape.to_geometry()
-    except Exception as error:  # what trimesh's readers raise has no common class
+    except Exception as error:  # the errors of trimesh's readers have no common class
         raise FormatError(f"{path} cannot be read as a mesh or a point cloud: {_line(error)}") from error
     vertices = np.asarray(getattr(shape, "vertices", ()), np.float64).reshape(-1, 3)
     if len(vertices) == 0:
@@ -115,7 +116,7 @@ def _checked_volume(volume: float, extents: Sequence[float] | FloatArray, path: 
 
 
 def _apart(points: FloatArray, count: int) -> FloatArray:
-    """At most `count` of the points (M, 3), each the one farthest from those before it."""
+    """At most `count` of the points (M, 3), each the one farthest from those before."""
     chosen, gap = [0], np.linalg.norm(points - points[0], axis=1)
     while len(chosen) < min(count, len(points)):
         chosen.append(int(gap.argmax()))
@@ -124,5 +125,5 @@ def _apart(points: FloatArray, count: int) -> FloatArray:
 
 
 def _line(error: Exception) -> str:
-    """An error's text in one line, or its name where it has none."""
+    """The text of an error in one line, or its class if it has none."""
     return " ".join(str(error).split()) or type(error).__name__
