@@ -1,4 +1,4 @@
-"""Stage caches: each stage's output lives in a folder named after everything that determines it."""
+"""Stage caches: the output of each stage is stored in a folder named by a hash of everything it depends on."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ _ENGINE = Path(__file__).resolve().parent
 
 @cache
 def _code_hash(room: str) -> str:
-    """Hash of a room's sources and fitted numbers: what is changed must not answer with what an older one left."""
+    """Hash of the sources and fitted numbers of a package, so that changed code never uses an older output."""
     return files_hash(sorted(path for kind in ("*.py", "*.json") for path in (_ENGINE / room).rglob(kind)), _ENGINE)
 
 
 def stage_key(rooms: tuple[str, ...], *inputs: Any) -> str:
-    """A short name of a stage's output: hash of the code of its `rooms` and of its inputs (texts and configs)."""
+    """A short name for the output of a stage: hash of the code of its packages (`rooms`) and of its inputs (texts and
+    configs)."""
     return text_hash(*(_code_hash(room) for room in rooms), *map(_text, inputs))[:16]
 
 

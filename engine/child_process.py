@@ -1,4 +1,4 @@
-"""A part of the engine in a Python process of its own: libraries that cannot be interrupted, or that may abort."""
+"""Runs a part of the engine in its own Python process: for libraries that cannot be interrupted or that may abort."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .progress import Progress, silent
 
 ROOT = Path(__file__).resolve().parents[1]
 POLL_SECONDS = 0.25
-"""So often `progress` is called, and may cancel, while the child says nothing."""
+"""Seconds between calls of `progress`, which may cancel, while the child is silent."""
 
-# The package may be a checkout or a Blender extension, under another name each time: the child loads it as fruitlangs.
+# The package may be a checkout or a Blender extension, with a different name each: the child loads it as fruitlangs.
 _BOOT = """
 import importlib, importlib.util, sys
 root, module, *arguments = sys.argv[1:]
@@ -29,14 +29,14 @@ importlib.import_module("fruitlangs.engine." + module).main(arguments)
 
 
 class ChildError(FruitLangsError):
-    """The child failed; the message is its own last words."""
+    """The child failed; the message is the last that it wrote."""
 
 
 def run_child(module: str, arguments: Sequence[str], log: Path, progress: Progress = silent) -> None:
     """Run `main(arguments)` of an engine module ("scene.sfm.mapping") in a new process until it ends.
 
-    The child reports by `tell` and fails by `give_up`; all else that it or its libraries write to stderr goes to `log`.
-    Whatever `progress` raises ends the child at once, and the child ends itself when this process dies.
+    The child reports with `tell` and fails with `give_up`; everything else written to stderr goes to `log`. An
+    exception from `progress` ends the child at once, and the child ends if this process dies.
 
     Raises:
         ChildError: it gave up, crashed, or could not be started.
@@ -64,7 +64,7 @@ def run_child(module: str, arguments: Sequence[str], log: Path, progress: Progre
 
 
 def _relay(child: subprocess.Popen[str], progress: Progress) -> str:
-    """Report what the child tells until it ends; returns what it gave up with, or nothing."""
+    """Report the child's progress until it ends; returns its error message, or an empty text."""
     lines: SimpleQueue[str | None] = SimpleQueue()
     assert child.stdout is not None
     Thread(target=_collect, args=(child.stdout, lines), daemon=True).start()
@@ -98,13 +98,13 @@ def tell(fraction: float, message: str) -> None:
 
 
 def give_up(reason: str) -> None:
-    """In the child: end with one line that says why."""
+    """In the child: end with a one-line reason."""
     print(f"error\t{' '.join(reason.split())}", flush=True)
     sys.exit(1)
 
 
 def end_with_parent() -> None:
-    """In the child: end as soon as the parent has, however it did."""
+    """In the child: end as soon as the parent has ended, for whatever reason."""
 
     def wait() -> None:
         os.read(0, 1)  # not sys.stdin, whose lock would abort this process at its own end

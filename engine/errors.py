@@ -1,4 +1,4 @@
-"""The one hierarchy of errors a user can meet.
+"""The error hierarchy of the engine.
 
 Every message says what is wrong, where (file, view, option) and what to do about it, in one line.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 
 class FruitLangsError(Exception):
-    """Something the user can act on; the command line prints it and exits with 1."""
+    """An error that the user can act on; the command line prints it and exits with 1."""
 
 
 class SceneError(FruitLangsError):
@@ -19,11 +19,11 @@ class TrainingError(FruitLangsError):
 
 
 class FormatError(FruitLangsError):
-    """A file is not what its name or its place says it is."""
+    """A file does not have the format that its name or place suggests."""
 
 
 class VocabularyError(FruitLangsError):
-    """A prompt holds a word that the encoder does not know."""
+    """A prompt contains a word that the encoder does not know."""
 
 
 class EncoderError(FruitLangsError):

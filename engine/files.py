@@ -1,4 +1,4 @@
-"""Writing files so that a reader never meets half of one, and hashing what was read."""
+"""Writing files atomically, and hashing files that were read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` (same suffix) and put it in place when the block ends without an error.
+    """Yield a temporary path next to `path` (same suffix) and move it into place if the block ends without an error.
 
     Raises:
         OutputError: the folder cannot be made or written.
@@ -52,18 +52,18 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str,
     from safetensors.torch import save_file
 
     with replacing(path) as temporary:
-        # save_file makes a file that nobody else may read; a result is as open as its other files.
+        # save_file makes a file that only its owner may read; a result has the permissions of its other files.
         temporary.touch()
         mode = temporary.stat().st_mode
         try:
             save_file(dict(tensors), temporary, metadata={"fruitlangs": json.dumps(about, sort_keys=True)})
-        except SafetensorError as error:  # so it calls a full disk
+        except SafetensorError as error:  # its name for a full disk
             raise OSError(str(error)) from error
         temporary.chmod(mode)
 
 
 def require_writable(folder: Path) -> None:
-    """Make `folder` and prove that a file can be written into it, before hours are spent.
+    """Make `folder` and check that files can be written to it, before a long run.
 
     Raises:
         OutputError: it cannot.

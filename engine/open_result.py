@@ -1,4 +1,4 @@
-"""An earlier result opened to be looked at and asked again: what `count_scene` left in memory, from its folder."""
+"""Opens an earlier result to view it and to query it again: what `count_scene` keeps in memory, from its folder."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .report.selection import SELECTION, Selection, read_selection
 
 
 def open_result(folder: Path) -> Result:
-    """The result that lies in `folder`, with its photos where they still are; nothing is written or computed anew.
+    """The result in `folder`, with its photos if they are still available; nothing is written or computed.
 
-    Fruit lack their sampled points.
+    Fruit have no sampled points.
 
     Raises:
         OutputError: there is no result, or its files are not of one run.
@@ -54,10 +54,10 @@ def open_result(folder: Path) -> Result:
 def _selection(
     folder: Path, document: Mapping[str, Any], made: Reconstruction, stored: Config, stages: Stages
 ) -> Selection:
-    """What the count said of every Gaussian.
+    """The probability and the fruit of every Gaussian.
 
-    Results of before `selection.safetensors` are asked again; where their encoder is not on this computer the
-    probabilities are 0, and a notice says so.
+    The probability of results without `selection.safetensors` is computed again; if their encoder is not available, it
+    is 0, and a notice says so.
     """
     if SELECTION in document["files"]:
         return read_selection(folder / SELECTION)

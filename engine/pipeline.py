@@ -1,8 +1,8 @@
-"""The whole chain: photos → cameras → Gaussians → features → probability → fruits → files.
+"""The whole pipeline: photos → cameras → Gaussians → features → probability → fruits → files.
 
-The command line and Blender's operators call `count_scene`. Training and lifting are kept in `OUT/cache/` under the
+The command line and Blender's operators call `count_scene`. Training and lifting are cached in `OUT/cache/` under the
 hash of their inputs, settings and code (`reconstruction`), so a second prompt reuses them. The files of a result are
-made in a folder of their own and put in place at the end (`publishing`).
+written to a staging folder and moved into place at the end (`publishing`).
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ def count_scene(
     """
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
-    check_prompts(encoder, prompts, negatives)  # a word that cannot be answered must not cost a training run
+    check_prompts(encoder, prompts, negatives)  # an unknown word must not cost a training run
     given: dict[str, str] = {}
     if config.count.template:
-        read_template(Path(config.count.template))  # nor must a file that is no template
+        read_template(Path(config.count.template))  # nor must an invalid template
         given["template_sha256"] = file_hash(Path(config.count.template))
     stages = Stages()
     made = _made(source, out, embedder, config, imported, watch, stages, part(progress, 0.0, 0.9))
@@ -110,7 +110,7 @@ def reconstruct_scene(
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> tuple[Reconstruction, Stages]:
-    """What `count_scene` makes of the scene at `source` before it asks a prompt, kept in `out`/cache for it to find.
+    """What `count_scene` makes of the scene at `source` before it uses a prompt, cached in `out`/cache.
 
     Returns it with the log of the run. Arguments and errors as of `count_scene`.
     """
@@ -130,7 +130,7 @@ def _made(
     stages: Stages,
     progress: Progress,
 ) -> Reconstruction:
-    """Everything that does not depend on the prompt, by the road that `source` asks for, with its scale."""
+    """Everything that does not depend on the prompt, by the method that suits `source`, with its scale."""
     if config.units.object is not None:
         check_prompts(embedder.encoder, [config.units.object])
     if imported is not None:
@@ -149,18 +149,18 @@ def _made(
 
 
 def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
-    """Fruit that were numbered before in this scene: by what `out` holds, else by the result that is counted again."""
+    """Fruit that were numbered before in this scene: from `out`, else from the result that is counted again."""
     inputs = made.origin["inputs_sha256"]
     return next((known for folder in (out, source) if (known := known_fruit(folder, inputs)).last), NOBODY)
 
 
 def _label(prompts: Sequence[str]) -> str:
-    """What the counted things are called: "Apples" → "apple"; several prompts are joined."""
+    """The label of the counted fruit: "Apples" → "apple"; several prompts are joined."""
     return " or ".join(dict.fromkeys(_name(prompt) for prompt in prompts))
 
 
 def _name(prompt: str) -> str:
-    """A prompt as the vocabulary has it; as it is written where only CLIP knows the word."""
+    """A prompt as in the vocabulary; unchanged if only CLIP knows the word."""
     try:
         return parse(prompt).text
     except VocabularyError:

@@ -1,4 +1,4 @@
-"""Putting a result in place: its files are made in a folder of their own and moved in at the end, fruits.json last."""
+"""Puts a result in place: its files are written to a staging folder and moved at the end, fruits.json last."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ _DAY = 86_400.0
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a run leaves in memory beside its files.
+    """What a run keeps in memory in addition to its files.
 
-    probability: (N,) that a Gaussian belongs to the prompt; seconds by stage; reused: stages that an earlier run had
-    done; notices: what the user should know though the run went well; known: fruit that earlier counts of the scene
-    numbered; set_id names this set of result files; files: their paths, fruits.json last.
+    probability: (N,) that a Gaussian matches the prompt; seconds: by stage; reused: stages taken from an earlier run;
+    notices: messages for the user; known: fruit that earlier counts of the scene numbered; set_id: names this set of
+    result files; files: their paths, fruits.json last.
     """
 
     scene: Scene
@@ -67,13 +67,13 @@ class Result:
 
 
 Writer = Callable[[Path, Result], None]
-"""Writes one more file of the result from what is in memory, for example Blender's scene.blend."""
+"""Writes one more file of the result, for example Blender's scene.blend."""
 
 
 def publish(
     result: Result, made: Reconstruction, writers: Mapping[str, Writer], keep: Path | None, stages: Stages
 ) -> Result:
-    """Make every file in a staging folder, then move the set into place, fruits.json last."""
+    """Write every file to a staging folder, then move the set into place, fruits.json last."""
     staging = result.out / "cache" / f"publish-{os.getpid()}"
     _remove_dead(staging)
     (staging / PICTURES).mkdir(parents=True)
@@ -112,7 +112,7 @@ def publish(
 
 
 def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
-    """Write the files whose bytes follow from the inputs alone; returns their names."""
+    """Write the files that depend on the inputs only; returns their names."""
     shutil.copyfile(made.gaussians_file, folder / GAUSSIANS)
     shutil.copyfile(made.features_file, folder / FEATURES)
     write_text(folder / CAMERAS, with_scene_facts(made.cameras_file, result.scene))
@@ -133,9 +133,9 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
 
 
 def _write_page(folder: Path, result: Result) -> None:
-    """The still and the page for people.
+    """The still and the report.
 
-    Neither tells date, seconds or where the photos lie: equal runs give equal files.
+    Neither contains the date, seconds or the path of the photos, so equal runs give equal files.
     """
     fruit_count, metres_per_unit = result.fruit_count, result.scene.metres_per_unit
     title = headline(fruit_count, ", ".join(result.origin["prompts"]))
@@ -155,7 +155,7 @@ def _write_page(folder: Path, result: Result) -> None:
 
 
 def _remove_dead(staging: Path) -> None:
-    """Remove the staging folders that killed runs left: this process's own, and any that nobody wrote to for a day."""
+    """Remove the staging folders of killed runs: those of this process, and any that was not changed for a day."""
     for folder in staging.parent.glob("publish-*"):
         with suppress(FileNotFoundError):
             if folder == staging or time.time() - folder.stat().st_mtime > _DAY:
@@ -163,9 +163,10 @@ def _remove_dead(staging: Path) -> None:
 
 
 def _move_into_place(staging: Path, out: Path, names: Sequence[str], keep: Path | None) -> None:
-    """Replace the old set by the new one; what the new set does not have is removed, so that no old picture remains.
+    """Replace the old set by the new one, and remove files that the new set does not have, so that no old picture
+    remains.
 
-    A scene.blend goes only where the old fruits.json lists it: another one is the user's own.
+    A scene.blend is replaced only if the old fruits.json lists it: another one belongs to the user.
     """
     (out / PICTURES).mkdir(exist_ok=True)
     stale = [path for path in (out / PICTURES).glob("view_*.png") if f"{PICTURES}/{path.name}" not in names]
@@ -179,7 +180,7 @@ def _move_into_place(staging: Path, out: Path, names: Sequence[str], keep: Path 
 
 
 def _lists_blend(out: Path) -> bool:
-    """Whether the result in `out`, if there is a sound one, wrote its scene.blend itself."""
+    """Whether the result in `out`, if it is valid, wrote its scene.blend."""
     with suppress(FruitLangsError):
         return BLEND in read_results(out, verify=False).get("unhashed_files", ())
     return False

@@ -1,4 +1,4 @@
-"""What is known of a scene before any prompt: photos → cameras → Gaussians → features, each kept and reused."""
+"""Everything about a scene before any prompt: photos → cameras → Gaussians → features, each cached and reused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from .splatting.ply import read_ply, write_ply
 from .splatting.training.train import Watch, train
 
 POOR = 0.4
-"""Held-out SSIM below which Gaussians show little more than a blur does; the paper's worst scan has .527."""
+"""Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
@@ -41,9 +41,9 @@ FORMER_IMPORTED = "foreign"
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Everything about a scene that does not depend on the prompt, with the files that hold it.
+    """Everything about a scene that does not depend on the prompt, with its files.
 
-    origin: what went in (source path, hash of the inputs, encoder) and what training reached, for the provenance.
+    origin: inputs (source path, hash, encoder) and training results, for the provenance.
     """
 
     scene: Scene
@@ -57,7 +57,7 @@ class Reconstruction:
 
 
 class Stages:
-    """The log of a run: seconds by stage, which stages an earlier run had done, and what the user should know."""
+    """The log of a run: seconds by stage, reused stages, and messages for the user."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -80,7 +80,8 @@ def reconstruct(
     progress: Progress,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """Photos → Gaussians → features, each from the cache where it is there; `watch` sees the Gaussians in training."""
+    """Photos → Gaussians → features, each from the cache if it is there; `watch` receives the Gaussians during
+    training."""
     found, start = Source(path=source), 0.0
     photos = photos_alone(source)
     if photos is not None:
@@ -94,7 +95,7 @@ def reconstruct(
         scene = _read_photos(found, config, stages, part(progress, 0.0, 0.03))
         inputs = found.hash()
     require_writable(cache)
-    # Which way is up changes nothing of what is trained.
+    # The up direction does not affect training.
     train_key = stage_key(("scene", "splatting"), inputs, dataclasses.replace(config.scene, up=None), config.train)
     if embedder.trains:
         train_key = stage_key(("language",), train_key, embedder.key)
@@ -109,7 +110,7 @@ def reconstruct(
             )
         cameras_file = gaussians_file.with_name(CAMERAS)
         scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
-        # Read back even when just trained: the first prompt must see what later ones will.
+        # Read back even when just trained: the first prompt must use the same bytes as later ones.
         gaussians = read_ply(gaussians_file)
     if embedder.trains:
         features_file = gaussians_file.with_name(FEATURES)
@@ -142,7 +143,7 @@ def adopt(
     stages: Stages,
     progress: Progress,
 ) -> Reconstruction:
-    """An imported reconstruction → features, from the photos at `source` or, where it is `source`, pictures of itself.
+    """An imported reconstruction → features, from the photos at `source` or, if it is `source`, from its own renders.
 
     Raises:
         ConfigError: features shall be trained along with Gaussians that are not trained.
@@ -181,7 +182,8 @@ def adopt(
 
 
 def check_imported(source: Path, imported: Path, out: Path) -> None:
-    """Raise where an imported reconstruction has no place: one is there already, or the result would overwrite it."""
+    """Refuse an import where the source is a result with Gaussians of its own, or where the result would overwrite the
+    file."""
     if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
         raise ConfigError(f"{source} holds its own Gaussians. With --gaussians give the photos and cameras as SCENE")
     if imported.resolve().parent == out.resolve():
@@ -189,9 +191,9 @@ def check_imported(source: Path, imported: Path, out: Path) -> None:
 
 
 def _read_photos(source: Source, config: Config, stages: Stages, progress: Progress) -> Scene:
-    """The posed photos of `source`; notes where they are read smaller than they are."""
+    """The posed photos of `source`; adds a notice if they are scaled down."""
     scene = source.read(config.scene, progress=progress)
-    # What cannot be measured must not cost a training run.
+    # Photos that held-out measurement cannot read must not cost a training run.
     scale_by_length(config.units, [photo.name for photo in scene.images], scene.cameras)
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
     largest = max((max(header.width, header.height) for header in headers), default=0)
@@ -211,7 +213,7 @@ def _embed_into(
     stages: Stages,
     progress: Progress,
 ) -> Path:
-    """The file of the features that the photos lend the Gaussians, which `key` names; made unless it is there."""
+    """The file of the features for these Gaussians, named by `key`; computed if it does not exist."""
     embed_key = stage_key(("language", "splatting"), key, embedder.key)
     features_file = cache / f"embed-{embed_key}" / FEATURES
     with stages.timed("embed"):
@@ -233,9 +235,9 @@ def _train_into(
     progress: Progress,
     watch: Watch | None,
 ) -> Mapping[str, Any]:
-    """Train unless `gaussians_file` and its record are there, with features where they are trained along.
+    """Train unless `gaussians_file` and its record exist, with features if they are trained jointly.
 
-    Returns what training reached.
+    Returns the training results.
     """
     record = gaussians_file.with_name("training.json")
     if record.is_file() and gaussians_file.is_file():
@@ -273,9 +275,9 @@ def _rounded(value: float | None) -> float | None:
 
 
 def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, stages: Stages) -> Reconstruction:
-    """An earlier result folder: its Gaussians and features as they are, its photos where they still are.
+    """An earlier result folder: its Gaussians and features, and its photos if they are still available.
 
-    embedder: what it shall be asked with; None where it is only looked at.
+    embedder: the one to query it with; None if it is only shown.
     """
     with stages.timed("scene"):
         document = read_results(folder)
@@ -303,7 +305,7 @@ def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, s
         gaussians = read_ply(gaussians_file)
         source = source_of(folder, document)
         origin["source"] = str(source)
-        # From here on photos are only looked at: without them the result lacks its pictures and nothing else.
+        # From here on photos are only shown: without them the result has no pictures.
         with suppress(FruitLangsError):
             if origin.get("imported", {}).get("cameras") == PLACED:
                 scene = rendered_again(gaussians, scene)
@@ -336,13 +338,13 @@ def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, s
 
 
 def _fixed(settings: Any) -> Any:
-    """A stage's settings without those that may differ when an earlier result is opened again."""
+    """The settings of a stage without those that may differ when an earlier result is opened again."""
     if isinstance(settings, EmbedConfig):
         return portable(settings)
     return dataclasses.replace(settings, up=None) if isinstance(settings, SceneConfig) else settings
 
 
 def _turned(scene: Scene, config: Config) -> Scene:
-    """The scene with the up direction that the settings give, if they give one."""
+    """The scene with the up direction from the settings, if they give one."""
     up = config.scene.up
     return scene if up is None else dataclasses.replace(scene, up=np.asarray(up) / np.linalg.norm(up))

@@ -1,4 +1,4 @@
-"""The scale of a reconstruction: what the settings say is measured, or the photos' GPS tags, or the one it had."""
+"""The scale of a reconstruction: from the settings, from the photos' GPS tags, or the one it already had."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from .scene.scale import Scale, scale_by_length
 from .splatting.subject.extent import longest_side
 
 SURE = 0.5
-"""Probability from which a Gaussian belongs to the thing that was measured."""
+"""Probability from which a Gaussian belongs to the measured object."""
 
 
 def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, stages: Stages) -> Reconstruction:
-    """`made` with its scale, in the scene and in the origin, where one is found; all else stays as it is.
+    """`made` with its scale, in the scene and in the origin, if there is one.
 
-    An earlier result that is asked nothing new of units keeps the scale it has.
+    An earlier result keeps its scale if the settings give no new one.
 
     Raises:
         SceneError: what shall be measured is not in the scene, or two cameras stand in one place.
@@ -55,7 +55,7 @@ def _measured(made: Reconstruction, encoder: Encoder, units: UnitsConfig, stages
 
 
 def _scale_by_object(made: Reconstruction, encoder: Encoder, word: str, length: float) -> Scale:
-    """The scale by the longest side, of `length` metres, of the largest thing that fits the word.
+    """The scale from the longest side, of `length` metres, of the largest object that matches the word.
 
     Raises:
         SceneError: there is none.

@@ -1,4 +1,4 @@
-"""Where on this computer the user's programs keep things: what can be made again, and what was downloaded."""
+"""The user's folders on this computer for caches and for downloads."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 KERNELS = "kernels-"
-"""Begins the name of every folder of compiled kernels; a hash of their sources follows."""
+"""Prefix of the folders of compiled kernels; a hash of their sources follows."""
 
 
 def kernels_folder() -> Path:
-    """The folder of the folders of compiled kernels: $NUMBA_CACHE_DIR, else in the user's cache folder."""
+    """The folder that contains the folders of compiled kernels: $NUMBA_CACHE_DIR, else the user's cache folder."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen:
         return Path(chosen)
@@ -23,7 +23,7 @@ def kernels_folder() -> Path:
 
 
 def checkpoints_folder() -> Path:
-    """Where checkpoints lie under their names: $FRUITLANGS_CHECKPOINTS, else in the user's own data folder."""
+    """The folder of checkpoints by name: $FRUITLANGS_CHECKPOINTS, else in the user's data folder."""
     chosen = os.environ.get("FRUITLANGS_CHECKPOINTS")
     if chosen:
         return Path(chosen)
@@ -37,5 +37,5 @@ def checkpoints_folder() -> Path:
 
 
 def _local_data() -> Path:
-    """Windows' folder for what belongs to this user on this computer."""
+    """The Windows folder for data of this user on this computer."""
     return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")

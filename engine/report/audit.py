@@ -1,4 +1,4 @@
-"""`audit.txt`: for every cluster of points what became of it and why, for a person to read."""
+"""`audit.txt`: for every cluster of points what it became and why."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MEANING = {
 
 
 def audit_text(fruit_count: FruitCount, *, prompt: str, metres_per_unit: float | None) -> str:
-    """The count with its intervals and the units, then a line a cluster, by verdict and falling number of points."""
+    """The count with its intervals and units, then one line per cluster, by verdict and descending number of points."""
     verdicts = Counter[str](entry.verdict for entry in fruit_count.audit)
     unit, _ = length_unit(metres_per_unit)
     units = f"Places are x y z in the frame of the scene, in scene units; diameters are in {unit}."

@@ -1,4 +1,4 @@
-"""Fruit in a picture: the ellipse that a camera makes of each ellipsoid, and how much of it nothing hides."""
+"""Fruit in a picture: the ellipse of each ellipsoid in a camera, and the unobstructed share of it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ..splatting.gaussians import Gaussians
 FloatArray = NDArray[np.float64]
 
 HIDDEN_BELOW = 0.1
-"""Share with nothing in front below which a fruit counts as hidden in this picture."""
+"""Unobstructed share below which a fruit counts as hidden in this picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipse:
-    """A fruit's outline in a picture.
+    """The outline of a fruit in a picture.
 
     center: (2,) px; axes: (2, 2) rows are its half axes, px, longest first; depth: of the fruit's centre, scene units;
-    visible: share of it with nothing in front, in [0, 1].
+    visible: unobstructed share, in [0, 1].
     """
 
     id: int
@@ -62,23 +62,23 @@ def ellipses(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> l
 
 
 def shown(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> FloatArray:
-    """(F,) the share of each fruit that nothing hides from the camera; 0 where half of it is out of the picture."""
+    """(F,) the unobstructed share of each fruit in the camera; 0 if half of it is outside the picture."""
     view_evidence = gather_view_evidence(
         draw(gaussians, np.zeros(len(gaussians)), [camera]),
         np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3),
         np.array([fruit.diameter / 2.0 for fruit in fruits], np.float64),
-        threshold=0.0,  # what lies on a fruit's skin is taken for the fruit: only depths tell
+        threshold=0.0,  # Objects on the surface of a fruit count as the fruit: only depths distinguish them.
     )
     return np.nan_to_num(view_evidence.visible_fractions)
 
 
 def projected(center: FloatArray, axes: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
-    """(2,) centre and (2, 2) half axes, px, of an ellipsoid's outline.
+    """(2,) centre and (2, 2) half axes, px, of the outline of an ellipsoid.
 
     axes: (3, 3), rows are its half axes in scene units.
 
-    None where its centre is not in the picture or it is not all before the camera. The outline is the dual conic
-    K (Σ - c cᵀ) Kᵀ of Σ = AᵀA and the centre c in the camera's frame (Hartley and Zisserman 2004, 8.7).
+    None if its centre is not in the picture or a part of it is not in front of the camera. The outline is the dual
+    conic K (Σ - c cᵀ) Kᵀ of Σ = AᵀA and the centre c in the camera's frame (Hartley and Zisserman 2004, 8.7).
     """
     place, depth = camera.project(center)
     if not depth > 0.0 or not (0.0 <= place[0] < camera.width and 0.0 <= place[1] < camera.height):

@@ -20,23 +20,23 @@ FloatArray = NDArray[np.float64]
 VIEW_ANGLE = 40.0
 """Degrees across the shorter side of the picture."""
 MARGIN = 0.05
-"""Share of the picture's half that stays free at each side."""
+"""Margin at each side, as a share of half the picture."""
 TRIED = 10
-"""Directions that are compared: as many of the photos', as different as can be."""
+"""Number of directions to compare, chosen from the photos' to be as different as possible."""
 TRIED_WIDTH = 400
-"""Pixels across the pictures by which they are compared."""
+"""Width in pixels of the pictures that are compared."""
 STEPS_BACK = (0.0, 0.1, 0.25, 0.5, 1.0)
 """How far behind a photo the camera may stand, in distances of the tree."""
 WIDEST_ANGLE = 75.0
 """Degrees across the longer side of the picture; a wider lens distorts the tree."""
 RISE = 10.0
-"""Degrees from which a tree without photos is looked down at."""
+"""Degrees from above for a tree without photos."""
 _AROUND = 1.15
-"""Radii of the subject about its middle within which Gaussians are held to be of the tree."""
+"""Radii of the subject within which Gaussians belong to the tree."""
 _STEEP = 0.97
-"""Cosine to the upward direction from which a camera looks straight down, so that up does not say how it is held."""
+"""Cosine to the upward direction beyond which a camera looks straight down, so that up does not define its roll."""
 _EDGES = 0.002
-"""Share of the tree's Gaussians that may lie beyond each edge: strays do not make the tree small."""
+"""Share of the tree's Gaussians that may lie beyond each edge, so that strays do not make the tree small."""
 
 
 def framing(
@@ -66,7 +66,7 @@ def framing(
 
 
 def _held(gaussians: Gaussians, fruits: Sequence[Fruit]) -> tuple[FloatArray, FloatArray]:
-    """(P, 3) and (P,) centres and radii of balls that the picture holds: the fruit, and the tree's Gaussians."""
+    """(P, 3) and (P,) centres and radii of spheres that must be in the picture: the fruit, and the tree's Gaussians."""
     centers = np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3)
     radii = np.array([fruit.lengths.max() / 2.0 for fruit in fruits], np.float64)
     if not len(gaussians):
@@ -91,7 +91,7 @@ def _sides(up: FloatArray) -> list[FloatArray]:
 
 
 def _apart(directions: Sequence[FloatArray]) -> list[int]:
-    """Indices of at most TRIED of the directions: the first, then always the one farthest from those taken."""
+    """Indices of at most TRIED of the directions: the first, then always the one farthest from those chosen."""
     rows = np.stack(directions)
     taken = [0]
     nearest = rows @ rows[0]
@@ -102,7 +102,7 @@ def _apart(directions: Sequence[FloatArray]) -> list[int]:
 
 
 def _at_photo(photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int) -> Camera:
-    """The camera at a photo's place, or as little behind as it must be, whose lens holds all the balls."""
+    """The camera at the position of a photo, or as little behind as needed, whose lens shows all the spheres."""
     turn = _turned(photo.forward, up)
     distance = float(np.median((centers - photo.center) @ photo.forward))
     for step in STEPS_BACK:
@@ -134,7 +134,7 @@ def _turned(direction: FloatArray, up: FloatArray) -> FloatArray:
 def _filled(
     direction: FloatArray, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int
 ) -> Camera:
-    """The camera that looks in `direction` from as near as all the balls allow."""
+    """The camera that looks in `direction` from as near as all the spheres allow."""
     turn = _turned(direction, up)
     focal = 0.5 * min(width, height) / math.tan(math.radians(VIEW_ANGLE) / 2.0)
     points = centers @ turn.T
@@ -148,9 +148,9 @@ def _filled(
 
 
 def _between(across: FloatArray, depths: FloatArray, radii: FloatArray, slope: float) -> tuple[float, float]:
-    """Where a wedge |across - a| ≤ slope · (depth - d) that holds all balls has its edge (a, d), d as large as can be.
+    """The edge (a, d), d as large as possible, of a wedge |across - a| ≤ slope · (depth - d) that contains all spheres.
 
-    A ball lies behind a side of the wedge where its centre does by radius · √(1 + slope²).
+    A sphere lies behind a side of the wedge if its centre does by radius · √(1 + slope²).
     """
     thick = radii * math.hypot(1.0, slope)
     right = _edge(across - slope * depths + thick, radii)
@@ -159,6 +159,6 @@ def _between(across: FloatArray, depths: FloatArray, radii: FloatArray, slope: f
 
 
 def _edge(reaches: FloatArray, radii: FloatArray) -> float:
-    """The farthest reach of all fruit and of all but few of the tree's Gaussians, which have no radius."""
+    """The farthest extent of all fruit and of all but a few of the tree's Gaussians, which have no radius."""
     fruit, tree = reaches[radii > 0.0], reaches[radii <= 0.0]
     return float(max([*fruit, *([np.quantile(tree, 1.0 - _EDGES)] if len(tree) else [])]))

@@ -1,4 +1,4 @@
-"""How many fruit have which diameter, as a drawing (SVG) that a page holds."""
+"""A histogram of fruit diameters as SVG for the report."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from .labels import round_length
 FloatArray = NDArray[np.float64]
 
 WIDTH, HEIGHT = 620.0, 220.0
-"""Of the drawing, in its own units."""
+"""Size of the drawing, in its own units."""
 _BAR, _GRID, _INK = "#3d7d3f", "#d9dee3", "#4c555e"
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 24.0, 10.0, 44.0
 _BARS = 14
-"""About how many bars a drawing has at most."""
+"""Approximate maximum number of bars."""
 _TICKS = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """edges: (B + 1,) the bars' sides, multiples of one round number; counts: (B,) values from side to side."""
+    """edges: (B + 1,) of the bars, multiples of one round number; counts: (B,) values between edges."""
 
     edges: FloatArray
     counts: NDArray[np.int64]
@@ -41,7 +41,7 @@ def histogram(values: FloatArray) -> Histogram:
 
 
 def drawing(bars: Histogram, *, axis: str) -> Markup:
-    """The bars as SVG with numbers at both axes; axis: what the values are, with their unit."""
+    """The bars as SVG with numbers at both axes; axis: label of the values, with their unit."""
     wide, high = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM
     most = int(bars.counts.max())
     step = max(round(round_length(max(most / _TICKS, 1.0) * 1.6)), 1)
@@ -68,7 +68,7 @@ def drawing(bars: Histogram, *, axis: str) -> Markup:
     upright = f'transform="rotate(-90 11 {_TOP + high / 2:g})"'
     parts.append(f'<text x="11" y="{_TOP + high / 2:g}" text-anchor="middle" {upright}>fruit</text>')
     name = escape(f"Histogram: {axis}")
-    # Every text in it is a number or escaped above.
+    # Every text in it is a number or was escaped above.
     return Markup(
         f'<svg class="histogram" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" fill="{_INK}" role="img" aria-label="{name}">'
         f"{''.join(parts)}</svg>"

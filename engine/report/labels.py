@@ -1,4 +1,4 @@
-"""Where the numbers of a picture stand: beside what they name, never one on another."""
+"""Positions of numbers in a picture: next to the object they name, without overlaps."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 TURNS = 16
-"""Directions from a thing in which a place for its number is looked for."""
+"""Directions from an object in which a place for its number is tried."""
 RINGS = (0.0, 12.0, 28.0, 48.0, 75.0, 110.0, 150.0)
-"""Pixels of a picture 1,000 high between a thing and its number, the nearest first."""
+"""Pixels of a picture 1,000 high between an object and its number, nearest first."""
 _OVER = 0.6
-"""What covering all of another thing costs, in rings."""
+"""Cost, in rings, of covering another object completely."""
 
 
 @dataclass(frozen=True, eq=False)
 class Label:
     """A placed text.
 
-    index: of the thing it names; box: (4,) px left, top, right, bottom; tied: it stands so far away that it needs a
-    line to its thing.
+    index: of the object it names; box: (4,) px left, top, right, bottom; tied: it is so far away that it needs a line
+    to its object.
     """
 
     index: int
@@ -37,14 +37,14 @@ class Label:
 def place_labels(
     centers: FloatArray, reaches: FloatArray, sizes: FloatArray, *, width: int, height: int, taken: FloatArray
 ) -> list[Label]:
-    """Place texts of sizes (N, 2) px beside things at centers (N, 2) with upright half sizes reaches (N, 2), px.
+    """Place texts of sizes (N, 2) px next to objects at centers (N, 2) with upright half sizes reaches (N, 2), px.
 
-    In the order given each gets the best place left: near, within the picture, on no other text nor on a `taken` box
-    (B, 4), rather not on another thing. A text for which there is no place is left out.
+    In the order given, each gets the best free place: near, within the picture, not on another text or a `taken` box
+    (B, 4), and preferably not on another object. A text without a free place is left out.
     """
     unit = height / 1000.0
     things = np.hstack([centers - reaches, centers + reaches])
-    turns = 2.0 * np.pi * (np.arange(TURNS) / TURNS - 0.125)  # the upper right first
+    turns = 2.0 * np.pi * (np.arange(TURNS) / TURNS - 0.125)  # upper right first
     ways = np.stack([np.cos(turns), np.sin(turns)], axis=1)
     full = np.asarray(taken, np.float64).reshape(-1, 4)
     labels = []
@@ -65,9 +65,9 @@ def place_labels(
 def _tried(
     center: FloatArray, reach: FloatArray, half: FloatArray, ways: FloatArray, unit: float
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(R·T, 4) boxes around a thing and the ring (R·T,) that each is on."""
+    """(R·T, 4) boxes around an object and the ring (R·T,) of each."""
     gaps = np.array(RINGS) * unit + unit
-    # The ellipse of the thing and the text's box: at a slant a text comes nearer than two boxes could.
+    # The ellipse of the object and the box of the text: diagonally they can be closer than two boxes.
     around = 1.0 / np.linalg.norm(ways / reach, axis=1)
     beside = np.min(half / np.maximum(np.abs(ways), 1e-9), axis=1)
     distances = around + beside
@@ -77,7 +77,7 @@ def _tried(
 
 
 def _shared(boxes: FloatArray, others: FloatArray) -> FloatArray:
-    """(A, B) px² that boxes (A, 4) and others (B, 4) share."""
+    """(A, B) px² that boxes (A, 4) and others (B, 4) have in common."""
     low = np.maximum(boxes[:, None, :2], others[None, :, :2])
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     return np.prod(np.maximum(high - low, 0.0), axis=2)

@@ -1,8 +1,8 @@
 """Fruit as geometry: labelled meshes (GLB, OBJ, PLY) and the sampled points with fruit ids (PLY).
 
-Every mesh is an ellipsoid with the fruit's own axes. Its vertices are in metres where the scale is known, else in scene
-units; the file says which. `up` (3,) of the scene turns it so that y is up, as glTF asks and as programs expect of an
-OBJ; without it the mesh stays in the scene's frame. Zero fruit give a valid file without meshes.
+Every mesh is an ellipsoid with the axes of the fruit. Its vertices are in metres if the scale is known, else in scene
+units; the file says which. With `up` (3,) of the scene, y is up, as glTF requires and programs expect of an OBJ;
+without it the mesh stays in the scene frame. A count of 0 gives a valid file without meshes.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from .words import file_unit, object_name
 FloatArray = NDArray[np.float64]
 
 _PALETTE_STEP = 0.61803398875
-"""Golden ratio: neighbouring ids get hues that are far apart."""
+"""Golden ratio: neighbouring ids get very different hues."""
 _FINENESS = 2
-"""Subdivisions of the icosahedron: 162 vertices and 320 faces a fruit."""
+"""Subdivisions of the icosahedron: 162 vertices and 320 faces per fruit."""
 
 
 def id_color(fruit_id: int) -> tuple[int, int, int]:
@@ -33,7 +33,7 @@ def id_color(fruit_id: int) -> tuple[int, int, int]:
     if fruit_id < 0:
         return (128, 128, 128)
     hue = (fruit_id * _PALETTE_STEP) % 1.0
-    # The three colour channels are one raised cosine, shifted: bright and equally light all around the circle.
+    # The three channels are one raised cosine, shifted: bright and equally light all around the circle.
     channels = 0.55 + 0.42 * np.cos(2 * np.pi * (hue - np.array([0.0, 1 / 3, 2 / 3])))
     red, green, blue = (int(value) for value in np.round(channels * 255))
     return (red, green, blue)
@@ -41,7 +41,7 @@ def id_color(fruit_id: int) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class _Meshes:
-    """F ellipsoids as triangles. vertices, normals: (F, V, 3); faces: (T, 3) the same indices within each fruit."""
+    """F ellipsoids as triangles. vertices, normals: (F, V, 3); faces: (T, 3) the same indices for each fruit."""
 
     vertices: FloatArray
     normals: FloatArray
@@ -49,27 +49,27 @@ class _Meshes:
 
 
 def _meshes(fruits: Sequence[Fruit], scale: float, up: FloatArray | None) -> _Meshes:
-    """The fruit's ellipsoids, `scale` times as large as in scene units; y is up where `up` is given."""
+    """The ellipsoids of the fruit, `scale` times as large as in scene units; y is up if `up` is given."""
     ball = trimesh.creation.icosphere(subdivisions=_FINENESS)
     turn = _turned(up)[:3, :3].T
     points = np.asarray(ball.vertices, np.float64)
     axes = np.array([fruit.axes for fruit in fruits], np.float64).reshape(-1, 3, 3) @ turn
     centers = np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 1, 3) @ turn
-    # A surface p = s A has the gradient s A⁻ᵀ as its normal.
+    # The normal of a surface p = s A is its gradient s A⁻ᵀ.
     normals = points @ np.linalg.inv(axes).transpose(0, 2, 1)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     return _Meshes(scale * (centers + points @ axes), normals, np.asarray(ball.faces, np.int64))
 
 
 def _turned(up: FloatArray | None) -> FloatArray:
-    """(4, 4) rotation that takes `up` to y; none without it."""
+    """(4, 4) rotation that takes `up` to y; the identity without it."""
     return np.eye(4) if up is None else trimesh.geometry.align_vectors(up, [0.0, 1.0, 0.0])
 
 
 def write_glb(
     path: Path, fruit_count: FruitCount, metres_per_unit: float | None, *, up: FloatArray | None = None
 ) -> None:
-    """One named ellipsoid a fruit, its properties as glTF extras, lengths among them in the file's `unit`."""
+    """One named ellipsoid per fruit with its properties as glTF extras; `unit` is the unit of all lengths."""
     scene = trimesh.Scene()
     unit, scale = file_unit(metres_per_unit)
     rotation = _turned(up)
@@ -103,7 +103,7 @@ def write_glb(
 
 
 def _empty_glb() -> bytes:
-    """A valid glTF binary with an empty scene: trimesh refuses to export one, yet zero fruit is an answer."""
+    """A valid glTF binary with an empty scene: trimesh refuses to export one, but a count of 0 is a result."""
     content = b'{"asset":{"version":"2.0","generator":"FruitLangs"},"scene":0,"scenes":[{}]}'
     content += b" " * (-len(content) % 4)
     chunk = len(content).to_bytes(4, "little") + b"JSON" + content
@@ -113,7 +113,7 @@ def _empty_glb() -> bytes:
 def write_obj(
     path: Path, fruit_count: FruitCount, metres_per_unit: float | None, *, up: FloatArray | None = None
 ) -> None:
-    """A Wavefront OBJ, one object a fruit (`o fruit_0001_apple`), with its colours in an .mtl of its name beside it.
+    """A Wavefront OBJ, one object per fruit (`o fruit_0001_apple`), with its colours in an .mtl of the same name.
 
     Raises:
         OutputError: a file cannot be written.
@@ -132,7 +132,7 @@ def write_obj(
     for fruit in fruit_count.fruits:
         red, green, blue = (channel / 255 for channel in id_color(fruit.id))
         colors += [f"newmtl {_material(fruit)}", f"Kd {red:.4f} {green:.4f} {blue:.4f}", "Ks 0.1 0.1 0.1", "illum 2"]
-    # The .obj comes last, so that it never names colours that are not there.
+    # The .obj comes last, so that it never refers to missing colours.
     write_text(materials, "\n".join(colors) + "\n")
     write_text(path, "\n".join(lines) + "\n")
 
@@ -147,7 +147,7 @@ def _material(fruit: Fruit) -> str:
 
 
 def _about(fruit_count: FruitCount, unit: str, up: FloatArray | None, mark: str = "") -> list[str]:
-    """What a program or a person needs to know of the numbers that follow."""
+    """The header: what programs and people need to know about the numbers that follow."""
     frame = "the frame of the scene" if up is None else "y is up"
     return [f"{mark}FruitLangs: {fruit_count.count} fruit", f"{mark}unit: {unit}", f"{mark}axes: {frame}"]
 
@@ -182,7 +182,7 @@ def write_points_ply(path: Path, fruit_count: FruitCount) -> None:
 
 
 def _points(places: FloatArray, colors: NDArray[np.uint8], ids: NDArray[np.integer]) -> NDArray[np.void]:
-    """A PLY's vertices: places (P, 3), colors (P, 3) and fruit ids (P,)."""
+    """The vertices of a PLY: positions (P, 3), colors (P, 3) and fruit ids (P,)."""
     points = np.empty(
         len(places),
         dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")]

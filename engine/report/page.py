@@ -1,4 +1,4 @@
-"""`report.html`: one page that tells a count to people and that prints; it needs no other file and no network."""
+"""`report.html`: one page that presents a count and prints well, without other files or network."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from .tables import fruit_cells, fruit_heads, size_lines
 from .words import audit_reason, count_text, length_unit, location_text, nothing_found
 
 _STRIP_WIDTH = 1600
-"""Pixels across a strip on the page; wider ones are made smaller."""
+"""Width in pixels of a strip on the page; wider ones are scaled down."""
 REASONS = 3
-"""Clusters that tell why there is no fruit."""
+"""Number of clusters listed as reasons for a count of 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reviewed:
-    """What a person decided.
+    """What the user decided.
 
-    line: the count after it, in words; interval: its 90 % interval; decisions: a line each.
+    line: the count after the review, in words; interval: its 90 % interval; decisions: one line each.
     """
 
     line: str
@@ -88,7 +88,7 @@ def write_page(
 
 
 def _template() -> Any:
-    """The page's template; every value put into it is escaped."""
+    """The template of the page; every value in it is escaped."""
     loader = FileSystemLoader(Path(__file__).parent)
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -97,7 +97,7 @@ def _template() -> Any:
 
 
 def _zero(fruit_count: FruitCount, provenance: Mapping[str, Any], metres_per_unit: float | None) -> str:
-    """Why there is no fruit. Without the settings the largest clusters of the audit tell it."""
+    """Why there is no fruit: from the settings, else from the largest clusters of the audit."""
     if any(entry.fruit_ids for entry in fruit_count.audit):
         return "every counted fruit was rejected"
     threshold = provenance.get("config", {}).get("count", {}).get("threshold")
@@ -127,7 +127,7 @@ def _row(fruit: Fruit, metres_per_unit: float | None) -> dict[str, Any]:
 
 
 def _embedded(picture: Image.Image) -> str:
-    """The picture as an address that holds it."""
+    """The picture as a data URL."""
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(picture)).decode("ascii")
 
 
@@ -143,7 +143,7 @@ def _strip(path: Path) -> str:
 
 
 def _flat(given: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Nested values as lines of name.name and text, in the order given."""
+    """Nested values as lines of name.name and text, in the given order."""
     for name, value in given.items():
         full = f"{before}{name}"
         if isinstance(value, Mapping):

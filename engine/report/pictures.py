@@ -23,15 +23,15 @@ _CIVIDIS = np.array(
     [[0, 34, 78], [18, 53, 112], [59, 73, 108], [87, 93, 109], [112, 113, 115]]
     + [[138, 134, 120], [165, 156, 116], [195, 179, 105], [225, 204, 85], [254, 232, 56]]
 )
-"""Ten anchors of the cividis ramp, which reads the same to people with and without colour blindness."""
+"""Ten colours of the cividis ramp, which looks the same with and without colour blindness."""
 
 _TITLE_HEIGHT = 22
 
 
 def language_colors(features: Features) -> Tensor:
-    """(N, 3) in [0, 1]: the three principal directions of the features, stretched between their 2 % and 98 % quantiles.
+    """(N, 3) in [0, 1]: the three principal directions of the features, scaled between their 2 % and 98 % quantiles.
 
-    Of several levels the middle one is shown. A Gaussian that no photo saw is mid-grey.
+    Of several levels the middle one is shown. A Gaussian that no photo shows is grey.
     """
     level = features.levels // 2
     vectors = features.vectors[:, level].numpy()
@@ -43,7 +43,7 @@ def language_colors(features: Features) -> Tensor:
     centered -= centered.mean(axis=0)
     _, directions = np.linalg.eigh(centered.T @ centered)
     directions = directions[:, ::-1][:, :3]
-    # An eigenvector's sign is arbitrary: fix it, so that equal runs give equal pictures.
+    # The sign of an eigenvector is arbitrary: fix it, so that equal runs give equal pictures.
     directions = directions * np.sign(directions[np.abs(directions).argmax(axis=0), np.arange(directions.shape[1])])
     projected = centered @ directions
     low, high = np.quantile(projected, [0.02, 0.98], axis=0)
@@ -117,7 +117,7 @@ def _ramp(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def _draw_ids(
     picture: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera, fruits: Sequence[Fruit]
 ) -> NDArray[np.uint8]:
-    """Ring and number every fruit that this view can see on a darkened picture."""
+    """Circle and number every fruit that is visible in this view, on a darkened picture."""
     image = Image.fromarray((picture * 0.55).astype(np.uint8))
     canvas = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=10)

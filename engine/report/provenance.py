@@ -1,4 +1,4 @@
-"""Where a result came from: versions, and the date and seconds that alone differ between equal runs."""
+"""Origin of a result: versions, and the date and seconds, which are all that differs between equal runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PACKAGES = ("numba", "numpy", "pycolmap", "scikit-image", "scikit-learn", "scip
 
 
 def versions() -> dict[str, str]:
-    """Versions of FruitLangs, of Python and of the packages that do arithmetic."""
+    """Versions of FruitLangs, of Python and of the numerical packages."""
     # By relative name: inside Blender the root package is called bl_ext.….fruitlangs and is not installed.
     root = importlib.import_module("...", __package__)
     found = {"fruitlangs": root.__version__, "python": platform.python_version(), "machine": platform.machine()}
@@ -21,7 +21,7 @@ def versions() -> dict[str, str]:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
-            # Inside Blender a package may come without its metadata; it is still the one imported.
+            # Inside Blender a package may lack its metadata; use the imported one.
             found[package] = "unknown"
     return found
 

@@ -1,4 +1,4 @@
-"""Whether a reconstruction and the cameras of photos share one frame."""
+"""Checks whether a reconstruction and the cameras of photos share one frame."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SOLID = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How a reconstruction looks from the cameras of photos.
+    """How a reconstruction matches the photos of cameras.
 
     covered: share of the pictures that shows it; own, other: mean correlation of its brightness, there, with the photo
-    of the same camera and with one of another camera; NaN where next to nothing is covered.
+    of the same camera and with that of another camera; NaN if almost nothing is covered.
     """
 
     covered: float
@@ -31,7 +31,7 @@ class Fit:
 
 
 def measure_fit(gaussians: Gaussians, scene: Scene) -> Fit:
-    """Draw the reconstruction from up to VIEWS cameras and compare it with their photos.
+    """Render the reconstruction from up to VIEWS cameras and compare it with their photos.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -52,7 +52,7 @@ def measure_fit(gaussians: Gaussians, scene: Scene) -> Fit:
 
 
 def _correlation(brightness: NDArray[np.float32], photo: NDArray[np.uint8], shown: NDArray[np.bool_]) -> float:
-    """Pearson's, over the pixels `shown`; NaN where one of both is flat there."""
+    """Pearson's correlation, over the pixels `shown`; NaN if either is constant there."""
     if shown.sum() < 100:
         return float("nan")
     a, b = brightness[shown].astype(np.float64), photo.mean(axis=2)[shown]

@@ -23,19 +23,19 @@ from .read_ply import ImportedPly, read_imported_ply
 from .rendered_photos import render_photos, scene_around
 
 PLACED = "placed"
-"""What the record of a reconstruction without cameras says of those that were placed around it."""
+"""Entry in the record of a reconstruction without cameras: they were placed around it."""
 LEAST_COVERED = 0.02
-"""Share of the photos below which the cameras see next to nothing of a reconstruction."""
+"""Share of the photos below which the reconstruction is practically out of view."""
 _UPS = {"gaussians": np.array([0.0, -1.0, 0.0]), "points": np.array([0.0, 0.0, 1.0])}
-"""Up where no ground tells it: 3DGS files mostly keep COLMAP's axes, clouds those of a scanner."""
+"""Up if no ground defines it: 3DGS files mostly keep COLMAP's axes, clouds those of a scanner."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImportedGaussians:
-    """What another program reconstructed, with cameras.
+    """A reconstruction of another program, with cameras.
 
-    key: names all that went in; record: what the provenance says of it (file, sha256, kind, cameras); notices: what the
-    user should know; reused: an earlier run had read it.
+    key: hash of all inputs; record: its entry in the provenance (file, sha256, kind, cameras); notices: messages for
+    the user; reused: it was in the cache.
     """
 
     scene: Scene
@@ -51,10 +51,10 @@ class ImportedGaussians:
 def import_gaussians(
     file: Path, scene: Scene | None, inputs: str, config: SceneConfig, cache: Path
 ) -> ImportedGaussians:
-    """Read `file` into a folder of `cache`, unless an earlier run did.
+    """Read `file` into a folder of `cache`, unless it is there.
 
-    scene: photos and cameras in the file's frame, `inputs` being their hash; without it cameras are placed around the
-    file's subject and its own pictures are the photos.
+    scene: photos and cameras in the frame of the file, with the hash `inputs`; without it cameras are placed around the
+    subject, and renders replace the photos.
 
     Raises:
         FormatError: the file cannot be used (see `read_imported_ply`).
@@ -81,7 +81,7 @@ def import_gaussians(
         write_text(cameras_file, dump_cameras(used))
         write_text(record_file, json.dumps({"kind": imported.kind, "notices": notices}))
     kept = json.loads(record_file.read_text(encoding="utf-8"))
-    # Read back even when just written: the first prompt must see what later ones will.
+    # Read back even when just written: the first prompt must use the same bytes as later ones.
     gaussians, stored = read_ply(gaussians_file), read_cameras(cameras_file)
     return ImportedGaussians(
         scene=rendered_again(gaussians, stored) if scene is None else replace(scene, cameras=stored.cameras),
@@ -101,7 +101,7 @@ def import_gaussians(
 
 
 def rendered_again(gaussians: Gaussians, stored: Scene) -> Scene:
-    """The scene of placed cameras that a file kept, with the pictures that they take."""
+    """The cached scene of placed cameras, with renders as photos."""
     return replace(stored, images=render_photos(gaussians, stored.cameras))
 
 
@@ -115,7 +115,7 @@ def _hash(file: Path) -> str:
 
 
 def _scene_around(imported: ImportedPly, file: Path, up: Sequence[float] | None, notices: list[str]) -> Scene:
-    """Cameras and pictures around it; adds what the user should know of them to `notices`."""
+    """Cameras and renders around it; adds messages for the user to `notices`."""
     guess: FloatArray = _UPS[imported.kind]
     drawn = scene_around(imported.gaussians, up, guess)
     notices.append(f"{len(drawn.scene.cameras)} cameras were placed around {file.name}. Their pictures serve as photos")
@@ -126,7 +126,7 @@ def _scene_around(imported: ImportedPly, file: Path, up: Sequence[float] | None,
 
 
 def _check_fit(fit: Fit, file: Path) -> None:
-    """Raise where cameras and reconstruction have different frames."""
+    """Raise if cameras and reconstruction have different frames."""
     if fit.covered < LEAST_COVERED:
         raise SceneError(
             f"The cameras see next to nothing of {file} ({fit.covered:.1%} of their photos): their frames differ."

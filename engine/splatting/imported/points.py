@@ -21,12 +21,12 @@ SIZE = 0.5
 """Standard deviation of a point's Gaussian in mean distances to its neighbours: just closes an even surface."""
 NEIGHBOURS = 3
 LARGEST = 2.0
-"""Distances to neighbours count up to this many median ones, so that a stray point stays small."""
+"""Limit of the distance to a neighbour, in median distances, so that a stray point stays small."""
 FEWEST = 500
-"""A cloud of fewer different points shows no fruit; it is more likely a mesh."""
+"""A cloud of fewer different points does not show fruit; it is more likely a mesh."""
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _FINEST = 2**20
-"""Cells along each axis of the finest grid that duplicates are sought in."""
+"""Cells along each axis of the finest grid in which duplicates are searched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,10 @@ def has_colored_points(vertices: Vertices) -> bool:
 
 
 def points_of(vertices: Vertices, path: Path) -> ColoredPoints:
-    """The points of vertices with colours; those with a value that is not finite are left out, as scanners mean them.
+    """The points of vertices with colours; points with a value that is not finite are left out, as scanners intend.
 
-    Colours may be of any type; their range is 255 for bytes, else the least of 1, 255 and 65,535 that holds them all.
+    Colours may be of any type; their range is 255 for bytes, else the least of 1, 255 and 65,535 that contains them
+    all.
 
     Raises:
         FormatError: there are no positions or colours, or no value is finite.
@@ -81,9 +82,9 @@ def _color_names(vertices: Vertices) -> tuple[str, ...] | None:
 
 
 def thinned(points: ColoredPoints, most: int) -> ColoredPoints:
-    """At most about `most` evenly spread points: the means of all that share a cell of the finest grid that allows it.
+    """About `most` evenly spread points: the means of those that share a cell of the finest grid that allows it.
 
-    Points that (nearly) coincide become one in any case.
+    Points that (nearly) coincide are always merged.
     """
     middle = np.median(points.positions, axis=0)
     reach = np.quantile(np.abs(points.positions - middle).max(axis=1), 0.99)
@@ -104,14 +105,14 @@ def thinned(points: ColoredPoints, most: int) -> ColoredPoints:
 
 
 def _cells(places: FloatArray, level: float) -> NDArray[np.int64]:
-    """(P,) number of each place's cell on a grid of 2**level cells a unit; the outermost cells have no outer end."""
+    """(P,) number of the cell of each point on a grid of 2**level cells per unit; the outermost cells are unbounded."""
     index = np.floor(places * 2.0**level).clip(-_FINEST, _FINEST - 1).astype(np.int64) + _FINEST
     return (index[:, 0] << 42) | (index[:, 1] << 21) | index[:, 2]
 
 
 def gaussians_from(points: ColoredPoints, path: Path) -> Gaussians:
-    """Nearly opaque round Gaussians whose size follows the mean distance to the three nearest points; `path` is named
-    in errors.
+    """Nearly opaque spherical Gaussians whose size follows the mean distance to the three nearest points; `path` is
+    used in errors.
 
     Raises:
         FormatError: there are too few points, or they lie too far from the origin for float32 to tell them apart.

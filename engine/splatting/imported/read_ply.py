@@ -1,4 +1,4 @@
-"""A reconstruction that another program made: 3DGS Gaussians or coloured points in a `.ply`."""
+"""Reads the reconstruction of another program: 3DGS Gaussians or coloured points in a `.ply`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..ply import gaussians_of, has_gaussians, read_vertices
 from .points import gaussians_from, has_colored_points, points_of, thinned
 
 MOST_POINTS = 300_000
-"""A cloud of more points is thinned to about this many."""
+"""Larger clouds are thinned to about this many points."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImportedPly:
-    """What a file held. kind: what its vertices are; notices: what the user should know of how they were read."""
+    """The content of a file. kind: of its vertices; notices: messages for the user about how they were read."""
 
     gaussians: Gaussians
     kind: Literal["gaussians", "points"]
@@ -26,9 +26,9 @@ class ImportedPly:
 
 
 def read_imported_ply(path: Path, *, most_points: int = MOST_POINTS) -> ImportedPly:
-    """Read 3DGS Gaussians as they are, or coloured points as Gaussians (see `gaussians_from`).
+    """Read 3DGS Gaussians unchanged, or coloured points as Gaussians (see `gaussians_from`).
 
-    most_points: a cloud of more is thinned evenly to about this many.
+    most_points: larger clouds are thinned evenly to about this many.
 
     Raises:
         FormatError: the file is missing, cut short, holds neither, or holds too little or what is not finite.

@@ -1,4 +1,4 @@
-"""Pictures of Gaussians that stand in for photos, where a reconstruction came without any."""
+"""Renders of Gaussians that replace photos if a reconstruction has none."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ..subject.ground import up_from_ground
 from ..subject.viewpoints import cameras_around, find_subject
 
 BACKGROUND = (0.75, 0.82, 0.9)
-"""sRGB of a pale sky, which the encoder knows, behind a reconstruction that has none."""
+"""sRGB of a pale sky, which the encoder knows, as the background of a reconstruction."""
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedPhoto:
-    """A photo that is drawn anew each time it is asked for."""
+    """A photo that is rendered each time it is loaded."""
 
     name: str
     gaussians: Gaussians
@@ -38,22 +38,22 @@ class RenderedPhoto:
 
 
 def render_photos(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[RenderedPhoto]:
-    """A picture a camera, named by their order."""
+    """One picture per camera, named by their order."""
     return [RenderedPhoto(f"drawn_{index + 1:03d}.png", gaussians, camera) for index, camera in enumerate(cameras)]
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedScene:
-    """A scene whose photos are drawn. up_is_known: up was given, or there is a ground to tell it from."""
+    """A scene whose photos are renders. up_is_known: up was given, or was estimated from the ground."""
 
     scene: Scene
     up_is_known: bool
 
 
 def scene_around(gaussians: Gaussians, up: Sequence[float] | None, guess: FloatArray) -> RenderedScene:
-    """Cameras placed around what the Gaussians show in most detail, with the pictures that they take of it.
+    """Cameras around the most detailed part of the Gaussians, with renders.
 
-    up: (3,) away from the ground; found from the ground when not given, else `guess`.
+    up: (3,) away from the ground; estimated from the ground if not given, else `guess`.
     """
     subject = find_subject(gaussians)
     found = up_from_ground(gaussians, subject) if up is None else np.asarray(up, np.float64)

@@ -1,4 +1,4 @@
-"""How far the rasteriser's values and gradients are from those of its float64 twin."""
+"""The difference between the rasteriser's values and gradients and those of its float64 reference implementation."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from .rasterize import Rendering, render
 from .reference import render_reference
 
 FEATURES = 3
-"""Extra channels that are drawn and differentiated along."""
+"""Extra channels that are rendered and differentiated as well."""
 
 
 def compare_with_reference(gaussians: Gaussians, camera: Camera, *, seed: int = 0) -> dict[str, float]:
-    """Largest difference over the twin's largest value: of each output, and of each gradient of a random weighting.
+    """Largest difference over the largest reference value: of each output, and of each gradient of a random weighting.
 
-    A pixel whose α lies within float32 rounding of 1/255 is drawn by one and not by the other; a scene that happens to
-    have one shows an error near 1/255 there. Scenes are small: the twin's memory grows with Gaussians × pixels.
+    A pixel whose α lies within float32 rounding of 1/255 is drawn by one and not by the other; a scene that has one
+    shows an error near 1/255 there. Scenes are small: the memory of the reference grows with Gaussians × pixels.
     """
     generator = torch.Generator().manual_seed(seed)
 

@@ -1,4 +1,4 @@
-"""How much of every label of a picture each Gaussian drew, sparse: most draw one or two."""
+"""How much of every label of a picture each Gaussian rendered, as a sparse table: most cover one or two labels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .workspace import Workspace
 
 @dataclass(frozen=True, eq=False)
 class LabelWeights:
-    """A sparse (Gaussian, label) table by rows, as scipy's CSR has it; labels of a row come in no order.
+    """A sparse (Gaussian, label) table by rows, as in scipy's CSR format; labels of a row are not sorted.
 
     starts: (N + 1,) where each Gaussian's entries begin; labels: (K,) int32; weights: (K,) float32 Σ α_i T_i over the
     pixels of that label, above 0.
@@ -36,7 +36,7 @@ def label_weights(
     """Sum a view's blending weights into (Gaussian, label) pairs: W_im = Σ_{v in m} α_i(v) T_i(v).
 
     labels: (H, W) int32 at the camera's size, from 0 on without large gaps, negative for none. The bytes do not depend
-    on the number of threads. workspace: its memory is used again from one view to the next.
+    on the number of threads. workspace: memory that is reused from view to view.
 
     Raises:
         SceneError: the labels' size differs from the camera's, or the camera has distortion.

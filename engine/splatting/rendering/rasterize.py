@@ -1,4 +1,4 @@
-"""Gaussians seen by a camera: colour, opacity, depth and features with gradients, and sums of pixel features."""
+"""Views of Gaussians: colour, opacity, depth and features with gradients, and sums of pixel features."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from .render import FAINTEST, DrawRules, Tiles, blend_view, load_view, project_v
 from .workspace import Workspace
 
 LIFTED_AT_ONCE = 64
-"""Channels of a target that `accumulate` sums in one go over the image."""
+"""Channels of a target that `accumulate` sums in one pass over the image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """What a camera sees.
+    """A rendered view.
 
     color: (H, W, 3) sRGB over the background; alpha: (H, W) in [0, 1); weighted_depth: (H, W) Σ α T z in scene units;
-    features: (H, W, C) Σ α T f, not divided by alpha; radii: (N,) px half the larger side of the box each Gaussian was
-    drawn in, 0 where it was not drawn.
+    features: (H, W, C) Σ α T f, not divided by alpha; radii: (N,) px half the larger side of the box in which each
+    Gaussian was drawn, 0 if it was not drawn.
     """
 
     color: Tensor
@@ -43,7 +43,7 @@ class Rendering:
 
     @property
     def depth(self) -> Tensor:
-        """(H, W) expected distance along the viewing direction in scene units; 0 where nothing is drawn."""
+        """(H, W) expected distance along the viewing direction in scene units; 0 if nothing is drawn."""
         return self.weighted_depth / self.alpha.clamp_min(1e-6)
 
 
@@ -60,12 +60,12 @@ def _flat(tensor: Tensor) -> NDArray[Any]:
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
-    """The parameters as kernels read them."""
+    """The parameters as arrays for kernels."""
     return {name: _flat(getattr(gaussians, name)) for name in PARAMETERS}
 
 
 class _Render(torch.autograd.Function):
-    """Projection and blending as one step of autograd."""
+    """Projection and blending as one autograd function."""
 
     @staticmethod
     def forward(
@@ -136,17 +136,16 @@ def render(
     screen_offsets: Tensor | None = None,
     screen_pulls: Tensor | None = None,
 ) -> Rendering:
-    """Draw Gaussians, with gradients to all their parameters, the features, the background and the offsets.
+    """Render Gaussians, with gradients to all their parameters, the features, the background and the offsets.
 
-    features: (N, C) further channels, blended as the colour is; background: (3,) sRGB behind everything, black when
-    not given; sh_degree: evaluate the harmonics up to this degree only; pair_alpha, literal_pairs: see
-    `DrawRules`; screen_offsets: (N, 2) px added to the
-    projected means: zeros that require a gradient receive that of the projected means (3DGS densifies by it);
-    screen_pulls: (N, 2) float32, filled by the backward pass with the sums over pixels of that gradient's absolute
-    values, which do not cancel (AbsGS, Ye et al. 2024).
+    features: (N, C) further channels, blended like colour; background: (3,) sRGB, black if not given; sh_degree:
+    evaluate the harmonics up to this degree only; pair_alpha, literal_pairs: see `DrawRules`; screen_offsets: (N, 2) px
+    added to the projected means: zeros that require a gradient receive the gradient of the projected means (3DGS
+    densifies by it); screen_pulls: (N, 2) float32, filled by the backward pass with the sums over pixels of the
+    absolute values of that gradient, which do not cancel (AbsGS, Ye et al. 2024).
 
-    Pixel centres lie at +0.5. The camera must have no distortion. A splat beyond `near_plane` is drawn where its
-    α ≥ 1/255 with 3DGS's low-pass of 0.3 px²; a pixel stops at a transmittance of 1e-4. The bytes do not depend on the
+    Pixel centres lie at +0.5. The camera must have no distortion. A splat beyond `near_plane` is drawn where its α ≥
+    1/255, with 3DGS's low-pass of 0.3 px²; a pixel stops at a transmittance of 1e-4. The bytes do not depend on the
     number of threads.
 
     Raises:
@@ -180,10 +179,10 @@ def render(
 
 @dataclass(frozen=True, eq=False)
 class SurfaceView:
-    """What a camera sees first. depth: (H, W) float32 along the viewing direction, scene units, at which half of the
+    """The front surface of a view. depth: (H, W) float32 along the viewing direction, scene units, at which half of the
     light has been stopped, NOTHING where it never is; features: (H, W, C) float32 Σ α T f.
 
-    The mean depth Σ α T z lies behind a leaf that a tenth of what is behind it shines through; this one does not.
+    The mean depth Σ α T z lies behind a leaf that lets a tenth of the light through; this depth does not.
     """
 
     depth: NDArray[np.float32]
@@ -192,7 +191,7 @@ class SurfaceView:
 
 @torch.no_grad()
 def draw_surface(gaussians: Gaussians, camera: Camera, features: Tensor) -> SurfaceView:
-    """The depths of what a camera sees, and further channels, features (N, C), blended as the colour is.
+    """The front surface of a view, with further channels, features (N, C), blended like colour.
 
     Raises:
         SceneError: the camera has distortion.
@@ -210,10 +209,11 @@ def draw_surface(gaussians: Gaussians, camera: Camera, features: Tensor) -> Surf
 
 @torch.no_grad()
 def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumulated:
-    """Sum a view's pixel features into the Gaussians that drew them: Σ_v α_i(v) T_i(v) · target(v), and Σ_v α_i T_i.
+    """Sum the pixel features of a view into the Gaussians that rendered them: Σ_v α_i(v) T_i(v) · target(v), and Σ_v
+    α_i T_i.
 
-    target: (H, W, D) float32 at the camera's size. The mean feature of a Gaussian is the sums over all views divided by
-    the weights over all views (Marrie et al. 2024, eq. 3).
+    target: (H, W, D) float32 at the camera's size. The mean feature of a Gaussian is the sum over all views divided by
+    the weight over all views (Marrie et al. 2024, eq. 3).
 
     Raises:
         SceneError: the target's size differs from the camera's, or the camera has distortion.
@@ -247,8 +247,8 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """What drawing a view costs. pixels: (H, W) Gaussians that each pixel blended (the paper's ℓ, eq. 4); tiles:
-    (rows, columns) Gaussians in each tile's list, by which tiles are handed out."""
+    """The cost of rendering a view. pixels: (H, W) Gaussians that each pixel blended (the paper's ℓ, eq. 4); tiles:
+    (rows, columns) Gaussians in the list of each tile, by which tiles are scheduled."""
 
     pixels: NDArray[np.float32]
     tiles: NDArray[np.int64]
@@ -268,6 +268,6 @@ def measure_load(gaussians: Gaussians, camera: Camera, rules: DrawRules) -> Load
 
 
 def check_camera(camera: Camera) -> None:
-    """Refuse a camera with lens distortion, which is not drawn."""
+    """Refuse a camera with lens distortion, which is not supported."""
     if camera.distortion is not None and np.any(camera.distortion):
         raise SceneError("The camera has lens distortion. Undistort its photo first (the scene readers do)")

@@ -1,4 +1,4 @@
-"""The plain twin of the rasteriser: float64, autograd, no tiles. Slow; for tests and for reading."""
+"""The reference implementation of the rasteriser: float64, autograd, no tiles. Slow; for tests and for reading."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def blending_weights(gaussians: Gaussians, camera: Camera, offsets: Tensor | Non
     alpha = (opacities[:, None, None] * power.exp()).clamp_max(0.99)
     alpha = torch.where(alpha >= 1 / 255, alpha, 0.0)
     before = torch.cumprod(torch.cat([torch.ones_like(alpha[:1]), 1 - alpha[:-1]]), 0)
-    # A pixel that stopped adds nothing more; up to there the transmittance is the plain product.
+    # A stopped pixel adds nothing more; up to there the transmittance is the plain product.
     return torch.where(before >= 1e-4, alpha * before, 0.0), order
 
 

@@ -1,4 +1,4 @@
-"""One view drawn from plain arrays, stage by stage, and its gradients pulled back; `rasterize` and `train` share it."""
+"""Renders one view from plain arrays, stage by stage, and its gradients; used by `rasterize` and `train`."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ from ..kernels.tile_lists import depth_order, fill_tiles, heaviest_first, list_p
 from .workspace import Workspace
 
 FAINTEST = 1.0 / 255.0
-"""The least α that is drawn."""
+"""The least α that is rendered."""
 NEAR, NEAR_DISTANCE = 0.2, 2.5
-"""A camera with a quarter of the Gaussians within 2.5 units draws nothing nearer than 0.2, as 3DGS (see `near_plane`).
+"""A camera with a quarter of the Gaussians within 2.5 units renders nothing nearer than 0.2, as 3DGS (see
+`near_plane`).
 
-Nearer still, a single stray Gaussian hides the whole photo from a camera that training did not use.
+Nearer than that, a single stray Gaussian can hide the whole photo from a camera that training did not use.
 """
 LOOKED_AT = 10_000
-"""Of more Gaussians than this, every n-th decides on the near plane."""
+"""Above this number of Gaussians, every n-th determines the near plane."""
 Arrays = Mapping[str, NDArray[np.float32]]
 """Parameters, or their gradients, by the field names of `Gaussians`: contiguous float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawRules:
-    """How a view is drawn.
+    """How a view is rendered.
 
-    sh_degree: harmonics are evaluated up to it; antialiased: a Gaussian smaller than a pixel gets fainter instead of
+    sh_degree: harmonics are evaluated up to it; antialiased: a Gaussian smaller than a pixel becomes fainter instead of
     larger (Mip-Splatting's 2D filter, Yu et al. 2024, eq. 10); pair_alpha: a Gaussian is listed in the tiles where its
     α reaches this (the paper's τ, eq. 3; 1/255 leaves out nothing that would be drawn); literal_pairs: list it only in
     the tile that holds its mean, as eq. 3 is printed.
@@ -81,7 +82,7 @@ class Tiles:
 
     @property
     def pairs(self) -> int:
-        """Room for pairs; a few at the end of a Gaussian's part may be unused."""
+        """Capacity for pairs; a few at the end of a Gaussian's part may be unused."""
         return int(self.starts[-1])
 
     @property
@@ -92,17 +93,17 @@ class Tiles:
 
 
 def camera_values(camera: Camera) -> NDArray[np.float32]:
-    """(21,) rotation row by row, translation, fx, fy, cx, cy, width, height, centre: what kernels read of a camera."""
+    """(21,) rotation row by row, translation, fx, fy, cx, cy, width, height, centre: the camera as kernels read it."""
     pose, K = camera.world_to_camera, camera.K
     values = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2], camera.width, camera.height]
     return np.array([*values, *camera.center], dtype=np.float32)
 
 
 def near_plane(means: NDArray[np.float32], camera: Camera) -> float:
-    """The depth, in scene units, up to which a camera draws nothing.
+    """The depth, in scene units, up to which a camera renders nothing.
 
-    About a twelfth of the distance within which it has a quarter of the Gaussians: 0.2 × 2ᵏ for 2.5 × 2ᵏ. Whole powers
-    of two, so that it stays while Gaussians move, come and go.
+    About a twelfth of the distance within which it has a quarter of the Gaussians: 0.2 × 2ᵏ for 2.5 × 2ᵏ. Powers of
+    two, so that it is stable while Gaussians move and are added or removed.
     """
     if len(means) == 0:
         return NEAR
@@ -134,7 +135,7 @@ def project_view(
 
 
 def tile_view(projection: Projection, camera: Camera, rules: DrawRules, workspace: Workspace) -> Tiles:
-    """Ellipses → which Gaussians each tile draws, nearest first."""
+    """Ellipses → the Gaussians of each tile, nearest first."""
     records, n = projection.records, len(projection.records)
     columns, rows = -(-camera.width // TILE_WIDTH), -(-camera.height // TILE_HEIGHT)
     starts = pair_starts(projection.room)
@@ -166,7 +167,8 @@ def blend_view(
 
 
 def load_view(tiles: Tiles, planes: NDArray[np.float32], workspace: Workspace) -> NDArray[np.float32]:
-    """(2, H, W) how many Gaussians each pixel blended (the paper's ℓ, eq. 4), and a smooth stand-in of that."""
+    """(2, H, W) the number of Gaussians that each pixel blended (the paper's ℓ, eq. 4), and a smooth approximation of
+    it."""
     loads = workspace.take("loads", (2, *planes.shape[1:]))
     measure_loads(
         threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), tiles.tile_starts, tiles.gaussian_of, planes,

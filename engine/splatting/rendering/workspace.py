@@ -1,4 +1,4 @@
-"""Arrays that are used again from one step to the next."""
+"""Arrays that are reused from one step to the next."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import DTypeLike, NDArray
 
 
 class Workspace:
-    """Hands out uninitialised arrays by name; the memory behind a name is kept and grows by need.
+    """Provides uninitialised arrays by name; the memory of a name is kept and grows as needed.
 
-    A step of training needs tens of megabytes for moments. Fresh from the system they would cost more time in page
-    faults than the arithmetic in them. What was taken under a name is overwritten when the name is taken again.
+    A training step needs tens of megabytes for moments. Allocating them each time would cost more time in page faults
+    than the arithmetic. Requesting a name again overwrites its earlier content.
     """
 
     def __init__(self) -> None:
         self._kept: dict[str, NDArray[Any]] = {}
 
     def take(self, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
-        """An array of this shape whose contents are left over from anywhere."""
+        """An array of this shape with arbitrary content."""
         size = math.prod(shape)
         kept = self._kept.get(name)
         if kept is None or kept.size < size or kept.dtype != dtype:
@@ -28,7 +28,7 @@ class Workspace:
         return kept[:size].reshape(shape)
 
     def zeros(self, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
-        """Zeros at first, then the same array as it was left, as long as the shape is the same."""
+        """Zeros at first, then the same array with its last content, as long as the shape is the same."""
         kept = self._kept.get(name)
         if kept is None or kept.shape != shape or kept.dtype != dtype:
             kept = self._kept[name] = np.zeros(shape, dtype)

@@ -1,4 +1,4 @@
-"""How long a thing is that Gaussians make up."""
+"""The length of an object that Gaussians represent."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from scipy.spatial import cKDTree
 from ..gaussians import Gaussians
 
 LEAST_GAUSSIANS = 10
-"""Fewer are no thing."""
+"""Fewer Gaussians are no object."""
 GAP = 0.25
-"""Parts nearer to a thing than this share of its length belong to it: leaves hide what lies between."""
+"""Parts nearer to an object than this share of its length belong to it: leaves hide what lies between."""
 LEAST_PART = 0.02
-"""Share of the pixels of a thing's largest part that another part of it must have drawn."""
+"""Share of the pixels of the largest part that another part of an object must have."""
 _NEIGHBOUR, _REACH = 4, 3.0
-"""Gaussians hang together within so many times the median distance to this neighbour."""
+"""Gaussians are connected within this many times the median distance to this neighbour."""
 
 FloatArray = NDArray[np.float64]
 
 
 def longest_side(gaussians: Gaussians, drawn: NDArray[np.float32]) -> float | None:
-    """The longest side of the smallest box around the largest thing that the Gaussians make up, in scene units.
+    """The longest side of the smallest box around the largest object that the Gaussians represent, in scene units.
 
-    The largest thing is around the part without gaps that drew most of the photos' pixels. A Gaussian reaches as far
-    as it stops half of the light: o·exp(-d²/2) = ½ at d = √(2 ln 2o) standard deviations; those of opacity o below ½ do
-    not count. None where no part has ten Gaussians.
+    The largest object is the connected part that covers most pixels of the photos, and parts near it. A Gaussian
+    extends as far as it stops half of the light: o·exp(-d²/2) = ½ at d = √(2 ln 2o) standard deviations; those of
+    opacity o below ½ do not count. None if no part has ten Gaussians.
 
-    drawn: (N,) pixels that each drew.
+    drawn: (N,) pixels that each covers.
     """
     solid = gaussians.opacities > 0.5
     gaussians, drawn = gaussians.select(solid), drawn[solid.numpy()]
@@ -55,7 +55,7 @@ def longest_side(gaussians: Gaussians, drawn: NDArray[np.float32]) -> float | No
 
 
 def _tips(gaussians: Gaussians) -> FloatArray:
-    """(N, 6, 3) where each Gaussian's axes end."""
+    """(N, 6, 3) the ends of the axes of each Gaussian."""
     reach = (2.0 * (2.0 * gaussians.opacities).log()).sqrt()
     steps = (gaussians.rotations * (gaussians.scales * reach[:, None])[:, None, :]).transpose(1, 2)
     return (gaussians.means[:, None] + torch.cat([steps, -steps], dim=1)).double().numpy()
@@ -64,14 +64,14 @@ def _tips(gaussians: Gaussians) -> FloatArray:
 def _box_side(tips: FloatArray) -> float:
     """The longest side of the smallest box around tips (…, 3)."""
     points = tips.reshape(-1, 3) - tips.reshape(-1, 3).mean(0)
-    size = float(np.abs(points).max())  # trimesh has tolerances in absolute units
-    with np.errstate(divide="ignore", invalid="ignore"):  # of hulls without a volume
+    size = float(np.abs(points).max())  # trimesh has absolute tolerances
+    with np.errstate(divide="ignore", invalid="ignore"):  # for hulls without a volume
         _, sides = trimesh.bounds.oriented_bounds(points / size)
     return size * float(max(sides))
 
 
 def _parts(points: FloatArray) -> NDArray[np.int32]:
-    """(N,) number of the part without gaps that each point belongs to."""
+    """(N,) number of the connected part of each point."""
     tree = cKDTree(points)
     spacing = float(np.median(tree.query(points, k=_NEIGHBOUR + 1)[0][:, -1]))
     pairs = tree.query_pairs(_REACH * spacing, output_type="ndarray")

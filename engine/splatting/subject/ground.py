@@ -1,4 +1,4 @@
-"""The ground that a subject stands on, and so which way is up in a reconstruction without cameras."""
+"""The ground under a subject, which defines up in a reconstruction without cameras."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .viewpoints import Subject
 FloatArray = NDArray[np.float64]
 
 REACH = 3.0
-"""Radii of the subject around its middle within which its ground is sought."""
+"""Radii of the subject around its middle within which its ground is searched."""
 THICKNESS = 0.06
-"""Radii of the subject by which the ground may lie off a plane."""
+"""Distance of the ground from a plane, in radii of the subject."""
 LEAST_SHARE = 0.15
-"""Share of all surface that the ground has to make up."""
+"""Least share of all surface that is ground."""
 COST_OF_BELOW = 2.0
-"""How much surface in a plane outweighs surface below it: there is next to nothing below the ground."""
+"""Weight of surface below a plane relative to surface in it: almost nothing lies below the ground."""
 STEEPEST = 0.8
-"""Least cosine between a ground's normal and where up is known to be: no orchard stands on a slope above 37 degrees."""
+"""Least cosine between the normal of a ground and a known up: orchards have no slopes above 37 degrees."""
 TRIALS = 1000
 MOST_LOOKED_AT = 8000
 
@@ -39,7 +39,7 @@ class Plane:
 
 
 def up_from_ground(gaussians: Gaussians, subject: Subject, *, seed: int = 0) -> FloatArray | None:
-    """(3,) unit vector up from the ground near the subject (see `ground_plane`); None where there is none."""
+    """(3,) unit vector up from the ground near the subject (see `ground_plane`); None if there is none."""
     plane = ground_plane(gaussians, subject, seed=seed)
     return None if plane is None else plane.normal
 
@@ -47,11 +47,11 @@ def up_from_ground(gaussians: Gaussians, subject: Subject, *, seed: int = 0) -> 
 def ground_plane(
     gaussians: Gaussians, subject: Subject, *, up: FloatArray | None = None, seed: int = 0
 ) -> Plane | None:
-    """The plane that most surface near the subject lies in and next to none below; it need not be level.
+    """The plane that contains most surface near the subject and has almost none below it; it need not be level.
 
-    A Gaussian's surface is its opacity times its size squared, since a lawn is drawn by few large ones. Planes through
-    three random Gaussians each are tried, where `up` (3,) is known only those that face it, and the best is fitted to
-    what lies in it. None where no plane is a ground, as in a cloud of nothing but a tree.
+    The surface of a Gaussian is its opacity times its size squared, because few large ones represent a lawn. Planes
+    through three random Gaussians each are tried, only those that face a known `up` (3,), and the best is refined. None
+    if no plane is a ground, as in a cloud of a tree alone.
     """
     random = np.random.default_rng(seed)
     places = (gaussians.means.detach().double().numpy() - subject.center) / subject.radius
@@ -85,7 +85,7 @@ def ground_plane(
 
 
 def _share(up: FloatArray, height: float, places: FloatArray, surface: FloatArray, *, cost: float) -> float:
-    """Share of the surface (N,) at `places` (N, 3) that lies in a plane, less `cost` times what lies below it."""
+    """Share of the surface (N,) at `places` (N, 3) that lies in a plane, minus `cost` times the share below it."""
     above = places @ up - height
     return float(surface[np.abs(above) < THICKNESS].sum() - cost * surface[above <= -THICKNESS].sum())
 

@@ -1,4 +1,4 @@
-"""Cameras around a reconstruction that came without any: where its subject is, which way is up, whence to look."""
+"""Cameras for a reconstruction that has none: subject, up direction and viewpoints."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ FloatArray = NDArray[np.float64]
 
 VIEWS = 40
 ELEVATIONS = (-5.0, 10.0, 25.0)
-"""Degrees above the subject's middle at which the rings of cameras stand."""
+"""Degrees above the middle of the subject of the rings of cameras."""
 WIDTH, HEIGHT = 640, 480
 VIEW_ANGLE = 45.0
 """Degrees across the shorter side of a picture."""
 MARGIN = 1.15
-"""Radii of the subject that the shorter half of a picture holds."""
+"""Radii of the subject in half of the shorter side of a picture."""
 LEAST_OPACITY = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The ball that holds what was photographed in most detail. center: (3,) and radius in scene units."""
+    """The sphere around what was photographed in most detail. center: (3,) and radius in scene units."""
 
     center: FloatArray
     radius: float
 
 
 def find_subject(gaussians: Gaussians) -> Subject:
-    """The ball around most of the detail: small opaque Gaussians count most, far ones (sky, haze) next to nothing.
+    """The sphere around most of the detail: small opaque Gaussians count most, distant ones (sky, haze) almost nothing.
 
-    Each Gaussian weighs opacity ÷ size. The middle and spread are weighted medians, taken again of what lies within
-    three of the earlier spreads until that changes no more.
+    Each Gaussian weighs opacity ÷ size. Middle and spread are weighted medians, computed again from what lies within
+    three of the earlier spreads until they no longer change.
     """
     means = gaussians.means.detach().double().numpy()
     weights = (gaussians.opacities / gaussians.scales.amax(1)).detach().double().numpy()
@@ -63,7 +63,7 @@ def weighted_quantile(values: FloatArray, weights: FloatArray, share: float) -> 
 
 
 def cameras_around(subject: Subject, up: FloatArray) -> list[Camera]:
-    """VIEWS cameras on rings about `up` that all look at the subject's middle and hold all of it."""
+    """VIEWS cameras on rings about `up` that all look at the middle of the subject and show all of it."""
     focal = 0.5 * min(WIDTH, HEIGHT) / math.tan(math.radians(VIEW_ANGLE) / 2)
     K = np.array([[focal, 0.0, WIDTH / 2], [0.0, focal, HEIGHT / 2], [0.0, 0.0, 1.0]])
     distance = MARGIN * subject.radius / math.sin(math.radians(VIEW_ANGLE) / 2)

@@ -1,4 +1,4 @@
-"""Training interrupted and taken up again: one safetensors file with everything that the next step depends on."""
+"""Checkpoints: one safetensors file with everything that the next training step depends on."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from .poses import Poses
 
 SCHEMA = 2
 _PARTS: dict[str, Any] = {"exposures": Exposures, "poses": Poses}
-"""Parts of a state that are there only when asked for."""
+"""Parts of a state that exist only if requested."""
 
 
 @dataclass(eq=False)
 class TrainingState:
-    """Everything that changes while training. Random choices are drawn from (seed, step), so no generator is kept.
+    """Everything that changes during training. Random choices depend on (seed, step), so no generator is stored.
 
-    exposures: the photos' learnt colour maps, poses: the refined ones, None where they are not asked for; checks:
-    (step, held-out PSNR in dB) so far.
+    exposures: the learnt colour maps of the photos; poses: the refined poses; None if not requested; checks: (step,
+    held-out PSNR in dB) so far.
     """
 
     parameters: Parameters
@@ -53,9 +53,9 @@ class TrainingState:
 
 
 def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
-    """Hash of what a checkpoint must agree with: the settings, the cameras, the photos' names and the sparse cloud.
+    """Hash of what a checkpoint must agree with: settings, cameras, names of photos and sparse cloud.
 
-    extra: what further channels are trained on, as text; empty for none.
+    extra: a text that identifies the target of further channels; empty without any.
     """
     digest = hashlib.sha256((json.dumps(asdict(config), sort_keys=True) + extra).encode())
     for camera, photo in zip(scene.cameras, scene.images, strict=True):
@@ -67,7 +67,7 @@ def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
 
 
 def write_checkpoint(path: Path, state: TrainingState, key: str) -> None:
-    """Put the state in place of the earlier one, which stays readable until then.
+    """Replace the checkpoint atomically.
 
     Raises:
         OutputError: the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Gaussians come and go: clone and split where the image pulls hard, prune what does not help (3DGS, section 5.2)."""
+"""Densification: clone and split Gaussians with large image gradients, prune useless ones (3DGS, section 5.2)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPLIT_SHRINK = 1.6
 class DensifyRules:
     """Bounds of one densification.
 
-    gradient: mean length of the image gradient, in half-images, from which a Gaussian is cloned or split;
+    gradient: mean length of the image gradient, in half-images, above which a Gaussian is cloned or split;
     max_gaussians: never more than this many; small: clone up to this size (scene units), split above; opacity: prune
     below; oversize: prune when the largest standard deviation exceeds this share of `extent` (scene units), or of the
     distance to the middle of the cameras where that is larger.
@@ -39,9 +39,9 @@ class DensifyRules:
 
 @dataclass(eq=False)
 class GradientStats:
-    """How hard the image pulled at each Gaussian since the last densification.
+    """Image gradients at each Gaussian since the last densification.
 
-    sums: (N,) lengths of the projected means' gradients in half-images; counts: (N,) views that drew it.
+    sums: (N,) lengths of the gradients of the projected means in half-images; counts: (N,) views that rendered it.
     """
 
     sums: Tensor
@@ -52,7 +52,7 @@ class GradientStats:
         return GradientStats(torch.zeros(n), torch.zeros(n))
 
     def add(self, gradients: NDArray[np.float32], drawn: NDArray[np.int32], width: int, height: int) -> None:
-        """Count one view. gradients: (N, 2) per pixel; drawn: (N,) not 0 where the view drew the Gaussian."""
+        """Count one view. gradients: (N, 2) per pixel; drawn: (N,) not 0 if the view rendered the Gaussian."""
         halves = np.float32(0.5 * width), np.float32(0.5 * height)
         count_views(threads(), gradients, drawn, *halves, self.sums.numpy(), self.counts.numpy())
 
@@ -64,9 +64,10 @@ class GradientStats:
 def densify(
     parameters: Parameters, mean_gradients: GradientStats, rules: DensifyRules, middle: Tensor, seed: list[int]
 ) -> None:
-    """Prune, then clone and split those with the strongest pull while there is room. Moments follow their Gaussians.
+    """Prune, then clone and split the Gaussians with the largest gradients while there is room. Moments stay with their
+    Gaussians.
 
-    middle: (3,) of the cameras; seed: of the places of split halves.
+    middle: (3,) of the cameras; seed: of the positions of split halves.
     """
     keep = ~useless(parameters.gaussians(), rules, middle)
     if not keep.any():
@@ -85,13 +86,13 @@ def densify(
 
 
 def _strongest(gradient: Tensor, threshold: float, room: int) -> Tensor:
-    """Indices of the strongest pulls above the threshold, at most `room` (each adds one Gaussian)."""
+    """Indices of the largest gradients above the threshold, at most `room` (each adds one Gaussian)."""
     order = gradient.argsort(descending=True, stable=True)
     return order[: max(min(int((gradient > threshold).sum()), room), 0)].sort().values
 
 
 def _halves(gaussians: Gaussians, random: np.random.Generator) -> Gaussians:
-    """Two smaller Gaussians for each, at places drawn from it."""
+    """Two smaller Gaussians for each, at positions sampled from it."""
     n = len(gaussians)
     drawn = torch.from_numpy(random.standard_normal((2, n, 3))).float()
     offsets = (gaussians.rotations @ (gaussians.scales * drawn)[..., None])[..., 0]
@@ -105,7 +106,7 @@ def _halves(gaussians: Gaussians, random: np.random.Generator) -> Gaussians:
 
 
 def useless(gaussians: Gaussians, rules: DensifyRules, middle: Tensor) -> Tensor:
-    """(N,) mask of Gaussians too faint to matter, too large for where they are, or not finite."""
+    """(N,) mask of Gaussians that are too faint to matter, too large for their position, or not finite."""
     distances = (gaussians.means - middle).norm(dim=1)
     sizes = gaussians.log_scales.amax(1)
     faint = gaussians.opacities < rules.opacity
@@ -115,16 +116,16 @@ def useless(gaussians: Gaussians, rules: DensifyRules, middle: Tensor) -> Tensor
 
 
 def reset_opacity(parameters: Parameters, highest: float) -> None:
-    """Lower every opacity to at most `highest`, so that only Gaussians that the photos ask for come back."""
+    """Lower every opacity to at most `highest`, so that only Gaussians that the photos need recover."""
     parameters.values["opacity_logits"].clamp_(max=math.log(highest / (1.0 - highest)))
     parameters.forget("opacity_logits")
 
 
 def clamp_sizes(parameters: Parameters, middle: Tensor, extent: float) -> None:
-    """Keep every Gaussian's standard deviations below its distance from `middle`, or below `extent` where it is nearer.
+    """Limit the standard deviations of every Gaussian to its distance from `middle`, or to `extent` if it is nearer.
 
-    A Gaussian of the sky may be as large as it is far away. One that grows beyond that lies around the cameras, where
-    photos that training never saw show it as fog.
+    A Gaussian of the sky may be as large as it is far away. A larger one surrounds the cameras and appears as fog in
+    photos that training did not use.
     """
     distances = (parameters.values["means"] - middle).norm(dim=1)
     torch.minimum(

@@ -1,4 +1,4 @@
-"""What a photo's exposure and white balance did to its colours: an affine map a view, learnt beside the Gaussians."""
+"""Exposure and white balance of photos: an affine colour map per view, learnt together with the Gaussians."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Exposures(ViewMoments):
         return Exposures(zeros.copy(), zeros.copy(), np.zeros(views, np.int32), zeros + IDENTITY)
 
     def apply(self, view: int, image: NDArray[np.float32], workspace: Workspace) -> NDArray[np.float32]:
-        """The image (3, H, W) as the view's photo would show it."""
+        """The image (3, H, W) with the colours of the view's photo."""
         changed = workspace.take("exposed", image.shape)
         change_colors(image, self.matrices[view], changed)
         return changed
@@ -42,7 +42,8 @@ class Exposures(ViewMoments):
     def learn(
         self, view: int, image: NDArray[np.float32], gradient: NDArray[np.float32], done: float, workspace: Workspace
     ) -> None:
-        """Turn the gradient of the changed image (3, H, W) into that of the image, in place, and move the view's map.
+        """Turn the gradient of the mapped image (3, H, W) into that of the image, in place, and update the map of the
+        view.
 
         done: share of the training that is over.
         """
@@ -53,9 +54,9 @@ class Exposures(ViewMoments):
 
 
 def fitted(image: NDArray[np.float32], photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-    """The image (H, W, 3) after the affine change of colours that brings it nearest to a photo (least squares).
+    """The image (H, W, 3) after the affine colour change that brings it nearest to a photo (least squares).
 
-    A photo that training did not see has no learnt map; its colours are matched before it is compared.
+    A held-out photo has no learnt map; its colours are matched before it is compared.
     """
     use = np.ones(photo.shape[:2], bool) if mask is None else mask
     columns = np.concatenate([image[use], np.ones((int(use.sum()), 1), np.float32)], 1).astype(np.float64)

@@ -1,4 +1,5 @@
-"""The first Gaussians: the sparse cloud, random points where it is too thin, and a dome for what lies far behind."""
+"""The first Gaussians: the sparse cloud, random points where it is too sparse, and a dome for the distant
+background."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from ..gaussians import Gaussians, round_gaussians
 from .photos import PhotoShelf
 
 FEWEST_POINTS = 2000
-"""Below this many sparse points, random ones are added up to it."""
+"""With fewer sparse points than this, random points are added."""
 DOME_POINTS = 3000
 START_OPACITY = 0.1
 Points = NDArray[np.float64]
@@ -25,8 +26,8 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
     """At most `limit` isotropic Gaussians to start training from, coloured by the cloud or by the photos of `views`.
 
     Sparse points get the mean distance of their three nearest neighbours as size (3DGS). A scene with fewer than 2,000
-    of them, down to none, gets random points in the ball that the cameras look at. What is farther away than any point
-    (sky, hills) starts on a sphere around the scene, where some training photo sees it.
+    of them gets random points in the sphere that the cameras look at. Anything farther away than all points (sky,
+    hills) starts on a sphere around the scene, if a training photo shows it.
 
     Raises:
         TrainingError: no camera sees any of the points, those of the cloud or those added.
@@ -75,9 +76,9 @@ def neighbour_distances(points: Points) -> NDArray[np.float64]:
 
 
 def _looked_at(scene: Scene) -> tuple[Points, float]:
-    """Centre and radius of the ball that the cameras look at: the point nearest to all viewing axes.
+    """Centre and radius of the sphere that the cameras look at: the point nearest to all viewing axes.
 
-    With parallel axes that point is anywhere; a pull of 1 % to the middle of the cameras, one camera spread ahead,
+    For parallel axes that point is undefined; a weight of 1 % on the middle of the cameras, one camera spread ahead,
     settles it.
     """
     cameras = scene.cameras
@@ -123,7 +124,7 @@ def _seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> boo
 
 
 def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
-    """(P, 3) mean colour of the usable pixels that points project to, and (P,) whether any photo has such a one."""
+    """(P, 3) mean colour of the usable pixels that points project to, and (P,) whether any photo has such a pixel."""
     sums = np.zeros((len(points), 3))
     counts = np.zeros(len(points))
     for view in views[:: max(len(views) // 40, 1)]:

@@ -1,4 +1,4 @@
-"""How far a rendering is from its photo: the loss of 3DGS, PSNR and SSIM."""
+"""The loss of 3DGS, PSNR and SSIM of a rendering against its photo."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ REMEMBERED = 400 << 20
 class PhotometricLoss:
     """(1 - w) · L1 + w · (1 - SSIM), the loss of 3DGS, and its gradient.
 
-    Both means run over the usable pixels; SSIM windows see the photo itself where it may not be used. What depends on
-    the photo alone is kept between calls, up to a bound.
+    Both means run over the usable pixels; where the photo may not be used, SSIM windows contain the photo itself.
+    Values that depend on the photo alone are cached between calls, up to a limit.
     """
 
     def __init__(self, ssim_weight: float, workspace: Workspace) -> None:
@@ -43,8 +43,8 @@ class PhotometricLoss:
     ) -> float:
         """The loss of an image (3, H, W), sRGB, against a photo (H, W, 3); its gradient is written to (3, H, W).
 
-        mask: (H, W) True where the photo may be used; key: names the photo among those of one loss, None to keep
-        nothing of it. Photos whose memory lies plane by plane are read fastest.
+        mask: (H, W) True where the photo may be used; key: identifies the photo within one loss, None to cache nothing.
+        Photos stored plane by plane are read fastest.
         """
         l1, ssim_mean = self._means(image, photo, mask, gradient, key)
         return (1.0 - self.ssim_weight) * l1 + self.ssim_weight * (1.0 - ssim_mean)
@@ -64,7 +64,7 @@ class PhotometricLoss:
         moments, known = self._photo_moments(key, (2, 3, padded_size(height, width)))
         l1_sums, ssim_sums = np.empty((2, 3, height))
         scratch = self.workspace.zeros("loss", (SCRATCH_PLANES, moments.shape[2]))
-        if self._size != (height, width):  # another photo's pixels would count at the right edge
+        if self._size != (height, width):  # pixels of another photo would count at the right edge
             scratch.fill(0.0)
             self._size = (height, width)
         l1_and_ssim(
@@ -76,7 +76,7 @@ class PhotometricLoss:
         return float(l1_sums.sum()) / n, float(ssim_sums.sum()) / n if valid else 1.0
 
     def _photo_moments(self, key: Hashable | None, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], bool]:
-        """Where a photo's moments are or shall be, and whether they are there."""
+        """The cache of a photo's moments, and whether it is filled."""
         kept = self._moments.get(key)
         if kept is not None and kept.shape == shape:
             return kept, True
@@ -91,7 +91,7 @@ class PhotometricLoss:
 def unevenness(loads: NDArray[np.float32]) -> tuple[float, NDArray[np.float32]]:
     """Standard deviation over mean of the pixels' loads (H, W), and its gradient.
 
-    What the paper's eq. 4 asks to be small: a step takes as long as its heaviest tiles.
+    The paper's eq. 4 minimises it: a step takes as long as its heaviest tiles.
     """
     mean, spread = float(loads.mean(dtype=np.float64)), float(loads.std(dtype=np.float64))
     if mean < 1e-9 or spread < 1e-9:
@@ -103,7 +103,7 @@ def unevenness(loads: NDArray[np.float32]) -> tuple[float, NDArray[np.float32]]:
 def psnr(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | None = None) -> float:
     """Peak signal-to-noise ratio in dB of a rendering (H, W, 3), clamped to [0, 1], over the usable pixels.
 
-    At most 120: an error of 0 would be infinite.
+    At most 120, because an error of 0 would be infinite.
     """
     squared = (color.detach().clamp(0.0, 1.0).double() - torch.from_numpy(photo).double() / 255.0) ** 2
     if mask is not None:

@@ -1,4 +1,4 @@
-"""How much memory a training will need, and whether it is there."""
+"""The memory that a training needs, and whether it is available."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .losses import REMEMBERED
 from .photos import KEPT
 
 TILES_EACH = 6
-"""Tiles that a Gaussian meets in a view, in the mean: 3 to 5 were measured."""
+"""Mean number of tiles per Gaussian and view: 3 to 5 were measured."""
 STEP_PLANES = 40
 """float32 planes of a photo's size that a step keeps: blending, gradients, the loss's scratch."""
 BASE = 400 << 20
@@ -23,22 +23,22 @@ BASE = 400 << 20
 
 
 def training_bytes(gaussians: int, sh_degree: int, cameras: Sequence[Camera]) -> int:
-    """About how much memory training needs at its peak, in bytes."""
+    """Approximate peak memory of training, in bytes."""
     values = 11 + 3 * (sh_degree + 1) ** 2
     # Values, two moments, gradients, and a second copy of the first three while Gaussians are added.
     a_gaussian = 4 * (7 * values + RECORD + 8) + TILES_EACH * (4 * MOMENT + 12)
     pixels = [camera.width * camera.height for camera in cameras]
-    both_sizes = 1.25 * sum(pixels)  # whole and halved
+    both_sizes = 1.25 * sum(pixels)  # full and half size
     photos = min(int(4 * both_sizes), KEPT)  # with masks
     moments = min(int(24 * both_sizes), REMEMBERED)
     return BASE + gaussians * a_gaussian + photos + moments + 4 * STEP_PLANES * max(pixels, default=0)
 
 
 def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int:
-    """Memory that this process may still take, in bytes: of the machine, and of its control groups under Linux.
+    """Memory that this process may still use, in bytes: of the machine, and of its control groups under Linux.
 
     Batch systems and containers limit a job by its group (version 2), whose files lie in `groups` at the path that
-    `own` names; files it has read and may forget do not count.
+    `own` names; cached files do not count.
     """
     free = psutil.virtual_memory().available
     try:
@@ -51,16 +51,16 @@ def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/pr
             used = int((folder / "memory.current").read_text(encoding="utf-8"))
             shares = (folder / "memory.stat").read_text(encoding="utf-8").split()
             free = min(free, limit - used + int(shares[shares.index("inactive_file") + 1]))
-        except (OSError, ValueError):  # no limit here ("max"), or none that is told
+        except (OSError, ValueError):  # no limit here ("max"), or none given
             pass
         folder = folder.parent
     return max(free, 0)
 
 
 def require_memory(gaussians: int, sh_degree: int, cameras: Sequence[Camera], free: int | None = None) -> None:
-    """Refuse a training that cannot fit.
+    """Refuse a training that does not fit.
 
-    free: bytes that may be used; `available_bytes` when not given.
+    free: usable bytes; `available_bytes` if not given.
 
     Raises:
         TrainingError: it needs more; says what would fit.

@@ -1,4 +1,4 @@
-"""What training moves: the Gaussians' parameters and the optimiser's moments, together as Gaussians come and go."""
+"""The trained values: the parameters of the Gaussians and the moments of the optimiser, kept together."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..gaussians import PARAMETERS, Gaussians
 from ..kernels.adam import CORRECTIONS, adam_step
 
 CHANNELS = "channels"
-"""The name of further channels that Gaussians carry beside the parameters of `Gaussians`."""
+"""The name of further channels of Gaussians, in addition to the parameters of `Gaussians`."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of one step; `sh_rest` is for the harmonics beyond the constant one, `channels` for what Gaussians
-    carry beside colour."""
+    """Learning rates of one step; `sh_rest` is for the harmonics beyond the constant one, `channels` for further
+    channels."""
 
     means: float
     log_scales: float
@@ -44,8 +44,8 @@ class Rates:
 class Parameters:
     """Gaussians under training: values and Adam's first and second moments by the field names of `Gaussians`.
 
-    Beside them may stand `CHANNELS`, (N, C). All tensors are contiguous float32 of one length. updates: (N,) int32 how
-    often each Gaussian was moved; step: how many updates there were so far.
+    They may include `CHANNELS`, (N, C). All tensors are contiguous float32 of one length. updates: (N,) int32 how often
+    each Gaussian was updated; step: number of updates so far.
     """
 
     values: dict[str, Tensor]
@@ -56,7 +56,7 @@ class Parameters:
 
     @staticmethod
     def start(gaussians: Gaussians, channels: int = 0) -> Parameters:
-        """Fresh moments for these Gaussians, and so many further channels of 0."""
+        """Zero moments for these Gaussians, and this many further channels of 0."""
         values = {name: getattr(gaussians, name).detach().float().contiguous().clone() for name in PARAMETERS}
         if channels > 0:
             values[CHANNELS] = torch.zeros(len(gaussians), channels)
@@ -80,7 +80,7 @@ class Parameters:
         return {name: self.values[name].numpy() for name in PARAMETERS}
 
     def channels(self) -> NDArray[np.float32]:
-        """(N, C) the current further channels, C = 0 where there are none; the memory is shared."""
+        """(N, C) the current further channels, C = 0 if there are none; the memory is shared."""
         held = self.values.get(CHANNELS)
         return np.zeros((len(self), 0), np.float32) if held is None else held.numpy()
 
@@ -92,7 +92,7 @@ class Parameters:
         self.updates = self.updates[index].contiguous()
 
     def append(self, gaussians: Gaussians, sources: Tensor) -> None:
-        """Add Gaussians with moments of zero, as 3DGS does; sources: (A,) whose further channels they take over."""
+        """Add Gaussians with zero moments, as 3DGS does; sources: (A,) whose further channels they copy."""
         for name in self.values:
             added = self.values[name][sources] if name == CHANNELS else getattr(gaussians, name).detach().float()
             self.values[name] = torch.cat([self.values[name], added])
@@ -108,10 +108,10 @@ class Parameters:
     def update(
         self, gradients: Mapping[str, NDArray[np.float32]], rates: Rates, sh_degree: int, drawn: NDArray[np.int32]
     ) -> None:
-        """One step of Adam for the Gaussians that were drawn; harmonics above `sh_degree` stay as they are.
+        """One step of Adam for the Gaussians that were rendered; harmonics above `sh_degree` stay unchanged.
 
-        drawn: (N,) not 0 where a view drew the Gaussian; other rows of the gradients are not read. A Gaussian out of
-        sight keeps its moments: to it, the steps between two sights have not been. Channels without a gradient stay.
+        drawn: (N,) not 0 if a view rendered the Gaussian; other rows of the gradients are not read. A Gaussian that is
+        not in view keeps its moments, as if those steps had not happened. Channels without a gradient stay.
         """
         self.step += 1
         self.updates += torch.from_numpy(drawn != 0)

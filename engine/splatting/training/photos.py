@@ -1,4 +1,4 @@
-"""Photos as training reads them: uint8, whole or made smaller, kept in memory up to a bound, decoded ahead of need."""
+"""Photos for training: uint8, at full or reduced size, cached up to a limit, decoded ahead of time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ...scene.camera import Camera, Scene
 from ...scene.photos.resample import shrink
 
 KEPT = 1 << 30
-"""Bytes of decoded photos that a shelf keeps."""
+"""Bytes of decoded photos in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A photo: its camera; pixels (H, W, 3) uint8, plane by plane in memory; mask (H, W) usable pixels, None for all;
-    view: which of the scene's it is."""
+    """A photo: its camera; pixels (H, W, 3) uint8, stored plane by plane; mask (H, W) usable pixels, None for all;
+    view: its index in the scene."""
 
     camera: Camera
     pixels: NDArray[np.uint8]
@@ -32,7 +32,7 @@ class Picture:
 
 
 class PhotoShelf:
-    """The scene's pictures by view; what fits under `limit` bytes is decoded once."""
+    """The scene's photos by view; those that fit into `limit` bytes are decoded once."""
 
     def __init__(self, scene: Scene, limit: int = KEPT) -> None:
         self.scene = scene
@@ -43,7 +43,7 @@ class PhotoShelf:
         self._decoder = ThreadPoolExecutor(1, thread_name_prefix="photos")
 
     def picture(self, view: int, smaller: int = 1) -> Picture:
-        """A view's photo, its width and height divided by `smaller`.
+        """The photo of a view, its width and height divided by `smaller`.
 
         Raises:
             SceneError: the photo cannot be read or its size is not its camera's.
@@ -59,13 +59,13 @@ class PhotoShelf:
         return picture
 
     def expect(self, view: int, smaller: int = 1) -> None:
-        """Begin to decode a photo that `picture` will be asked for next."""
+        """Start to decode a photo that `picture` will request next."""
         place = (view, smaller)
         if place not in self._kept and place not in self._ahead:
             self._ahead[place] = self._decoder.submit(self._load, view, smaller)
 
     def close(self) -> None:
-        """Decode no more."""
+        """Stop decoding."""
         self._decoder.shutdown(wait=True, cancel_futures=True)
 
     def _load(self, view: int, smaller: int) -> Picture:
@@ -89,7 +89,7 @@ class PhotoShelf:
 
 
 def shrunk(camera: Camera, smaller: int) -> Camera:
-    """The camera of a photo of `smaller` times fewer pixels each way, rounded, and at least one."""
+    """The camera of a photo whose sides are divided by `smaller`, rounded, and at least one pixel."""
     width, height = max(round(camera.width / smaller), 1), max(round(camera.height / smaller), 1)
     K = camera.K.copy()
     K[0] *= width / camera.width

@@ -1,4 +1,4 @@
-"""Camera poses that are moved along with the Gaussians, for poses that photos disagree with."""
+"""Camera poses that are optimised together with the Gaussians."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Poses(ViewMoments):
-    """Refined poses and Adam's moments in their tangents (rotation vector, translation; both in the camera's frame).
+    """Refined poses and Adam's moments in their tangents (rotation vector, translation; both in the camera frame).
 
-    world_to_camera: (V, 4, 4); the moments are of (V, 6).
+    world_to_camera: (V, 4, 4); the moments are (V, 6).
     """
 
     world_to_camera: FloatArray
 
     @staticmethod
     def of(cameras: Sequence[Camera]) -> Poses:
-        """The cameras' own poses."""
+        """The original poses."""
         n = len(cameras)
         matrices = np.stack([camera.world_to_camera for camera in cameras]).astype(np.float64)
         return Poses(np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, np.int32), matrices)
@@ -38,7 +38,7 @@ class Poses(ViewMoments):
         return replace(camera, world_to_camera=self.world_to_camera[view])
 
     def learn(self, view: int, sums: FloatArray, done: float, extent: float) -> None:
-        """Move one pose by Adam.
+        """Update one pose with Adam.
 
         sums: (15,) see `twist_gradient`; done: share of the training that is over; extent: scene units.
         """

@@ -1,7 +1,7 @@
-"""Gaussians as samples of a Markov chain (Kheradmand et al. 2024): the dead move to where the living are.
+"""Gaussians as samples of a Markov chain (Kheradmand et al. 2024): dead Gaussians move to the positions of live ones.
 
-The number of Gaussians grows up to a budget and never falls; noise keeps the faint ones exploring. What a move changes
-of the picture is small: the copies of a Gaussian share its opacity and shrink with it.
+The number of Gaussians grows to a budget and never falls; noise lets the faint ones explore. A move hardly changes the
+picture: the copies of a Gaussian share its opacity and shrink accordingly.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..gaussians import Gaussians
 from .parameters import Parameters
 
 DEAD = 0.005
-"""A Gaussian fainter than this is moved."""
+"""A fainter Gaussian is dead."""
 NOISE = 1280.0
 """Noise of a position, times its covariance over the scene's extent, at the first step; it falls to a hundredth.
 
@@ -28,10 +28,10 @@ MOST_COPIES = 51
 
 
 def relocate(parameters: Parameters, most: int, remaining: int, seed: list[int]) -> None:
-    """Move the dead onto the living, then add Gaussians; all places are drawn by opacity.
+    """Move dead Gaussians to live ones, then add Gaussians; all positions are sampled by opacity.
 
     most: the budget; remaining: how many times this will be called, this one included: the number grows by the same
-    factor every time, so that the budget is reached at the last.
+    factor every time and reaches the budget at the last.
     """
     random = np.random.default_rng(seed)
     opacities = parameters.gaussians().opacities.numpy().astype(np.float64)
@@ -56,7 +56,7 @@ def _normal(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _share(parameters: Parameters, sources: NDArray[np.int64], places: NDArray[np.int64]) -> None:
-    """Put a copy of each source at its place; a source and its copies together look as it did alone (eq. 9)."""
+    """Put a copy of each source at its place; a source and its copies together look like the source before (eq. 9)."""
     n = len(parameters)
     copies = np.minimum(np.bincount(sources, minlength=n) + 1, MOST_COPIES)
     changed = np.unique(sources)
@@ -88,9 +88,9 @@ def _shared(
 
 
 def explore(parameters: Parameters, extent: float, done: float, seed: list[int]) -> None:
-    """Noise on the positions: along each Gaussian's covariance, the more the fainter it is (eq. 8).
+    """Add noise to the positions, along the covariance of each Gaussian, more for fainter ones (eq. 8).
 
-    extent: the scene's; done: share of the training that is over.
+    extent: of the scene; done: share of the training that is over.
     """
     gaussians: Gaussians = parameters.gaussians()
     drawn = np.random.default_rng(seed).standard_normal((len(parameters), 3), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What changes from step to step of a training, all of it a function of the step alone."""
+"""What changes from step to step of a training, as a function of the step alone."""
 
 from __future__ import annotations
 
