@@ -1,4 +1,4 @@
-"""Whether probabilities and intervals mean what they say."""
+"""Checks whether probabilities and intervals are calibrated."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Reliability:
 def reliability(
     probabilities: FloatArray, outcomes: NDArray[np.bool_], *, weights: FloatArray | None = None, bins: int = BINS
 ) -> Reliability:
-    """How often what was said with a probability was so, in bins of equal mass.
+    """How often events of a given probability occurred, in bins of equal mass.
 
-    probabilities: (N,) in [0, 1]; outcomes: (N,) whether it was so; weights: (N,) above 0, all alike without them.
+    probabilities: (N,) in [0, 1]; outcomes: (N,) whether the event occurred; weights: (N,) above 0, equal if not given.
     Equal probabilities stay in one bin, so that the order of the inputs changes nothing (Guo et al. 2017, eq. 3, with
     bins of equal mass as Nguyen & O'Connor 2015). Bins without mass are left out.
 
@@ -65,7 +65,7 @@ def calibration_error(
 ) -> float:
     """Expected calibration error of (N,) probabilities (see `reliability`); NaN for N = 0.
 
-    balanced: both outcomes weigh the same in all, however rare one is, where both occur.
+    balanced: both outcomes get the same total weight, however rare one is, if both occur.
 
     Raises:
         CountingError: shapes differ, or a probability is not in [0, 1].
@@ -82,6 +82,6 @@ def balanced_weights(outcomes: NDArray[np.bool_], weights: FloatArray | None = N
 
 
 def interval_coverage(low: FloatArray, high: FloatArray, true: FloatArray) -> float:
-    """Share of the intervals [low, high], (N,) each, that hold their true value; NaN for none."""
+    """Share of the intervals [low, high], (N,) each, that contain their true value; NaN for none."""
     low, high, true = (np.asarray(values, np.float64).reshape(-1) for values in (low, high, true))
     return float(((low <= true) & (true <= high)).mean()) if len(true) else float("nan")

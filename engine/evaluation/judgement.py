@@ -1,4 +1,4 @@
-"""What became of every prediction and of every true fruit: found, double, false, merged or missed."""
+"""The result for every prediction and every true fruit: found, double, false, merged or missed."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Judgement:
 def judge(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: float = 0.5) -> Judgement:
     """Match predicted fruit, centers (P, 3) and diameters (P,) in scene units, with true ones at a radius.
 
-    Visible fruit are matched first; of the predictions left over, those matched with other true fruit are ignored.
+    Visible fruit are matched first; of the remaining predictions, those that match other true fruit are ignored.
 
     Raises:
         CountingError: a prediction's centre or diameter is not a finite number, or there is not one diameter a centre.

@@ -1,6 +1,6 @@
-"""How good a count is: predicted fruit matched one to one with true fruit.
+"""Accuracy of a count: predicted fruit matched one to one with true fruit.
 
-A count ratio hides errors, because misses and doubles cancel; so every figure here comes from matched centres, and
+A ratio of counts hides errors, because misses and doubles cancel. So every figure is based on matched centres, and
 lengths are in mean diameters of the true fruit.
 """
 
@@ -17,19 +17,19 @@ from .judgement import FloatArray, Judgement, judge
 from .truth import Truth
 
 VISIBILITY_EDGES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
-"""Bounds of the classes of visible fraction in which errors are told."""
+"""Bounds of the classes of visible fraction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CountMetrics:
     """A count against its truth at one matching radius.
 
-    Precision, recall and F1 are against visible fruit; `ignored` predictions lie on fruit that is not visible and count
-    neither way. doubles: false predictions on a fruit that another prediction has; merges: missed fruit under a
-    prediction that is matched with another fruit. count_error: predictions minus visible fruit; total: all true fruit,
-    seen or not; center_error: mean distance of matched centres in mean diameters; diameter_error, diameter_bias: mean
-    absolute and mean signed relative error over matched fruit. Ratios without a denominator are NaN, except F1, which
-    is 1 for nothing found where nothing is.
+    Precision, recall and F1 are against visible fruit; `ignored` predictions lie on fruit that is not visible and do
+    not count. doubles: false predictions on a fruit that another prediction has; merges: missed fruit under a
+    prediction that is matched with another fruit. count_error: predictions minus visible fruit; total: all true fruit;
+    center_error: mean distance of matched centres in mean diameters; diameter_error, diameter_bias: mean absolute and
+    mean signed relative error over matched fruit. Ratios without a denominator are NaN, except F1, which is 1 if there
+    is no fruit and none was found.
     """
 
     radius: float
@@ -53,8 +53,8 @@ class CountMetrics:
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilityClass:
-    """Visible true fruit whose visible fraction lies in [low, high), the last class also at `high`: how many there are,
-    the share that was found, and the errors of those, as in `CountMetrics`; NaN where there are none."""
+    """Visible true fruit whose visible fraction lies in [low, high), the last class also at `high`: their number, the
+    share that was found, and their errors, as in `CountMetrics`; NaN if there are none."""
 
     low: float
     high: float
@@ -67,8 +67,8 @@ class VisibilityClass:
 def count_metrics(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: float = 0.5) -> CountMetrics:
     """Measure predicted fruit against the truth.
 
-    centers: (P, 3), diameters: (P,) scene units; radius: how far a matched centre may lie, in mean true diameters.
-    Visible fruit are matched first; of the predictions left over, those matched with other true fruit are ignored.
+    centers: (P, 3), diameters: (P,) scene units; radius: largest distance of a matched centre, in mean true diameters.
+    Visible fruit are matched first; of the remaining predictions, those that match other true fruit are ignored.
 
     Raises:
         CountingError: as `judge`.
@@ -77,7 +77,7 @@ def count_metrics(centers: FloatArray, diameters: FloatArray, truth: Truth, radi
 
 
 def measured(judgement: Judgement, truth: Truth) -> CountMetrics:
-    """The figures of a judgement that was made against `truth`."""
+    """The figures of a judgement against `truth`."""
     predicted, visible = judgement.predictions, int(truth.visible.sum())
     total = truth.total
     matched, counted = len(judgement.pairs), predicted - len(judgement.ignored)
@@ -106,7 +106,7 @@ def measured(judgement: Judgement, truth: Truth) -> CountMetrics:
 def by_visibility(
     judgement: Judgement, truth: Truth, edges: Sequence[float] = VISIBILITY_EDGES
 ) -> list[VisibilityClass]:
-    """Recall and errors by how much of the fruit the best view shows; edges: bounds of the classes, rising."""
+    """Recall and errors by the largest visible fraction; edges: bounds of the classes, ascending."""
     classes = []
     last = len(edges) - 2
     for number, (low, high) in enumerate(pairwise(edges)):

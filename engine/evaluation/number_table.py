@@ -1,4 +1,4 @@
-"""Plain text tables of numbers, as published point clouds and boxes come."""
+"""Plain text tables of numbers, the format of published point clouds and boxes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..errors import FormatError
 
 
 def read_numbers(path: Path, *, columns: int, expected: str) -> NDArray[np.float64]:
-    """(R, C) the finite numbers of a text file, R ≥ 1 rows of C ≥ `columns`, separated by blanks, tabs or commas.
+    """(R, C) the finite numbers of a text file, R ≥ 1 rows of C ≥ `columns`, separated by spaces, tabs or commas.
 
-    expected: what each row should hold, for the message.
+    expected: the content of a row, for messages.
 
     Raises:
         FormatError: the file is missing, is empty, holds something else than numbers, has too few columns, rows of

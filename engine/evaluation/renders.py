@@ -1,4 +1,4 @@
-"""What a generated scene knows beside its photos: which fruit every pixel shows, and how far away it is."""
+"""Ground truth of a generated scene in addition to its photos: the fruit id and the depth of every pixel."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .truth import Truth
 
 INSTANCES, DEPTH = "instances", "depth"
 MILLIMETRE = 1e-3
-"""Depth pictures count in thousandths of a scene unit along the optical axis, as nerfstudio's do; 0 is nothing."""
+"""Depth images are in thousandths of a scene unit along the optical axis, as nerfstudio's; 0 is nothing."""
 
 LEAST_AGREEMENT = 0.5
-"""Share of all the masks of visible fruit that must lie where the truth says the fruit are."""
+"""Least share of the masks of visible fruit that must lie where the truth places the fruit."""
 
 
 def read_instances(scene_folder: Path, scene: Scene) -> list[NDArray[np.uint16]]:
-    """The (H, W) fruit ids of every view of the scene, 0 where there is none.
+    """The (H, W) fruit ids of every view of the scene, 0 for none.
 
     Raises:
         FormatError: a mask is missing, is no 16-bit picture or has not its camera's size.
@@ -31,7 +31,7 @@ def read_instances(scene_folder: Path, scene: Scene) -> list[NDArray[np.uint16]]
 
 
 def read_depths(scene_folder: Path, scene: Scene) -> list[NDArray[np.float32]]:
-    """The (H, W) depths of every view of the scene, in scene units along the optical axis, 0 where there is nothing.
+    """The (H, W) depths of every view of the scene, in scene units along the optical axis, 0 for nothing.
 
     Raises:
         FormatError: as `read_instances`.
@@ -41,9 +41,9 @@ def read_depths(scene_folder: Path, scene: Scene) -> list[NDArray[np.float32]]:
 
 
 def check_instances(truth: Truth, cameras: Sequence[Camera], instances: Sequence[NDArray[np.uint16]]) -> None:
-    """Refuse a truth that is of other pictures than these.
+    """Refuse a truth that belongs to other pictures.
 
-    At least half of the masks of all visible fruit must reach into the disc that the fruit's sphere would fill there.
+    At least half of the masks of visible fruit must overlap the disc of the fruit's sphere.
 
     Raises:
         FormatError: they do not, or the truth has no ids to look for.

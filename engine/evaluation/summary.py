@@ -1,4 +1,4 @@
-"""Many counts in one line: bias and error over scenes, where single scenes may cancel."""
+"""Bias and error of counts over scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fruit by tree of a row: which tree a counted fruit belongs to, and how the counts compare with the true ones."""
+"""Fruit by tree of a row: which tree a counted fruit belongs to, and counts per tree compared with the true ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class TreePlaces:
-    """T trees. numbers: (T,) from 1; low, high: (T, 3) corners of each tree's box, equal where it is a point."""
+    """T trees. numbers: (T,) from 1; low, high: (T, 3) corners of each tree's box, equal if it is a point."""
 
     numbers: IntArray
     low: FloatArray
@@ -44,8 +44,8 @@ class TreeComparison:
     """Counted against true fruit of T trees.
 
     trees, true, counted: (T,); elsewhere: counted fruit that belong to no tree. mape: mean of |counted - true| ÷ true
-    over trees that bear; bias: mean of counted - true; r2: share of the variance between trees that the count explains,
-    1 - Σ(counted - true)² ÷ Σ(true - mean)². Without a denominator a figure is NaN.
+    over trees with fruit; bias: mean of counted - true; r2: share of the variance between trees that the count
+    explains, 1 - Σ(counted - true)² ÷ Σ(true - mean)². Without a denominator a figure is NaN.
     """
 
     trees: IntArray
@@ -58,7 +58,7 @@ class TreeComparison:
 
 
 def tally(numbers: IntArray, trees: IntArray) -> TreeCounts:
-    """How often each of `trees` occurs among the fruit's tree numbers (M,)."""
+    """The number of fruit of each of `trees`, given the tree numbers (M,) of the fruit."""
     ordered = np.unique(trees)
     return TreeCounts(ordered, np.array([int((numbers == tree).sum()) for tree in ordered], dtype=np.int64))
 
@@ -71,11 +71,11 @@ def places_of(centers: FloatArray, numbers: IntArray) -> TreePlaces:
 
 
 def assign_to_trees(centers: FloatArray, places: TreePlaces) -> IntArray:
-    """(P,) number of the tree that each fruit at (P, 3) belongs to.
+    """(P,) number of the tree of each fruit at (P, 3).
 
-    With boxes: the box it lies in, the one with the nearest middle where several hold it. With points: the nearest
-    along the row, whose direction is the trees' own; a fruit more than half a spacing beyond the last tree belongs to
-    none, and neither does any where there is no tree. A lone point takes every fruit.
+    With boxes: the box that contains it, the one with the nearest centre if there are several. With points: the nearest
+    along the row, whose direction is that of the trees; a fruit more than half a spacing beyond the last tree belongs
+    to none. A single point gets every fruit.
     """
     middles = 0.5 * (places.low + places.high)
     if len(middles) == 0 or len(centers) == 0:

@@ -1,4 +1,4 @@
-"""The true geometry of a generated scene as Gaussians: what reconstruction would be if it lost nothing."""
+"""The true geometry of a generated scene as Gaussians: a reconstruction without loss."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from ..splatting.gaussians import Gaussians, harmonics_of, logit
 FloatArray = NDArray[np.float64]
 
 MOST_PIXELS = 8_000_000
-"""Pixels of all views together that are looked at; of more, an even part."""
+"""Most pixels of all views together; of more, an even sample."""
 MOST_GAUSSIANS = 250_000
 FAR = 6.0
-"""What lies farther than this many median depths is left out."""
+"""Points farther than this many median depths are left out."""
 WIDTH, THICKNESS = 0.4, 0.08
 """Standard deviations along the surface and across it, in cells."""
 SET_BACK = 0.5
-"""How far below the surface the Gaussians lie, in cells: what is drawn of them is about a pixel wider than they are."""
+"""Depth of the Gaussians below the surface, in cells: their renders are about a pixel wider than they are."""
 OPACITY = 0.99
 
 OPPOSED = 1e-3
-"""A cell whose mean normal is shorter than this was seen from both sides alike."""
+"""A cell whose mean normal is shorter than this was seen equally from both sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """gaussians: flat, one a cell of what the views see; fruit: (N,) id of the true fruit each lies on, 0 for none."""
+    """gaussians: flat, one per cell of visible surface; fruit: (N,) id of the true fruit of each, 0 for none."""
 
     gaussians: Gaussians
     fruit: NDArray[np.int64]
@@ -43,7 +43,7 @@ class TrueSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """P pixels that see something: points, normals towards the camera, sRGB in [0, 1], fruit ids, widths of a pixel."""
+    """P pixels with content: points, normals towards the camera, sRGB in [0, 1], fruit ids, widths of a pixel."""
 
     points: FloatArray
     normals: FloatArray
@@ -59,10 +59,10 @@ def true_surface(
     *,
     progress: Progress = silent,
 ) -> TrueSurface:
-    """Gaussians on the surfaces that the views see, from true depths (H, W) and fruit ids (H, W) of each.
+    """Gaussians on the visible surfaces, from true depths (H, W) and fruit ids (H, W) of each view.
 
-    Pixels are thrown into cells about as wide as a pixel on the fruit; each cell of each fruit becomes one flat, opaque
-    Gaussian with the mean place, normal and colour of its pixels. Cells grow until there are at most MOST_GAUSSIANS.
+    Pixels are sorted into cells about as wide as a pixel on the fruit; each cell of each fruit becomes one flat, opaque
+    Gaussian with the mean position, normal and colour of its pixels. Cells grow until there are at most MOST_GAUSSIANS.
 
     Raises:
         SceneError: no view sees anything.
@@ -103,7 +103,7 @@ def _seen(
     normals = np.cross(_slope(points, z, axis=1), _slope(points, z, axis=0))
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     towards = camera.center - points
-    towards /= np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-12)  # none where there is only sky
+    towards /= np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-12)  # none if there is only sky
     normals = np.where(lengths > 1e-12, normals / np.maximum(lengths, 1e-12), towards)
     normals *= np.where((normals * towards).sum(-1, keepdims=True) < 0, -1.0, 1.0)
     chosen = np.flatnonzero((something & (z < limit)).ravel())[first::step]
@@ -117,14 +117,14 @@ def _seen(
 
 
 def _slope(points: FloatArray, z: FloatArray, axis: int) -> FloatArray:
-    """(H, W, 3) difference to the neighbour along an image axis, to the one of the two whose depth is nearer."""
+    """(H, W, 3) difference to the neighbour along an image axis, the one of two with the nearer depth."""
     ahead, behind = np.roll(points, -1, axis), np.roll(points, 1, axis)
     nearer_ahead = np.abs(np.roll(z, -1, axis) - z) <= np.abs(np.roll(z, 1, axis) - z)
     return np.where(nearer_ahead[..., None], ahead - points, points - behind)
 
 
 def _cells(seen: _Seen, width: float) -> NDArray[np.int64]:
-    """(P,) number of the cell of each pixel: cubes of `width`, each fruit's own."""
+    """(P,) number of the cell of each pixel: cubes of `width`, separate for each fruit."""
     places = np.floor((seen.points - seen.points.min(axis=0)) / width).astype(np.int64)
     sizes = places.max(axis=0) + 1
     key = ((seen.fruit * sizes[0] + places[:, 0]) * sizes[1] + places[:, 1]) * sizes[2] + places[:, 2]
@@ -139,7 +139,9 @@ def _merged(seen: _Seen, groups: NDArray[np.int64], width: float) -> TrueSurface
 
     normals = mean(seen.normals)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    one_side = seen.normals[np.unique(groups, return_index=True)[1]]  # of a leaf as thin as a cell, seen from both
+    one_side = seen.normals[
+        np.unique(groups, return_index=True)[1]
+    ]  # of a leaf as thin as a cell, visible from both sides
     normals = np.where(lengths > OPPOSED, normals / np.maximum(lengths, OPPOSED), one_side)
     n = len(counts)
     scales = np.tile([WIDTH * width, WIDTH * width, THICKNESS * width], (n, 1))
@@ -151,7 +153,7 @@ def _merged(seen: _Seen, groups: NDArray[np.int64], width: float) -> TrueSurface
         quats=torch.from_numpy(_flat_along(normals)).float(),
         opacity_logits=torch.full((n,), logit(OPACITY)),
         sh=harmonics_of(mean(seen.colors)),
-        antialiased=True,  # else each is drawn at least a pixel wide and opaque, and all outlines swell
+        antialiased=True,  # otherwise each is rendered at least a pixel wide and opaque, and all outlines swell
     )
     return TrueSurface(gaussians, fruit)
 

@@ -1,4 +1,4 @@
-"""The true fruit of a generated orchard, as `truth.json` lists them."""
+"""The true fruit of a generated orchard, as listed in `truth.json`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Truth:
 
     centers: (M, 3); diameters: (M,) scene units; visible: (M,) at least 3 views show 10 % and 12 pixels of it;
     visible_fractions: (M,) largest over views of its unoccluded share; ids: (M,) their values in the instance masks,
-    trees: (M,) the number of the tree each belongs to, from 1, or NO_TREE; both None where the truth does not say;
-    neighbours: (M,) which of them belong to rows beside the scene and to no count, None where there are none.
+    trees: (M,) the number of the tree of each, from 1, or NO_TREE; both None if the truth does not record it;
+    neighbours: (M,) which of them belong to neighbouring rows and to no count, None if there are none.
     """
 
     centers: NDArray[np.float64]
@@ -36,18 +36,18 @@ class Truth:
 
     @property
     def total(self) -> int:
-        """All true fruit of the scene, seen or not."""
+        """All true fruit of the scene, visible or not."""
         return len(self.diameters) - (0 if self.neighbours is None else int(self.neighbours.sum()))
 
     @property
     def mean_diameter(self) -> float:
-        """Mean over visible fruit (over all where none is visible), scene units; NaN without any fruit."""
+        """Mean over visible fruit (over all if none is visible), scene units; NaN without any fruit."""
         chosen = self.diameters[self.visible] if self.visible.any() else self.diameters
         return float(chosen.mean()) if len(chosen) else float("nan")
 
 
 def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
-    """Read `truth.json`; with `labels`, only fruit of these.
+    """Read `truth.json`; with `labels`, only fruit with these labels.
 
     Raises:
         FormatError: the file is missing, is not JSON, a fruit lacks a field or holds a number that is not finite, or
@@ -87,7 +87,7 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
 
 
 def true_labels(prompts: Sequence[str]) -> set[str]:
-    """Labels of true fruit that satisfy any of the prompts, whatever their colour: "red apple" counts apples.
+    """Labels of true fruit that match any of the prompts, whatever their colour: "red apple" counts apples.
 
     Raises:
         VocabularyError: a prompt names no thing.
@@ -106,7 +106,7 @@ def _ids(fruits: Sequence[Mapping[str, Any]]) -> NDArray[np.int64] | None:
 
 
 def _trees(fruits: Sequence[Mapping[str, Any]]) -> NDArray[np.int64] | None:
-    """Tree numbers; null is a fruit of no tree, such as one on the ground or of a row behind."""
+    """Tree numbers; null for a fruit of no tree, such as one on the ground or of a row behind."""
     if not any("tree" in fruit for fruit in fruits):
         return None
     trees = [fruit.get("tree") for fruit in fruits]
@@ -115,14 +115,14 @@ def _trees(fruits: Sequence[Mapping[str, Any]]) -> NDArray[np.int64] | None:
 
 @dataclass(frozen=True, eq=False)
 class TrueView:
-    """Where a picture was truly taken: name of its file, world_to_camera (4, 4) in scene units."""
+    """True camera of a picture: name of its file, world_to_camera (4, 4) in scene units."""
 
     name: str
     world_to_camera: NDArray[np.float64]
 
 
 def read_views(path: Path) -> list[TrueView]:
-    """The true cameras of `truth.json`, where its model's were moved; empty where it lists none.
+    """The true cameras of `truth.json`, if the model's are inaccurate; empty if it lists none.
 
     Raises:
         FormatError: as `read_truth`.

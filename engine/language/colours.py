@@ -1,4 +1,4 @@
-"""How much a pixel's colour deserves each colour word."""
+"""The colour words of a pixel, by its colour."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PROTOTYPES = {
     "grey": (128, 128, 128, 85, 85, 85, 175, 175, 175),
     "black": (12, 12, 12, 30, 30, 30, 40, 32, 30),
 }
-"""sRGB examples of a word: typical, shaded or deep, pale."""
+"""sRGB examples of a word: typical, dark, pale."""
 _SPREAD = 14.0
 """Standard deviation of a colour word about an example, in CIELAB units."""
 _LIGHTNESS = 0.6
@@ -30,7 +30,7 @@ _LIGHTNESS = 0.6
 def colour_words(image: Tensor) -> Tensor:
     """(…, 3) sRGB in [0, 1] → (…, len(COLOURS)) shares that sum to 1.
 
-    Each example draws with a Gaussian in CIELAB; a word has its nearest example's pull.
+    Each example has a Gaussian weight in CIELAB; a word has the weight of its nearest example.
     """
     weight = torch.tensor([_LIGHTNESS, 1.0, 1.0])
     colours = (_lab(image) * weight).reshape(-1, 3)

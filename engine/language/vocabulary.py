@@ -1,9 +1,9 @@
-"""The words the embedded encoder knows, and how a prompt is read.
+"""The words that the embedded encoder knows, and how a prompt is parsed.
 
-A prompt names at most one thing, with any number of colours or a ripeness before or after it: "apple", "red apple",
-"green", "unripe plum", "pomme rouge". Capitals, accents, blanks, hyphens, articles and plurals do not matter.
-Ripeness is told by colour and said of fruit alone: unripe fruit is green, ripe fruit has any other colour of fruit.
-"orange" alone is the fruit; "orange apple" is a colour and a fruit.
+A prompt names at most one object, with any number of colours or a ripeness before or after it: "apple", "red apple",
+"green", "unripe plum", "pomme rouge". Capitals, accents, spaces, hyphens, articles and plurals do not matter. Ripeness
+is a colour and applies to fruit only: unripe fruit is green, ripe fruit has any other colour of fruit. "orange" alone
+is the fruit; "orange apple" is a colour and a fruit.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ SURROUNDINGS = (
     *("post", "tag", "bucket", "crate", "ladder", "stone", "wall", "background"),
 )
 CONCEPTS = FRUITS + SURROUNDINGS
-"""What a pixel can be; exactly one of them."""
+"""What a pixel can show; exactly one of them."""
 COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "white", "grey", "black")
-"""What a pixel can look like; exactly one of them."""
+"""The colour of a pixel; exactly one of them."""
 FRUIT_COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink")
-"""What is said of fruit: one in shade is brown or black to look at, and red to speak of."""
+"""Colours that people use for fruit: one in shade looks brown or black, but is called red."""
 
 GENERAL = {
     "fruit": FRUITS,
@@ -43,19 +43,19 @@ _THINGS, _COLOUR_NAMES, _RIPENESS = by_name(words.THINGS), by_name(words.COLOURS
 
 @dataclass(frozen=True)
 class Phrase:
-    """A prompt as it was understood: any of the colours (none named: any) and any of the concepts (none: any)."""
+    """A parsed prompt: any of the colours (none: any) and any of the concepts (none: any)."""
 
     text: str
     colours: tuple[str, ...]
     concepts: tuple[str, ...]
 
     def within(self, other: Phrase) -> bool:
-        """Whether everything that satisfies this phrase satisfies `other` too."""
+        """Whether everything that matches this phrase also matches `other`."""
         return _narrows(self.colours, other.colours) and _narrows(self.concepts, other.concepts)
 
 
 def parse(prompt: str) -> Phrase:
-    """Read a prompt.
+    """Parse a prompt.
 
     Raises:
         VocabularyError: an unknown word (the message names the nearest known ones), no word, or more than one thing.
@@ -71,7 +71,7 @@ def parse(prompt: str) -> Phrase:
     named: list[str] = []
     ripeness: list[str] = []
     for i, word in enumerate(read):
-        if i == place or (_thing(word) and not _colour(word)):  # a wider word, as in "apple fruit", adds nothing
+        if i == place or (_thing(word) and not _colour(word)):  # a more general word, as in "apple fruit", adds nothing
             continue
         (ripeness if word in _RIPENESS else named).append(_RIPENESS.get(word) or _colour(word))
     adjectives = dict.fromkeys(named or ripeness[-1:])
@@ -81,12 +81,12 @@ def parse(prompt: str) -> Phrase:
 
 
 def known_words() -> tuple[str, ...]:
-    """Every word a prompt may hold, in the forms that are listed, things first."""
+    """Every word that a prompt may contain, in all listed forms, nouns first."""
     return tuple(dict.fromkeys([*sorted(_THINGS), *sorted(_COLOUR_NAMES), *sorted(_RIPENESS)]))
 
 
 def _noun(read: Sequence[str], prompt: str) -> int | None:
-    """Which of the words is the thing: the narrowest; one that may also be a colour only where there is no other.
+    """The noun among the words: the most specific; a word that may also be a colour only if there is no other.
 
     Raises:
         VocabularyError: two are things, and neither is a kind of the other.
@@ -107,7 +107,7 @@ def _noun(read: Sequence[str], prompt: str) -> int | None:
 
 
 def _thing(word: str) -> str:
-    """What a folded word names, in the singular; empty where it names nothing."""
+    """The meaning of a folded word, in the singular; empty if unknown."""
     forms = (word, word.removesuffix("s"), word.removesuffix("es"))
     return next((_THINGS[form] for form in forms if form in _THINGS), "")
 

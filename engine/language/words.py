@@ -1,7 +1,7 @@
-"""Names of what the embedded encoder can tell apart, in English, German, French and Spanish.
+"""Names of what the embedded encoder distinguishes, in English, German, French and Spanish.
 
-Every entry is a string of words as `fold` writes them: lower case, without accents, in singular and plural where a
-rule of English does not make the plural.
+Every entry is a string of words as `fold` writes them: lower case, without accents, in singular and plural unless the
+plural follows the English rule.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ THINGS: Mapping[str, str] = {
     "ground": "boden sol suelo",
     "tool": "equipment werkzeug werkzeuge gerat gerate geraet geraete outil outils herramienta herramientas",
 }
-"""Other names by thing; a thing is its own name too."""
+"""Other names by concept; a concept is also its own name."""
 
 COLOURS: Mapping[str, str] = {
     "red": ("crimson scarlet rot rote roter rotes roten rouge rouges rojo roja rojos rojas"),
@@ -67,13 +67,13 @@ COLOURS: Mapping[str, str] = {
     "grey": "gray grau graue grauer graues grauen gris grise grises",
     "black": "schwarz schwarze schwarzer schwarzes schwarzen noir noire noirs noires negro negra negros negras",
 }
-"""Other names by colour; a colour is its own name too."""
+"""Other names by colour; a colour is also its own name."""
 
 RIPENESS: Mapping[str, str] = {
     "ripe": "reif reife reifer reifes reifen mur mure murs mures maduro madura maduros maduras",
     "unripe": ("immature unreif unreife unreifer unreifes unreifen immatures inmaduro inmadura inmaduros inmaduras"),
 }
-"""Other names by ripeness; each is its own name too."""
+"""Other names by ripeness; each is also its own name."""
 
 FILLERS = frozenset(
     ("a", "an", "the", "some", "all")
@@ -81,7 +81,7 @@ FILLERS = frozenset(
     + ("un", "une", "des", "le", "la", "les", "l", "d", "de")
     + ("el", "los", "las", "una", "unos", "unas")
 )
-"""Words that say nothing here."""
+"""Words without meaning in a prompt."""
 
 
 def fold(word: str) -> str:
@@ -91,5 +91,5 @@ def fold(word: str) -> str:
 
 
 def by_name(names: Mapping[str, str]) -> dict[str, str]:
-    """Every name → what it means."""
+    """{name: meaning} of all names."""
     return {name: meaning for meaning, others in names.items() for name in (meaning, *others.split())}

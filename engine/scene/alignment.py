@@ -1,4 +1,4 @@
-"""From one reconstruction's frame into another's: the similarity that carries one set of camera centres to another."""
+"""The similarity that maps one reconstruction onto another, estimated from camera centres."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ FloatArray = NDArray[np.float64]
 
 _SAMPLES = 500
 OUTLIER = 5.0
-"""Views farther off than so many times the median are left out of the fit."""
+"""Views farther off than this many times the median are left out of the fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
     """p ↦ scale · rotation · p + translation.
 
-    scale: target units a source unit; rotation: (3, 3); translation: (3,) target units.
+    scale: target units per source unit; rotation: (3, 3); translation: (3,) target units.
     """
 
     scale: float
@@ -38,11 +38,11 @@ class Similarity:
 
 
 def align(source: FloatArray, target: FloatArray) -> Similarity:
-    """The similarity that carries `source` (N, 3) best to `target` (N, 3), row by row, such as two models' cameras.
+    """The similarity that maps `source` (N, 3) best to `target` (N, 3), row by row, for example two models' cameras.
 
-    Least squares (Umeyama 1991) over the rows that agree: of fits to three rows each (all such triples, or 500 at
-    random, seeded) the one with the smallest median distance says which rows are outliers, so up to nearly half of them
-    may be wrong.
+    Least squares (Umeyama 1991) over the rows that agree: of fits to three rows each (all such triples, or 500 random
+    ones, seeded) the one with the smallest median distance identifies outliers, so nearly half of the rows may be
+    wrong.
 
     Raises:
         SceneError: fewer than 3 rows, other shapes, numbers that are not finite, or rows on one line (the rotation

@@ -1,4 +1,4 @@
-"""Cameras, photos and the scene they make: the input of every later stage.
+"""Cameras, photos and the scene: the input of every later stage.
 
 Frames are COLMAP's: world_to_camera maps to x right, y down, z forward; pixel (0, 0) is the corner of the top left
 pixel, whose centre is (0.5, 0.5).
@@ -43,7 +43,7 @@ class Camera:
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(…, 2) pixels and (…,) depths along the axis, in scene units, of (…, 3) points in the world.
 
-        A pixel means something only where its depth is above 0; distortion is left out.
+        A pixel is valid only if its depth is above 0; distortion is ignored.
         """
         x, y, z = np.moveaxis(points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3], -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -51,9 +51,10 @@ class Camera:
         return np.stack([u, v], axis=-1), z
 
     def unproject(self, depths: FloatArray) -> FloatArray:
-        """(H, W, 3) points in the world that the pixels' centres show, at (H, W) depths along the axis, in scene units.
+        """(H, W, 3) points in the world at the centres of the pixels, from (H, W) depths along the axis, in scene
+        units.
 
-        Distortion is left out.
+        Distortion is ignored.
         """
         v, u = np.mgrid[: self.height, : self.width] + 0.5
         x, y = (u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1]
@@ -73,7 +74,7 @@ def looking(place: FloatArray, along: FloatArray, up: FloatArray) -> FloatArray:
 
 
 class Photo(Protocol):
-    """A photo that loads when asked, already undistorted and at its camera's size."""
+    """A photo that loads on demand, already undistorted and at its camera's size."""
 
     @property
     def name(self) -> str: ...
@@ -83,13 +84,13 @@ class Photo(Protocol):
         ...
 
     def mask(self) -> NDArray[np.bool_] | None:
-        """(H, W) True where the photo may be used; None when every pixel may."""
+        """(H, W) True where the photo may be used; None if every pixel may."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayPhoto:
-    """A photo that is in memory already."""
+    """A photo in memory."""
 
     name: str
     array: NDArray[np.uint8]
@@ -106,8 +107,8 @@ class ArrayPhoto:
 class Scene:
     """Posed photos with a sparse cloud, in the frame of the input model.
 
-    cameras and images: one each a view, in name order; points: (P, 3) scene units; colors: (P, 3) uint8 sRGB;
-    up: (3,) unit vector away from the ground; metres_per_unit: None when the scale is unknown.
+    cameras and images: one each per view, in name order; points: (P, 3) scene units; colors: (P, 3) uint8 sRGB; up:
+    (3,) unit vector away from the ground; metres_per_unit: None if the scale is unknown.
     """
 
     cameras: Sequence[Camera]
@@ -131,7 +132,7 @@ class Scene:
     def spread(self) -> float:
         """Radius of the cameras about their middle, in scene units.
 
-        Where they all stand in one place it is the points' median distance from there, and 1 without points.
+        If they are all at one position, the median distance of the points from there, and 1 without points.
         """
         centers, middle = np.stack([camera.center for camera in self.cameras]), self.middle
         spread = float(np.linalg.norm(centers - middle, axis=1).max())
@@ -143,9 +144,9 @@ class Scene:
 
 
 def axes_equations(cameras: Sequence[Camera]) -> tuple[FloatArray, FloatArray]:
-    """(3, 3) matrix and (3,) right side that the point nearest to all viewing axes, by least squares, solves.
+    """(3, 3) matrix and (3,) right side of the linear system whose solution is the point nearest to all viewing axes.
 
-    The axis c + t·d is at distance |(I - ddᵀ)(p - c)| of p. With parallel axes the matrix is singular.
+    The axis c + t·d is at distance |(I - ddᵀ)(p - c)| of p. For parallel axes the matrix is singular.
     """
     centers = np.stack([camera.center for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])

@@ -1,4 +1,4 @@
-"""Where photos were taken, by the GPS tags of their EXIF, and how many metres a scene unit is by them."""
+"""Positions of photos from the GPS tags in their EXIF data, and the scale they give."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from .photos.photo import DECODE_ERRORS, FilePhoto, read_exif
 from .scale import Scale
 
 LEAST_TAGGED = 4
-"""Photos with a place below which there is no scale."""
+"""Fewest tagged photos that give a scale."""
 LARGEST_ERROR = 0.05
-"""Standard error of the scale, as a share of it, above which GPS is not believed."""
+"""Relative standard error of the scale above which GPS is not used."""
 LEAST_SPREAD = 0.5
-"""Metres that the tagged places must lie apart; less is one place."""
+"""Least extent of the tagged positions in metres; less is one position."""
 _INDEPENDENT = 5
-"""Places whose errors are held to be independent, at most."""
+"""Most positions whose errors count as independent."""
 _EQUATOR, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
 """WGS84's semi-major axis in metres and its flattening."""
 
 
 @dataclass(frozen=True)
 class GpsTag:
-    """A place on WGS84: degrees north, degrees east, metres above the ellipsoid or the sea (None: not tagged)."""
+    """A position on WGS84: degrees north, degrees east, metres above the ellipsoid or the sea (None: not tagged)."""
 
     latitude: float
     longitude: float
@@ -39,14 +39,14 @@ class GpsTag:
 
 @dataclass(frozen=True, kw_only=True)
 class GpsScale:
-    """The scale by GPS, None where there is none to believe, and what the user should know of it."""
+    """The scale from GPS, None if it is not reliable, and messages for the user."""
 
     scale: Scale | None = None
     notices: Sequence[str] = ()
 
 
 def read_gps(path: Path) -> GpsTag | None:
-    """The place in a photo's EXIF; None where it has none or the receiver had no fix.
+    """The position in a photo's EXIF data; None if it has none or the receiver had no fix.
 
     Raises:
         FormatError: the tags make no sense.
@@ -66,7 +66,7 @@ def read_gps(path: Path) -> GpsTag | None:
             altitude = _finite(-float(altitude) if below else float(altitude))
     except (*DECODE_ERRORS, TypeError, KeyError, AttributeError, ZeroDivisionError) as error:
         raise FormatError(f"The GPS tags of {path} make no sense ({error}). Check them in a viewer") from error
-    if latitude == longitude == 0.0:  # what cameras write that wait for a fix
+    if latitude == longitude == 0.0:  # what cameras write before they have a fix
         return None
     return GpsTag(latitude, longitude, altitude)
 
@@ -108,12 +108,13 @@ def local_metres(tags: Sequence[GpsTag]) -> FloatArray:
 
 
 def scale_by_gps(cameras: Sequence[Camera], photos: Sequence[Photo]) -> GpsScale:
-    """The scale by the similarity that carries the cameras best to the places in their photos' EXIF (see `align`).
+    """The scale of the similarity that maps the cameras best to the positions in their photos' EXIF data (see `align`).
 
-    Photos without altitude are left out where others have one; where none has, all are held to be at one height.
-    Without any tag there is neither scale nor notice; fewer than 4, all of one place or an error above 5 % is a notice.
+    Photos without altitude are left out if others have one; if none has, all are assumed to be at one height. Without
+    any tag there is neither scale nor notice; fewer than 4 tags, a single position or an error above 5 % gives a
+    notice.
 
-    cameras and photos: one each a view, in the order of the walk.
+    cameras and photos: one each per view, in the order of capture.
     """
     tagged = _tagged(cameras, photos)
     if not tagged.tags:
@@ -135,7 +136,7 @@ def scale_by_gps(cameras: Sequence[Camera], photos: Sequence[Photo]) -> GpsScale
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Tagged:
-    """Photos that say where they were taken: (N, 3) centres of their cameras, and N tags."""
+    """Photos with a position: (N, 3) centres of their cameras, and N tags."""
 
     centers: FloatArray
     tags: Sequence[GpsTag]
@@ -143,7 +144,7 @@ class _Tagged:
 
 
 def _tagged(cameras: Sequence[Camera], photos: Sequence[Photo]) -> _Tagged:
-    """Each file once: the faces of a panorama are one measurement."""
+    """One entry per file: the faces of a panorama are one measurement."""
     centers: dict[Path, FloatArray] = {}
     tags: dict[Path, GpsTag] = {}
     senseless = []
@@ -168,7 +169,7 @@ def _tagged(cameras: Sequence[Camera], photos: Sequence[Photo]) -> _Tagged:
 
 
 def _spread_places(tags: Sequence[GpsTag]) -> FloatArray:
-    """(N, 3) metres, once there are enough of them, apart from each other.
+    """(N, 3) metres, after checking that they are enough and apart from each other.
 
     Raises:
         SceneError: there are not.
@@ -182,12 +183,12 @@ def _spread_places(tags: Sequence[GpsTag]) -> FloatArray:
 
 
 def _standard_error(similarity: Similarity, centers: FloatArray, places: FloatArray) -> float:
-    """Of the similarity's scale s: √(Σ|r|² / Σ|x|² / (3m - 7)), r the misfits and x the centres about their mean.
+    """Standard error of the scale s of the similarity: √(Σ|r|² / Σ|x|² / (3m - 7)), with misfits r and centres x about
+    their mean.
 
-    With m independent places of three numbers each it is that of least squares with seven unknowns, r² / (3m - 7)
-    being the variance of a number times m. A receiver's errors drift, and photos that follow each other share them: so
-    m is 5 however many photos there are. A misfit beyond five times the median, which `align` leaves out, counts as
-    just that.
+    With m independent positions of three numbers each, this is the error of least squares with seven unknowns. The
+    errors of a receiver drift, and consecutive photos share them, so m is at most 5. A misfit beyond five times the
+    median, which `align` leaves out, counts as five times the median.
     """
     misfits = np.linalg.norm(similarity.apply(centers) - places, axis=1)
     misfits = np.minimum(misfits, OUTLIER * np.median(misfits))

@@ -1,4 +1,4 @@
-"""Which way is up, as the people who held the cameras saw it."""
+"""Estimates which way is up from how the cameras were held."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _IMAGE_TOP = np.array([0.0, -1.0, 0.0])
 def up_direction(cameras: Sequence[Camera], skyward: Sequence[FloatArray] | None = None) -> FloatArray:
     """(3,) unit vector away from the ground, in the world's frame.
 
-    Cameras are held level: their sideways axes lie in the ground's plane, so up is the direction most nearly
+    Cameras are held level, so their sideways axes lie in the plane of the ground, so up is the direction most nearly
     perpendicular to all of them, min Σ |sᵢ·u| (by reweighted least squares, so that a few rolled photos do not tilt
-    it). Its sign is where most photos' tops point or, when all look straight down, away from their view.
+    it). Its sign follows the tops of most photos or, if all look straight down, points away from their view.
 
-    When all sideways axes are parallel (one strip, all facing alike) that plane is not determined: up is then where the
-    photos' tops point if they agree, else against the view if those agree (a drone flying to and fro), else along the
-    sideways axis (a phone held upright whose photos carry no EXIF orientation).
+    When all sideways axes are parallel (one strip, all facing the same way) that plane is not determined: up is then
+    the direction of the photos' tops if they agree, else against the view if the views agree (a drone flying to and
+    fro), else along the sideways axis (a phone held upright whose photos have no EXIF orientation).
 
-    skyward: (3,) a photo, where its top points in its camera's frame; the top edge of the image when not given.
+    skyward: (3,) per photo, the direction of its top in the camera frame; the top edge of the image if not given.
     """
     tops_in_camera = [_IMAGE_TOP] * len(cameras) if skyward is None else skyward
     rotations = np.stack([camera.world_to_camera[:3, :3] for camera in cameras])
@@ -48,7 +48,7 @@ def _up_of_parallel(sides: FloatArray, tops: FloatArray, backs: FloatArray) -> F
         mean = directions.mean(axis=0)
         if np.linalg.norm(mean) > 0.8:
             return mean / np.linalg.norm(mean)
-    mean = -aligned.mean(axis=0)  # phones store portrait photos turned so that x points down
+    mean = -aligned.mean(axis=0)  # phones store portrait photos rotated so that x points down
     return mean / np.linalg.norm(mean)
 
 

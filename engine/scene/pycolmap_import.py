@@ -1,4 +1,4 @@
-"""pycolmap, imported when first needed and in this one place."""
+"""Imports pycolmap when it is first needed; nothing else imports it directly."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from typing import Any
 
 @cache
 def colmap_library() -> Any:
-    """The module `pycolmap`, with SIGTERM left as it was.
+    """The module `pycolmap`, without its handler for SIGTERM.
 
-    pycolmap installs Google's failure handlers, which answer a SIGTERM (how a cluster or a person stops a job) with a
-    stack trace and an abort. Only the main thread can give the signal back; in another it stays as pycolmap has it.
+    pycolmap installs Google's failure handlers, which react to a SIGTERM (how a cluster or a user stops a job) with a
+    stack trace and an abort. Only the main thread can restore the handler; in another thread it stays as pycolmap set
+    it.
     """
     before = signal.getsignal(signal.SIGTERM)
     with beside_another_gflags():
@@ -32,11 +33,11 @@ def colmap_library() -> Any:
 
 @contextmanager
 def beside_another_gflags() -> Iterator[None]:
-    """Let pycolmap be imported where the program has loaded the system's gflags, as a distribution's Blender may have.
+    """Allow the import of pycolmap if the program has loaded the system's gflags, as a distribution's Blender may have.
 
-    gflags ends the whole program when a second copy of it declares the same flags. The function that it ends it by is
-    a variable of the library: while pycolmap's copy declares its flags it does nothing, and what gflags prints
-    meanwhile is dropped. Nobody reads these flags.
+    gflags ends the whole program if a second copy of it declares the same flags. The function that ends it is a
+    variable of the library: while pycolmap's copy declares its flags, the function does nothing, and the output of
+    gflags is dropped. These flags are never read.
     """
     loaded = loaded_library("libgflags.so")
     if loaded is None:
@@ -57,8 +58,8 @@ def beside_another_gflags() -> Iterator[None]:
 
 
 def loaded_library(name: str, maps: Path = Path("/proc/self/maps")) -> Path | None:
-    """The file of a shared library that this process has loaded, by the start of its name; None where it has not, or
-    where the system does not say (only Linux lets libraries get in each other's way like this)."""
+    """The file of a shared library that this process has loaded, by the start of its name; None if it has not, or if
+    the system does not say (only Linux has this conflict)."""
     try:
         lines = maps.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""One door for every kind of scene that can be read."""
+"""Reads every kind of scene."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def read_scene(
     masks: Path | None = None,
     progress: Progress = silent,
 ) -> Scene:
-    """Read a COLMAP model's folder or a `transforms.json` (itself or its folder); a model goes first where both are.
+    """Read a COLMAP model's folder or a `transforms.json` (the file or its folder); a model is preferred if both exist.
 
-    `config.up` replaces the up direction that the photos tell.
-    images, masks: folders for a COLMAP model whose photos or masks lie elsewhere (see `read_colmap`).
+    `config.up` replaces the estimated up direction. images, masks: folders of a COLMAP model whose photos or masks are
+    elsewhere (see `read_colmap`).
 
     Raises:
         SceneError: there is nothing there, it is another kind of scene, or it is damaged.
@@ -62,7 +62,7 @@ def scene_files(path: Path, *, images: Path | None = None, masks: Path | None = 
 
 
 def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = None) -> str:
-    """SHA-256 over the names and bytes of `scene_files`; the same however `path` is spelled and wherever it moves.
+    """SHA-256 over the names and bytes of `scene_files`; independent of how `path` is written and where it is.
 
     Names are relative to `path`'s folder, or to `images` and `masks` where these are given.
 
@@ -70,7 +70,7 @@ def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = N
         SceneError: as `read_scene`, or a file cannot be read.
     """
     path = Path(path)
-    # A link to a transforms.json names photos beside the link: only its folder is resolved.
+    # A link to a transforms.json names photos next to the link: only its folder is resolved.
     root = (path if path.is_dir() else path.parent).resolve()
     source = root if path.is_dir() else root / path.name
     images, masks = (None if folder is None else folder.resolve() for folder in (images, masks))
@@ -84,7 +84,7 @@ def scene_hash(path: Path, *, images: Path | None = None, masks: Path | None = N
 
 
 def _by_folder(files: list[Path], apart: list[Path], root: Path) -> list[tuple[Path, list[Path]]]:
-    """Files by the first folder of `apart` that holds them, else by `root`."""
+    """Files relative to the first folder of `apart` that contains them, else to `root`."""
     groups: dict[Path, list[Path]] = {root: [], **{folder: [] for folder in apart}}
     for file in files:
         groups[next((folder for folder in apart if file.is_relative_to(folder)), root)].append(file)

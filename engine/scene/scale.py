@@ -1,4 +1,4 @@
-"""How many metres a scene unit is: from what a person measured between points or cameras."""
+"""Metres per scene unit from a length that the user measured between points or cameras."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..errors import SceneError
 from .camera import Camera, FloatArray
 
 _SAME_PLACE = 1e-6
-"""Share of the cameras' spread below which two of them stand in one place."""
+"""Share of the cameras' spread below which two of them are at one position."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """Metres in a scene unit, and how that was found.
+    """Metres per scene unit, and how it was measured.
 
-    of: what was measured, in words; standard_error: of metres_per_unit, None where a single measurement tells none.
+    of: the measured object, in words; standard_error: of metres_per_unit, None for a single measurement.
     """
 
     metres_per_unit: float
@@ -31,7 +31,7 @@ class Scale:
 
 
 def scale_by_length(config: UnitsConfig, names: Sequence[str], cameras: Sequence[Camera]) -> Scale | None:
-    """The scale that the settings give outright or by two points or cameras; None where they measure nothing of these.
+    """The scale that the settings give directly or by two points or cameras; None if they give neither.
 
     names: of the cameras' photos, one each.
 
@@ -68,7 +68,7 @@ def scale_by_length(config: UnitsConfig, names: Sequence[str], cameras: Sequence
 
 
 def _center(name: str, names: Sequence[str], cameras: Sequence[Camera]) -> FloatArray:
-    """(3,) where the photo of that name was taken; a panorama's faces all were taken there.
+    """(3,) position of the photo of that name; all faces of a panorama share it.
 
     Raises:
         SceneError: the scene has no such photo.

@@ -1,4 +1,4 @@
-"""What a person gives as a scene, made ready to be read: photos without cameras get them first."""
+"""Prepares what the user gives as a scene: photos without cameras get them first."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .sfm.find_cameras import LEAST_PHOTOS, find_poses, list_photos
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Where a scene's model, photos and masks lie, as `read_scene` takes them.
+    """Paths of a scene's model, photos and masks for `read_scene`.
 
-    notices: what the user should know; reused: the model was found by an earlier run.
+    notices: messages for the user; reused: the model was in the cache.
     """
 
     path: Path
@@ -42,7 +42,7 @@ class Source:
 
 
 def photos_alone(path: Path) -> Path | None:
-    """The folder of a scene's photos (`path`/images or `path`) where there are no cameras to them; else None.
+    """The folder of a scene's photos (`path`/images or `path`) if they have no cameras; else None.
 
     Raises:
         SceneError: a model is there and is damaged.
@@ -53,9 +53,9 @@ def photos_alone(path: Path) -> Path | None:
 
 
 def pose_photos(photos: Path, cache: Path, config: PhotosConfig, *, progress: Progress = silent) -> Source:
-    """Find the cameras of photos (see `find_poses`), or take them from `cache`, where they are kept by content.
+    """Estimate the cameras of photos (see `find_poses`), or take them from `cache`, where they are stored by content.
 
-    Masks are in `masks` beside the photos' folder or inside it.
+    Masks are in `masks` next to the photos' folder or inside it.
 
     Raises:
         SceneError: as `find_poses`.
@@ -70,7 +70,7 @@ def pose_photos(photos: Path, cache: Path, config: PhotosConfig, *, progress: Pr
 
 
 def posed_before(photos: Path, earlier: Path, cache: Path, config: PhotosConfig) -> Source:
-    """The photos with the cameras that an earlier run left in the cache `earlier`; they are copied to `cache`.
+    """The photos with the cameras of an earlier run in the cache `earlier`; they are copied to `cache`.
 
     Raises:
         SceneError: they are not there, or the photos have changed.
@@ -90,7 +90,7 @@ def posed_before(photos: Path, earlier: Path, cache: Path, config: PhotosConfig)
 
 
 def _source(photos: Path, cache: Path, config: PhotosConfig) -> Source:
-    """Where the model of photos and settings is kept, whether or not it is there yet."""
+    """Folder of the model of photos and settings, whether it exists or not."""
     try:
         library = version("pycolmap")
         content = files_hash(list_photos(photos), photos)
@@ -99,6 +99,6 @@ def _source(photos: Path, cache: Path, config: PhotosConfig) -> Source:
     except OSError as error:
         raise SceneError(f"{error.filename} cannot be read ({error.strerror}). Check its permissions") from error
     key = stage_key(("scene",), content, config, library)
-    # In any other case they are where `read_scene` looks for them.
+    # Otherwise they are where `read_scene` expects them.
     masks = photos / "masks" if (photos / "masks").is_dir() else None
     return Source(path=cache / f"photos-{key}" / "model", images=photos, masks=masks)

@@ -1,4 +1,4 @@
-"""Coloured points of a published data set, handed on as a .ply."""
+"""Coloured points of a published data set, written as a .ply."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...files import replacing
 
 @dataclass(frozen=True, eq=False)
 class ColoredCloud:
-    """P points. points: (P, 3) in the frame of the truth beside it; colors: (P, 3) uint8 sRGB."""
+    """P points. points: (P, 3) in the frame of the truth; colors: (P, 3) uint8 sRGB."""
 
     points: NDArray[np.float64]
     colors: NDArray[np.uint8]
@@ -25,7 +25,7 @@ def cloud_of(rows: NDArray[np.float64]) -> ColoredCloud:
 
 
 def write_cloud(path: Path, cloud: ColoredCloud) -> None:
-    """Write a binary .ply with x, y, z, red, green, blue a vertex.
+    """Write a binary .ply with x, y, z, red, green, blue per vertex.
 
     Raises:
         OutputError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""FruitNeRF (Meyer et al. 2024): nerfstudio folders with a fruit mask a photo, and a mesh of the true fruit."""
+"""FruitNeRF (Meyer et al. 2024): nerfstudio folders with one fruit mask per photo, and a mesh of the true fruit."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ FOLDER = "semantics"
 
 _JPEG = (".jpg", ".jpeg")
 _LEAST_HITS = 0.25
-"""Centres in the right frame lie on the masks this often; leaves hide some, and by chance few do."""
+"""Least share of centres on fruit in the correct frame; leaves hide some, and few lie on fruit by accident."""
 
 _LEAST_THICKNESS = 1e-3
-"""Least spread of an object across, in spreads along it, for it to be a body."""
+"""Least extent of an object across, relative to its length, for it to be a body."""
 
 
 @dataclass(frozen=True, eq=False)
 class FruitMask:
-    """The published fruit mask of one view, read when asked; name: of its photo, as the scene has it."""
+    """The published fruit mask of one view, read when needed; name: of its photo in the scene."""
 
     name: str
     file: FilePhoto
 
     def pixels(self) -> NDArray[np.bool_]:
-        """(H, W) True on fruit, resized and undistorted as the view's photo is.
+        """(H, W) True on fruit, resized and undistorted like the view's photo.
 
         Raises:
             SceneError: the file is gone or cannot be decoded.
         """
         grey = self.file.pixels().max(axis=2)
-        # Masks are 0 and 255; a lossless one that holds nothing above 1 numbers its classes instead.
+        # Masks are 0 and 255; a lossless one without values above 1 contains class numbers instead.
         top = 1 if self.file.path.suffix.lower() not in _JPEG and grey.max(initial=0) <= 1 else 255
         return 2 * grey.astype(np.int64) > top
 
 
 def read_fruit_masks(path: Path, config: SceneConfig = SceneConfig()) -> list[FruitMask]:  # noqa: B008 (frozen)
-    """The fruit masks of a transforms.json, one a view, in the order of `read_transforms` with the same config.
+    """The fruit masks of a transforms.json, one per view, in the order of `read_transforms` with the same config.
 
-    A frame names its mask as `semantic_path`; where none does, masks are looked for as `semantics/` beside the JSON,
-    under the photos' names. nerfstudio's `mask_path` is something else: the pixels that may be used.
+    A frame names its mask as `semantic_path`; otherwise masks are searched in `semantics/` next to the JSON, under the
+    photos' names. nerfstudio's `mask_path` has another meaning: the pixels that may be used.
 
     Raises:
         SceneError: the scene cannot be read, a mask is missing or has another shape than its photo.
@@ -69,11 +69,11 @@ def read_fruit_masks(path: Path, config: SceneConfig = SceneConfig()) -> list[Fr
 def read_fruitnerf_truth(folder: Path, *, label: str | None = None, fruits: Path | None = None) -> ImportedTruth:
     """Read the true fruit of a synthetic tree: the objects of its .obj mesh, one each.
 
-    A fruit's centre is the middle of mass of its convex hull, its diameter that of the sphere of the same volume. It
-    is not published in which frame the mesh is, so the masks decide among the turns and scales that meshes come in:
-    the one where most centres lie on fruit. Without masks the mesh is taken as it is.
+    The centre of a fruit is the centre of mass of its convex hull, its diameter that of the sphere of equal volume. The
+    frame of the mesh is not published, so the masks decide among common rotations and scales: the one is used in which
+    most centres lie on fruit. Without masks the mesh is used unchanged.
 
-    label: what the fruit are (default: what the JSON's `semantics` says); fruits: the mesh (default: the only .obj).
+    label: of the fruit (default: the JSON's `semantics`); fruits: the mesh (default: the only .obj).
 
     Raises:
         SceneError: the photos, cameras or masks cannot be read.
@@ -109,7 +109,7 @@ def read_fruitnerf_truth(folder: Path, *, label: str | None = None, fruits: Path
 
 
 def hit_share(centers: FloatArray, cameras: Sequence[Camera], masks: Sequence[NDArray[np.bool_]]) -> float:
-    """Share of the (M, 3) centres within pictures that lie on fruit; 0 where fewer than half ever come into one."""
+    """Share of the (M, 3) centres within pictures that lie on fruit; 0 if fewer than half are ever in a picture."""
     hits, within = 0, 0
     seen = np.zeros(len(centers), dtype=bool)
     for camera, mask in zip(cameras, masks, strict=True):
@@ -183,7 +183,8 @@ def _fruit_of(mesh: Path) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
 
 
 def _frames() -> list[FloatArray]:
-    """What may take the mesh into the frame of the cameras: as it is or from y up to z up, at scale 1, 1/2 or 2."""
+    """Possible transforms of the mesh into the frame of the cameras: unchanged or from y up to z up, at scale 1, 1/2 or
+    2."""
     upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     return [scale * turn for scale in (1.0, 0.5, 2.0) for turn in (np.eye(3), upright)]
 
@@ -194,7 +195,7 @@ def _said(frame: int) -> str:
 
 
 def _said_to_be(folder: Path) -> str:
-    """What the JSON's `semantics` names beside "stuff"; "" without just one word."""
+    """The name in the JSON's `semantics` other than "stuff"; "" if there is not exactly one."""
     listed: Any = extra_fields(folder).get("semantics")
     entries = listed if isinstance(listed, list) else []
     words = [word for entry in entries for word in (entry if isinstance(entry, list) else [entry])]

@@ -28,9 +28,9 @@ _CORNERS = 8
 def read_fuji_truth(folder: Path) -> ImportedTruth:
     """Read the box of every apple below `3-3D_data/GroundTruth-3D_apples_locations`, of both sets.
 
-    A box is `TreeNN-annotations_NNNNNN.txt`: x y z of its middle, then of its 8 corners (the middle may be missing).
-    An apple's centre is the mean of the corners, its diameter the mean side of the box: boxes are drawn by hand, so it
-    is no calliper's. folder: `Fuji-SfM_dataset`, or its `3-3D_data`.
+    A box is `TreeNN-annotations_NNNNNN.txt`: x y z of its middle, then of its 8 corners (the middle may be missing). An
+    apple's centre is the mean of the corners, its diameter the mean side of the box, which was drawn by hand and is not
+    a calliper measurement. folder: `Fuji-SfM_dataset`, or its `3-3D_data`.
 
     Raises:
         FormatError: the folder has no boxes, or a file is not such a box.
@@ -59,7 +59,7 @@ def read_fuji_truth(folder: Path) -> ImportedTruth:
 
 
 def read_fuji_cloud(folder: Path) -> ColoredCloud:
-    """Read the row's coloured cloud, in the frame of the boxes; 10.9 million points take a minute.
+    """Read the coloured cloud of the row, in the frame of the boxes; 10.9 million points take a minute.
 
     Raises:
         FormatError: the file is missing or no table of points.

@@ -1,4 +1,4 @@
-"""The truth of a published data set, and the truth.json it becomes."""
+"""The truth of a published data set, and its truth.json."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ class ImportedTruth:
     layout: str
     """Name of the layout."""
     label: str
-    """What the fruit are, a word of the vocabulary."""
+    """Label of the fruit, a word of the vocabulary."""
     truth: Truth
-    """The fruit. Published layouts do not say what each photo shows: every fruit is visible, all of it."""
+    """The fruit. Published layouts do not record what each photo shows, so every fruit is visible."""
     names: tuple[str, ...]
-    """(M,) what the layout calls each fruit."""
+    """(M,) the name of each fruit in the layout."""
     metres_per_unit: float | None = None
-    """None where the layout does not say."""
+    """None if the layout does not record it."""
     remarks: tuple[str, ...] = ()
-    """What a reader should know before trusting it, a line each."""
+    """Remarks for a reader before using it, one line each."""
 
 
 def all_visible(
     centers: NDArray[np.float64], diameters: NDArray[np.float64], trees: NDArray[np.int64] | None = None
 ) -> Truth:
-    """Truth of fruit (M, 3), (M,) of which the layout does not tell what is seen: visible, fraction 1."""
+    """Truth of fruit (M, 3), (M,) without visibility: visible, fraction 1."""
     count = len(diameters)
     return Truth(centers.reshape(-1, 3), diameters, np.ones(count, dtype=bool), np.ones(count), trees=trees)
 
@@ -70,9 +70,10 @@ def read_similarity(path: Path) -> NDArray[np.float64]:
 
 
 def write_truth(path: Path, imported: ImportedTruth) -> None:
-    """Write truth.json with the fields that the generator writes.
+    """Write truth.json with the fields of the generator.
 
-    What no layout has is written as: seed null, variant "published", kind "hanging", clump 0, visible_pixels {}.
+    Fields that no layout has are written as: seed null, variant "published", kind "hanging", clump 0, visible_pixels
+    {}.
 
     Raises:
         OutputError: the file cannot be written.

@@ -22,7 +22,7 @@ LAYOUT = "pfuji-size"
 CLOUDS = "3-apple_point_clouds"
 TABLE = "4-apples_GT_diameter.txt"
 LEAST_TRUSTED = 50
-"""Points that more than one photo confirms are used alone where there are so many of them."""
+"""Only points confirmed by more than one photo are used if there are this many of them."""
 
 _CLOUD_FILE = re.compile(r"(\d+_\d+)_(\d+)\.txt")
 _POINT = "x y z red green blue and further columns"
@@ -34,7 +34,7 @@ class ScannedApples:
     """M apples of one part of the data set.
 
     truth: fruit with measured diameters; fitted_diameters: (M,) of a sphere fitted to each apple's points alone, in
-    metres, NaN where they fix none; cloud: all their points; measured: (M,) whether the table has the apple.
+    metres, NaN if they do not determine one; cloud: all their points; measured: (M,) whether the table lists the apple.
     """
 
     truth: ImportedTruth
@@ -94,7 +94,7 @@ def _cloud_files(folder: Path, part: str | None) -> list[Path]:
 
 
 def _diameters(path: Path) -> Mapping[str, float]:
-    """Diameter in metres by name of cloud; a first line of words is a heading."""
+    """Diameter in metres by name of cloud; a heading is skipped."""
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
@@ -125,13 +125,13 @@ def _is_number(cells: Sequence[str]) -> bool:
 
 
 def _trusted(rows: FloatArray) -> FloatArray:
-    """(P, 3) the points that more than one photo confirms (column 8 above 1), or all where these are too few."""
+    """(P, 3) the points confirmed by more than one photo (column 8 above 1), or all if there are too few."""
     confirmed = rows[rows[:, 7] > 1.0] if rows.shape[1] > 8 else rows
     return (confirmed if len(confirmed) >= LEAST_TRUSTED else rows)[:, :3]
 
 
 def _remarks(fitted: FloatArray, true: FloatArray, measured: NDArray[np.bool_]) -> tuple[str, ...]:
-    """What the fits say about the table."""
+    """Agreement of the fits with the table."""
     remarks = []
     if not measured.all():
         remarks.append(

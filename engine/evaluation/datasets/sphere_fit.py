@@ -1,4 +1,4 @@
-"""A sphere through the points of one fruit, without normals: most of a scan shows one side and some leaf."""
+"""A sphere through the points of one fruit, without normals: most scans show one side and some leaf."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 LEAST_POINTS = 4
-"""Fewer points do not fix a sphere."""
+"""Fewer points do not determine a sphere."""
 
 _TRIALS = 400
 _MOST_POINTS = 2000
@@ -32,10 +32,10 @@ class FittedSphere:
 
 
 def fit_sphere(points: FloatArray, radius: float | None = None, seed: int = 0) -> FittedSphere | None:
-    """Fit a sphere to surface points (P, 3) of which a part may lie elsewhere; None where they fix none.
+    """Fit a sphere to surface points (P, 3) with outliers; None if they do not determine one.
 
     Seeded trials of four points each; the one near most points starts a least-squares fit with redescending weights.
-    A side seen alone leaves centre and radius tied to each other: with `radius` measured only the centre is free.
+    For one visible side, centre and radius are correlated: with a measured `radius` only the centre is free.
     """
     points = _thinned(points)
     if len(points) < LEAST_POINTS:
@@ -50,7 +50,7 @@ def fit_sphere(points: FloatArray, radius: float | None = None, seed: int = 0) -
 
 
 def _thinned(points: FloatArray) -> FloatArray:
-    """At most a few thousand distinct points, evenly taken: scans repeat points."""
+    """At most a few thousand distinct points, evenly sampled: scans repeat points."""
     distinct = np.unique(np.asarray(points, dtype=np.float64), axis=0)
     if len(distinct) <= _MOST_POINTS:
         return distinct
@@ -67,7 +67,7 @@ def _best_trial(points: FloatArray, radius: float | None, generator: np.random.G
         return None
     centers = np.linalg.solve(edges[solvable], squares[solvable][:, :, None])[:, :, 0]
     radii = np.linalg.norm(corners[solvable, 0] - centers, axis=1)
-    # A larger sphere than these is a plane, a smaller one a few points.
+    # A larger sphere than this is a plane, a smaller one a few points.
     low, high = (0.1 * extent, 1.5 * extent) if radius is None else (radius / _LEEWAY, radius * _LEEWAY)
     plausible = (radii > low) & (radii < high)
     if not plausible.any():

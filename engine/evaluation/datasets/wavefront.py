@@ -20,7 +20,7 @@ class MeshObject:
 
 
 def read_objects(path: Path) -> list[MeshObject]:
-    """The objects in the file's order, each with the vertices that follow its `o` line; faces are not looked at.
+    """The objects in the order of the file, each with the vertices that follow its `o` line; faces are ignored.
 
     Raises:
         FormatError: the file is missing, or a vertex is not three finite numbers.
@@ -43,7 +43,7 @@ def read_objects(path: Path) -> list[MeshObject]:
 
 def _vertex(text: str, where: str) -> list[float]:
     try:
-        place = [float(word) for word in text.split()[:3]]  # some writers add a colour
+        place = [float(word) for word in text.split()[:3]]  # some writers append a colour
     except ValueError:
         place = []
     if len(place) != 3 or not np.isfinite(place).all():

@@ -1,6 +1,6 @@
 """Pretrained models of `transformers`, opened from a folder or, with consent, from the Hugging Face hub.
 
-Only safetensors are read: a pickle runs whatever its author wrote into it. Without consent nothing asks the network.
+Only safetensors are read, because a pickle can run any code. Without consent nothing is requested from the network.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _PICTURES = ("preprocessor_config.json", "processor_config.json")
 _WORDS = ("tokenizer.json", "vocab.json", "spiece.model")
 _HUB_FILES = ("*.json", "merges.txt", "spiece.model", "model.safetensors", "model-*-of-*.safetensors")
 _CONVERTED = "Adding `safetensors` variant of this model"
-"""Title of the change that Hugging Face's own converter proposes to a repository that holds only a pickle."""
+"""Title of the pull request of Hugging Face's own converter for a repository that has only a pickle."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a checkpoint must be.
+    """The requirements for a checkpoint.
 
     name: for messages; flag: the setting that names it; types: `model_type` of its config.json; speaks: whether it
-    takes words, so that it needs a tokenizer.
+    reads words, so that it needs a tokenizer.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Kind:
 
     @property
     def files(self) -> str:
-        """What has to be in its folder, as told to a person."""
+        """The files that its folder must contain, for messages."""
         words = ", tokenizer_config.json and tokenizer.json (or vocab.json with merges.txt)"
         pictures = "config.json, model.safetensors and preprocessor_config.json"
         return pictures.replace(" and ", ", ") + words if self.speaks else pictures
@@ -55,10 +55,10 @@ SAM = Kind("SAM", "--embed.sam", ("sam",), speaks=False)
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """An opened model, on the GPU in half precision where there is one.
+    """An opened model, on the GPU in half precision if there is one.
 
-    model: the transformers model, in evaluation mode; pictures: its image processor; words: its tokenizer, None where
-    it takes none; identity: name and a hash of the contents of its files.
+    model: the transformers model, in evaluation mode; pictures: its image processor; words: its tokenizer, None without
+    one; identity: name and a hash of the contents of its files.
     """
 
     model: Any
@@ -68,7 +68,7 @@ class Checkpoint:
 
 
 def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoint:
-    """Open the checkpoint that a local folder or a name on the hub stands for.
+    """Open a checkpoint by local folder or name on the hub.
 
     Raises:
         EncoderError: it is not on this computer and may not be downloaded, is of another kind, holds a pickle, lacks
@@ -87,7 +87,7 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
             trust_remote_code=False,
             use_safetensors=True,
             output_loading_info=True,
-            ignore_mismatched_sizes=True,  # they are in the report, which is looked at below
+            ignore_mismatched_sizes=True,  # they are in the report, which is checked below
             dtype="float32",
         )
         pictures = transformers.AutoImageProcessor.from_pretrained(folder, local_files_only=True, backend="pil")
@@ -103,7 +103,7 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
 
 
 def _folder(kind: Kind, name: str, allow_download: bool) -> Path:
-    """The folder of a checkpoint: as given, where it was put or downloaded to, or in the hub's own cache."""
+    """The folder of a checkpoint: as given, in the checkpoints folder, or in the cache of the hub."""
     given = Path(name).expanduser()
     if name.strip() and given.is_dir():
         return given
@@ -129,7 +129,7 @@ def _folder(kind: Kind, name: str, allow_download: bool) -> Path:
 
 
 def _in_hub_cache(name: str) -> Path | None:
-    """Where huggingface_hub keeps a checkpoint that another program downloaded; None where it has none to use."""
+    """The folder of a checkpoint in the cache of huggingface_hub; None if it has none."""
     import huggingface_hub
     from huggingface_hub.errors import HfHubHTTPError, LocalEntryNotFoundError
 
@@ -141,7 +141,7 @@ def _in_hub_cache(name: str) -> Path | None:
 
 
 def _download(kind: Kind, name: str, own: Path) -> None:
-    """Bring a checkpoint from the hub into `own`; what a killed download left beside it is gone on with."""
+    """Download a checkpoint from the hub to `own`; continues an interrupted download."""
     import huggingface_hub
 
     arriving = own.with_name(f"{own.name}.part")
@@ -158,7 +158,7 @@ def _download(kind: Kind, name: str, own: Path) -> None:
 
 
 def _safe_revision(name: str) -> str:
-    """The revision of a repository that has safetensors: the main one, or the converter's proposal."""
+    """The revision of a repository that has safetensors: the main one, or that of the converter."""
     import huggingface_hub
 
     hub = huggingface_hub.HfApi()
@@ -171,7 +171,7 @@ def _safe_revision(name: str) -> str:
 
 
 def _checked_files(kind: Kind, folder: Path) -> list[Path]:
-    """The files that make up a checkpoint, sorted, once its kind and its files are what they must be."""
+    """The files of a checkpoint, sorted, after its kind and its files were checked."""
     try:
         model_type = json.loads((folder / "config.json").read_text(encoding="utf-8"))["model_type"]
     except FileNotFoundError as error:
@@ -201,7 +201,7 @@ def _checked_files(kind: Kind, folder: Path) -> list[Path]:
 
 
 def _conversion(folder: Path) -> str:
-    """A line for a terminal that writes a pickle's tensors as safetensors beside it."""
+    """A command that writes the tensors of a pickle as safetensors next to it."""
     code = f"from transformers import AutoModel as M; M.from_pretrained(r'{folder}').save_pretrained(r'{folder}')"
     return f'python -c "{code}"'
 
@@ -214,7 +214,7 @@ def _placed(model: Any) -> Any:
 
 @contextmanager
 def fitting(kind: Kind, name: str) -> Iterator[None]:
-    """Turn what goes wrong when a model is first used into an error: its files are of different models."""
+    """Turn errors of a model's first use into an EncoderError: its files belong to different models."""
     try:
         yield
     except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -226,7 +226,7 @@ def fitting(kind: Kind, name: str) -> Iterator[None]:
 
 @contextmanager
 def _explained(kind: Kind, folder: Path) -> Iterator[None]:
-    """Turn whatever transformers raises about a damaged checkpoint into one line that says what to do."""
+    """Turn any error of transformers about a damaged checkpoint into an EncoderError of one line."""
     try:
         yield
     except ImportError as error:
@@ -234,7 +234,7 @@ def _explained(kind: Kind, folder: Path) -> Iterator[None]:
             f"The checkpoint in {folder} needs a package that is missing ({_first_line(error)}). Run: python -m pip "
             "install sentencepiece protobuf"
         ) from error
-    except Exception as error:  # safetensors, tokenizers, hub and torch each have their own, with no common base
+    except Exception as error:  # safetensors, tokenizers, hub and torch have their own errors, without a common base
         raise EncoderError(
             f"The {kind.name} checkpoint in {folder} cannot be opened ({_first_line(error)}). Get its files again: "
             f"{kind.files}"
@@ -243,7 +243,7 @@ def _explained(kind: Kind, folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _quiet(transformers: Any) -> Iterator[None]:
-    """Keep transformers' bars and warnings off the terminal: what matters becomes an error of ours."""
+    """Silence the progress bars and warnings of transformers: relevant ones become errors of ours."""
     log = transformers.utils.logging
     verbosity, bars = log.get_verbosity(), log.is_progress_bar_enabled()
     log.set_verbosity(log.CRITICAL)

@@ -1,4 +1,4 @@
-"""CLIP and SigLIP: any word, for a photo's things one at a time."""
+"""CLIP and SigLIP: any word, for one masked object of a photo at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .checkpoints import CLIP, Checkpoint, fitting, open_checkpoint
 from .encoder import Question
 
 TEMPLATE = "a photo of {article} {words}"
-"""What a prompt is put into: these models learnt from captions."""
+"""Templates of prompts: these models were trained on captions."""
 NEGATIVES = {
     "object": "objects",
     "thing": "things",
@@ -30,16 +30,16 @@ NEGATIVES = {
     "post": "posts",
     "background": "backgrounds",
 }
-"""What every prompt is put against, with the plural: a negative that is the prompt itself is left out."""
+"""Plain words that every prompt is compared with, and their plurals: a negative that equals the prompt is left out."""
 TEMPERATURE = 0.1
-"""Of the margin between cosines; LangSplat's 1/T is 10 (Qin et al. 2024, eq. 8)."""
+"""Temperature of the margin between cosines; LangSplat's 1/T is 10 (Qin et al. 2024, eq. 8)."""
 BATCH = 32
-"""Crops that the model sees at once."""
+"""Crops per batch."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClipEncoder:
-    """A crop encoder (see `CropEncoder`) on a checkpoint that `open` looked at."""
+    """A crop encoder (see `CropEncoder`) on a checkpoint that `open` checked."""
 
     checkpoint: Checkpoint
     dimension: int
@@ -79,14 +79,14 @@ class ClipEncoder:
         vectors = [torch.zeros(0, self.dimension)]
         for prompt in prompts:
             sentence = _sentence(prompt)
-            if sentence not in self._read:  # alone, so that a word's bits do not hang on those asked beside it
+            if sentence not in self._read:  # one at a time, so that the bits of a word do not depend on other words
                 length = len(words(sentence)["input_ids"])
                 if length > limit:
                     raise VocabularyError(
                         f"The prompt '{prompt[:40]}…' is {length} tokens long and the encoder reads {limit}. "
                         "Say it shorter"
                     )
-                # SigLIP learnt from texts of full length; to CLIP what follows a text's end makes no difference.
+                # SigLIP was trained on texts of full length; CLIP ignores what follows the end of a text.
                 tokens = words([sentence], padding="max_length", max_length=limit, return_tensors="pt")
                 self._read[sentence] = _unit(model.get_text_features(tokens["input_ids"].to(model.device)))
             vectors.append(self._read[sentence])
@@ -94,7 +94,7 @@ class ClipEncoder:
 
     @torch.inference_mode()
     def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:
-        """Pictures (h, w, 3) sRGB, square so that nothing is cut off → (M, D) unit float32."""
+        """Pictures (h, w, 3) sRGB, square so that nothing is cropped → (M, D) unit float32."""
         model = self.checkpoint.model
         vectors = [torch.zeros(0, self.dimension)]
         for start in range(0, len(crops), BATCH):
@@ -103,14 +103,14 @@ class ClipEncoder:
         return torch.cat(vectors[1:] if len(crops) else vectors)
 
     def questions(self, prompt: str) -> Sequence[Question]:
-        """One: is it this rather than any of the negatives."""
+        """One question: is it this rather than any of the negatives."""
         text = _normalised(prompt)
         against = [word for word, plural in NEGATIVES.items() if text not in (word, plural)]
         positive, negatives = self.encode_text([prompt]), self.encode_text(against)
         return [Question(positive, negatives, "cosine", TEMPERATURE, 0.0)]
 
     def kinds(self) -> Tensor:
-        """None: the cosines of these models are no probabilities."""
+        """None: the cosines of these models are not probabilities."""
         return torch.zeros(0, self.dimension)
 
     def excludes(self, prompt: str, negative: str) -> bool:
@@ -118,7 +118,7 @@ class ClipEncoder:
 
 
 def _normalised(prompt: str) -> str:
-    """Small letters, single blanks, no article.
+    """Lower case, single spaces, no article.
 
     Raises:
         VocabularyError: nothing is left.
@@ -137,5 +137,5 @@ def _sentence(prompt: str) -> str:
 
 
 def _unit(output: Any) -> Tensor:
-    """(M, D) unit float32 on the CPU of what the model gives."""
+    """(M, D) unit float32 on the CPU of the model's output."""
     return functional.normalize(output.pooler_output.float(), dim=-1).cpu()

@@ -1,9 +1,9 @@
-"""The encoder that ships with the package: a small dense network and a fixed vocabulary.
+"""The encoder that comes with the package: a small dense network and a fixed vocabulary.
 
-A feature has two blocks of unit length, joined with weights √½: the square roots of the concepts' probabilities, and
-the square roots of the colour words' shares. A text vector is a basis vector of its block, so the squared cosine of a
-pixel with "apple", over the sum of squares in the block, is the network's probability of apple. Square roots keep this
-useful after averaging over views: the mean of unit vectors still points to what most views agreed on.
+A feature has two blocks of unit length, joined with weights √½: the square roots of the probabilities of the concepts,
+and the square roots of the shares of the colour words. A text vector is a basis vector of its block, so the squared
+cosine of a pixel with "apple", over the sum of squares in the block, is the network's probability of apple. Square
+roots stay useful after averaging over views: the mean of unit vectors still points to what most views agree on.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from .network import Network, logits_at
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-2"
 SEEN_SIDE = 960
-"""Longest side of a photo as the network sees it, pixels; small photos are enlarged, at most twice."""
+"""Longest side of a photo in the network, pixels; small photos are enlarged, at most twice."""
 MAX_SIDE = 1600
-"""Longest side of the features; larger photos are shrunk first."""
+"""Longest side of the features; larger photos are scaled down first."""
 COLOUR_BLUR = 2
 """Colours are averaged over (2·this + 1)² pixels before they are named."""
 
@@ -51,7 +51,7 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class EmbeddedEncoder:
-    """See the module's text. `network` is fused and in evaluation mode."""
+    """See the module docstring. `network` is fused and in evaluation mode."""
 
     network: Network
     calibration: Calibration
@@ -102,7 +102,7 @@ class EmbeddedEncoder:
 
     @torch.inference_mode()
     def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
-        """(3, H, W) in [0, 1] → (K, H, W): the network's logits, averaged over the scales it is shown."""
+        """(3, H, W) in [0, 1] → (K, H, W): the logits of the network, averaged over the scales of the image."""
         _, height, width = pixels.shape
         total = torch.zeros(len(CONCEPTS), height, width)
         used = scales or seen_scales(height, width)
@@ -116,8 +116,8 @@ class EmbeddedEncoder:
     def questions(self, prompt: str) -> Sequence[Question]:
         """For a fruit: is it fruit rather than surroundings, and is it this kind rather than another.
 
-        For another thing: is it this rather than anything else. For a colour: is it this rather than another; of fruit,
-        rather than another that fruit have.
+        For another concept: is it this rather than any other. For a colour: is it this rather than another; for fruit,
+        only among colours that fruit have.
         """
         phrase, fit = parse(prompt), self.calibration
         asked = []
@@ -142,7 +142,7 @@ class EmbeddedEncoder:
 
 @dataclass(frozen=True, eq=False)
 class StoredWeights:
-    """What `save_weights` wrote. notes: whatever else stands in the header."""
+    """The content that `save_weights` wrote. notes: other entries of the header."""
 
     concepts: tuple[str, ...]
     widths: tuple[int, ...]
@@ -159,7 +159,7 @@ class StoredWeights:
 
 
 def read_weights(path: Path) -> StoredWeights:
-    """Read what `save_weights` wrote, for whatever words.
+    """Read weights written by `save_weights`, of any vocabulary.
 
     Raises:
         EncoderError: it is missing or damaged.
@@ -188,10 +188,10 @@ def read_weights(path: Path) -> StoredWeights:
 
 
 def seen_scales(height: int, width: int) -> tuple[float, ...]:
-    """At which sizes, relative to the photo, the network sees it.
+    """The sizes, relative to the photo, at which the network processes it.
 
-    A photo so small that it is enlarged twice is seen once: its fruit is small. Larger ones are also seen at half size,
-    where fruit that fills much of the photo is still taken in at a glance.
+    A photo so small that it is enlarged twice is processed once: its fruit is small. Larger ones are also processed at
+    half size, where fruit that fills much of the photo still fits the receptive field.
     """
     fine = SEEN_SIDE / max(height, width)
     return (2.0,) if fine >= 2.0 else (fine, fine / 2.0)
@@ -206,7 +206,7 @@ def save_weights(
     depths: Sequence[int],
     **notes: object,
 ) -> None:
-    """Write an unfused network in half precision, with what is needed to open it and `notes` in the header."""
+    """Write an unfused network in half precision, with everything needed to open it and `notes` in the header."""
     header = {
         "format": FORMAT,
         "concepts": list(CONCEPTS),
@@ -223,7 +223,7 @@ def save_weights(
 
 
 def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-    """The words of a phrase with the block each kind lives in."""
+    """The words of a phrase with the block of each."""
     pairs = [(phrase.concepts, CONCEPTS), (phrase.colours, COLOURS)]
     return [(words, block) for words, block in pairs if words]
 

@@ -13,10 +13,10 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """One thing to ask of a feature: is it any of `positives` rather than any of `negatives`?
+    """A question about a feature: is it any of `positives` rather than any of `negatives`?
 
     positives: (P, D), negatives: (M, D) unit text vectors. `score` says what a cosine c means to this encoder: itself,
-    or ("posterior") the square root of a probability, so that its score is log c². Answer, with s the scores:
+    or ("posterior") the square root of a probability, so that its score is log c². The answer, with s the scores, is
     σ((logsumexp s⁺ − logsumexp s⁻) / temperature − bias), the calibrated margin.
     """
 
@@ -28,7 +28,7 @@ class Question:
 
 
 class Encoder(Protocol):
-    """Words in the space of unit vectors that photos are put into, by a `DenseEncoder` or a `CropEncoder`."""
+    """Maps words to unit vectors in the space of photo features, which a `DenseEncoder` or a `CropEncoder` computes."""
 
     @property
     def identity(self) -> str:
@@ -41,24 +41,24 @@ class Encoder(Protocol):
         ...
 
     def encode_text(self, prompts: Sequence[str]) -> Tensor:
-        """(P, D) unit float32. Raises VocabularyError for a word it does not know."""
+        """(P, D) unit float32. Raises VocabularyError for an unknown word."""
         ...
 
     def questions(self, prompt: str) -> Sequence[Question]:
-        """What to ask so that the product of the answers is the probability of `prompt`."""
+        """The questions whose answers multiply to the probability of `prompt`."""
         ...
 
     def kinds(self) -> Tensor:
-        """(K, D) orthonormal text vectors of kinds of fruit, of which a scene tends to hold one; K may be 0."""
+        """(K, D) orthonormal text vectors of kinds of fruit, of which a scene usually has one; K may be 0."""
         ...
 
     def excludes(self, prompt: str, negative: str) -> bool:
-        """Whether nothing could satisfy `prompt` without satisfying `negative`."""
+        """Whether everything that matches `prompt` also matches `negative`."""
         ...
 
 
 class DenseEncoder(Encoder, Protocol):
-    """An encoder that sees a photo whole and needs no masks."""
+    """An encoder that processes whole photos and needs no masks."""
 
     def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
         """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row."""
@@ -66,7 +66,7 @@ class DenseEncoder(Encoder, Protocol):
 
 
 class CropEncoder(Encoder, Protocol):
-    """An encoder that sees one masked thing at a time."""
+    """An encoder that processes one masked object at a time."""
 
     def encode_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Tensor:
         """Pictures (h, w, 3) sRGB of any size, black outside their mask → (M, D) unit float32."""
@@ -74,10 +74,10 @@ class CropEncoder(Encoder, Protocol):
 
 
 def sees_whole(encoder: Encoder) -> TypeGuard[DenseEncoder]:
-    """Whether an encoder sees a photo whole, rather than one masked thing at a time."""
+    """Whether an encoder processes whole photos."""
     return hasattr(encoder, "encode_dense")
 
 
 def sees_crops(encoder: Encoder) -> TypeGuard[CropEncoder]:
-    """Whether an encoder sees one masked thing at a time."""
+    """Whether an encoder processes masked objects."""
     return hasattr(encoder, "encode_crops")

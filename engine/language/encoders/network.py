@@ -1,4 +1,4 @@
-"""The dense network of the embedded encoder: photo in, one logit a concept and pixel out."""
+"""The dense network of the embedded encoder: photo in, one logit per concept and pixel out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 WIDTHS = (32, 64, 128, 160)
 """Channels at strides 2, 4, 8 and 16."""
 DEPTHS = (1, 2, 3, 3)
-"""3×3 convolutions at each stride, after the one that reaches it."""
+"""3×3 convolutions at each stride, after the one that reduces the resolution."""
 STRIDE = 16
 """Input sides must be multiples of this."""
 
@@ -38,8 +38,8 @@ class Unit(nn.Module):
 class Network(nn.Module):
     """A U-shaped network: context to stride 16, detail back to stride 2.
 
-    No layer looks at the whole photo: the receptive field is about 200 pixels, so a fruit is named by itself and its
-    near surroundings.
+    No layer covers the whole photo: the receptive field is about 200 pixels, so a fruit is classified by itself and its
+    surroundings.
     """
 
     def __init__(self, concepts: int, *, widths: tuple[int, ...] = WIDTHS, depths: tuple[int, ...] = DEPTHS) -> None:
@@ -89,10 +89,10 @@ def count_parameters(network: nn.Module) -> int:
 
 @torch.inference_mode()
 def logits_at(network: Network, image: Tensor, height: int, width: int) -> Tensor:
-    """(K, height, width) logits of an image (3, H, W) in [0, 1] that is shown to the network at that size.
+    """(K, height, width) logits of an image (3, H, W) in [0, 1], processed at that size.
 
-    The image is resized (averaging when it shrinks), padded by reflection to multiples of STRIDE, and the logits are
-    brought back bilinearly.
+    The image is resized (averaging when it shrinks) and padded by reflection to multiples of STRIDE, and the logits are
+    resized bilinearly.
     """
     batch = image[None]
     if batch.shape[-2:] != (height, width):

@@ -1,4 +1,4 @@
-"""The encoder that the settings name, opened."""
+"""Opens the encoder that the settings name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .encoder import CropEncoder, DenseEncoder
 
 
 def open_encoder(config: EmbedConfig) -> DenseEncoder | CropEncoder:
-    """The encoder that the settings name; one with `encode_crops` wants masks (see `masks.segmenter.open_segmenter`).
+    """The encoder that the settings name; one with `encode_crops` needs masks (see `masks.segmenter.open_segmenter`).
 
     Raises:
         EncoderError: its weights are missing, unsafe or unreadable.

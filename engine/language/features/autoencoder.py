@@ -1,4 +1,4 @@
-"""The scene's autoencoder: masks' features of hundreds of numbers as codes of three (paper eq. 6)."""
+"""The autoencoder of a scene: features of masks, hundreds of numbers, as codes of three (paper eq. 6)."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from .features import Perceptron
 CODE = 3
 """Numbers of a code, d in the paper."""
 ENCODER, DECODER = (256, 128, 64, 32, CODE), (16, 32, 64, 128, 256, 256)
-"""Widths behind the feature's D, and between the code and the D of the result."""
+"""Widths of the layers after the feature's D, and between the code and the D of the result."""
 BATCH, LEARNING_RATE = 64, 7e-4
-"""Features in a step of the optimiser, and its learning rate."""
+"""Batch size and learning rate."""
 MOST_VECTORS = 10_000
-"""Features that are learnt from at most; of more, so many are drawn by the seed: a few minutes on one core."""
+"""Most features for training; of more, this many are sampled: a few minutes on one core."""
 
 
 @dataclass(frozen=True, eq=False)
 class Autoencoder:
-    """Features ↔ codes, and how well features come back.
+    """Features ↔ codes, and the reconstruction quality.
 
-    encode: (…, D) → (…, 3) unit codes; decode: (…, 3) → (…, D) unit features; cosine: mean cosine of the features that
-    were learnt from to what they come back as; l1: mean absolute difference of their numbers; learnt: how many.
+    encode: (…, D) → (…, 3) unit codes; decode: (…, 3) → (…, D) unit features; cosine: mean cosine between training
+    features and their reconstructions; l1: mean absolute difference; learnt: number of training features.
     """
 
     encode: Perceptron
@@ -42,10 +42,10 @@ class Autoencoder:
 
 
 def train_autoencoder(vectors: Tensor, config: EmbedConfig, *, progress: Progress = silent) -> Autoencoder:
-    """Learn codes of features (M, D), unit, by d_ae = L1 + cosine distance, both over the feature axis.
+    """Learn codes of features (M, D), unit, with d_ae = L1 + cosine distance, both over the feature axis.
 
-    Codes lie on the unit sphere, as features do: then the sum of codes along a ray says nothing by its length, which is
-    how much was drawn. Seeded; the same features, settings and machine give the same bytes.
+    Codes lie on the unit sphere, like features, so that the length of their sum along a ray only says how much was
+    rendered. Seeded; the same features, settings and machine give the same bytes.
 
     Raises:
         EncoderError: there is no feature, or one is not finite.
@@ -86,7 +86,7 @@ def train_autoencoder(vectors: Tensor, config: EmbedConfig, *, progress: Progres
 def train_autoencoders(
     levels: Sequence[Tensor], config: EmbedConfig, *, progress: Progress = silent
 ) -> tuple[Autoencoder, ...]:
-    """One autoencoder of all levels' features, each (M, D), or one a level where the settings ask for it.
+    """One autoencoder for the features of all levels, each (M, D), or one per level if the settings ask for it.
 
     Raises:
         EncoderError: there is no feature, or one is not finite.

@@ -1,6 +1,6 @@
-"""Which masks every Gaussian drew, over all views and levels: one sparse table that is made once.
+"""The masks that every Gaussian covers, over all views and levels: one sparse table that is computed once.
 
-A cell is a set of a view's pixels that lie in the same masks at every level, so that one walk over a view's tiles
+A cell is a set of pixels of a view that lie in the same masks at every level, so that one pass over the tiles of a view
 serves all levels.
 """
 
@@ -32,12 +32,12 @@ LEAST_LENGTH = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class CellWeights:
-    """How much of every cell each Gaussian drew, and what the cells' masks look like.
+    """How much of every cell each Gaussian covers, and the features of the cells' masks.
 
     starts: (N + 1,), cells: (K,) int32, weights: (K,) float32 Σ α·T, a sparse table by Gaussian whose rows go from view
     to view; view_of: (C,) int32 and row_of: (L, C) int32 the view of each cell and the row in `vectors` of its mask at
-    each level, -1 for none; vectors: (M, D) unit float32 of all views' masks; most: views that drew the Gaussian that
-    most views drew.
+    each level, -1 for none; vectors: (M, D) unit float32 of all views' masks; most: largest number of views that show
+    one Gaussian.
     """
 
     starts: NDArray[np.int64]
@@ -53,7 +53,7 @@ class CellWeights:
         return len(self.row_of)
 
     def padded_vectors(self, length: int) -> NDArray[np.float32]:
-        """(M · length,) the vectors row by row, zeros behind each, as kernels read them."""
+        """(M · length,) the vectors row by row, padded with zeros, as kernels read them."""
         behind = length - self.vectors.shape[1]
         vectors = functional.pad(self.vectors, (0, behind)) if behind else self.vectors
         return vectors.contiguous().numpy().reshape(-1)
@@ -102,7 +102,7 @@ def cell_weights(
 
 
 def with_masks(cameras: Sequence[Camera], views: Iterable[SegmentedView]) -> Iterator[tuple[Camera, SegmentedView]]:
-    """Each camera with its masks, the ones that have a feature (see `usable`).
+    """Each camera with its masks that have a feature (see `usable`).
 
     Raises:
         SceneError: views and cameras do not fit, or a label has no vector.
@@ -133,17 +133,17 @@ def usable(view: SegmentedView, index: int) -> SegmentedView:
     labels = np.asarray(view.labels, np.int32)
     if bool(empty.any()):
         kept = np.append(np.where(empty.numpy(), -1, np.arange(len(vectors))), -1).astype(np.int32)
-        labels = kept[labels]  # -1 is the last
+        labels = kept[labels]  # -1 selects the last
     return SegmentedView(labels, functional.normalize(vectors, dim=1))
 
 
 def cells_of(labels: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """(L, H, W) labels → (H, W) cell numbers, -1 outside all masks, and (L, C) the labels that each cell stands for."""
+    """(L, H, W) labels → (H, W) cell numbers, -1 outside all masks, and (L, C) the labels of each cell."""
     keys = np.zeros(labels.shape[1:], np.int64)
     base = int(labels.max(initial=-1)) + 2
     for level in labels:
         found, numbers = np.unique(keys * base + (level + 1), return_inverse=True)
-        keys = numbers.reshape(keys.shape)  # small again, so that many levels do not overflow
+        keys = numbers.reshape(keys.shape)  # numbered again, so that many levels do not overflow
     places = np.empty(len(found), np.int64)
     flat = keys.reshape(-1)
     places[flat] = np.arange(flat.size)
@@ -154,7 +154,7 @@ def cells_of(labels: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.i
 
 
 def _all_views(drawn: list[LabelWeights], cells: Sequence[int], n: int) -> LabelWeights:
-    """The views' tables as one; theirs are emptied on the way, so that the memory is not needed twice."""
+    """Join the tables of the views; each is freed on the way, to save memory."""
     starts = np.zeros(n + 1, np.int64)
     for view in drawn:
         starts[1:] += np.diff(view.starts)

@@ -1,4 +1,5 @@
-"""Features for a scene's Gaussians, by the road that the settings name: whole photos or masks, lifted or trained."""
+"""Features for the Gaussians of a scene, by the method that the settings name: whole photos or masks, lifted or
+trained."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from .lift_segments import lift_segments
 
 @dataclass(frozen=True, eq=False)
 class Embedder:
-    """An encoder with what finds masks for it, None where it sees photos whole, and how their features are used."""
+    """An encoder with its segmenter, None if it processes whole photos, and how features are computed."""
 
     encoder: DenseEncoder | CropEncoder
     segmenter: Segmenter | None
@@ -32,7 +33,7 @@ class Embedder:
 
     @classmethod
     def open(cls, config: EmbedConfig) -> Embedder:
-        """What the settings name.
+        """The embedder that the settings name.
 
         Raises:
             EncoderError: weights are missing, unsafe or unreadable.
@@ -49,18 +50,19 @@ class Embedder:
 
     @property
     def trains(self) -> bool:
-        """Whether features are trained along with the Gaussians rather than lifted into them."""
+        """Whether features are trained together with the Gaussians rather than lifted."""
         return self.config.features == "joint"
 
     @property
     def key(self) -> str:
-        """What features depend on beside the scene and its Gaussians; not where a checkpoint lies."""
+        """Text of everything that features depend on besides the scene and its Gaussians, without the path of a
+        checkpoint."""
         if self.segmenter is None:
             return self.encoder.identity
         return f"{self.encoder.identity} {self.segmenter.identity} {asdict(portable(self.config))}"
 
     def lift(self, gaussians: Gaussians, scene: Scene, cache: Path, *, progress: Progress = silent) -> Features:
-        """Features of the scene's photos averaged into the Gaussians; those of masks are kept in `cache`.
+        """Average features of the photos into the Gaussians; features of masks are cached in `cache`.
 
         Raises:
             SceneError: a photo cannot be read, or no photo has a mask.
@@ -86,16 +88,16 @@ class Embedder:
         )
 
     def views(self, scene: Scene, cache: Path, *, progress: Progress = silent) -> Iterator[SegmentedView]:
-        """Every photo's masks with their features, one view at a time, kept in `cache`."""
+        """The masks of every photo with their features, one view at a time, cached in `cache`."""
         assert self.segmenter is not None
         assert sees_crops(self.encoder)
         return segmented_views(scene, self.segmenter, self.encoder, cache, progress)
 
     def prepare(self, scene: Scene, views: Sequence[SegmentedView], *, progress: Progress = silent) -> Semantics:
-        """What training needs to train codes along."""
+        """The targets for joint training of codes."""
         return prepare_joint(scene.cameras, views, self.config, encoder_id=self.encoder.identity, progress=progress)
 
 
 def portable(config: EmbedConfig) -> EmbedConfig:
-    """The settings without what another computer may have elsewhere: two that are equal give equal features."""
+    """The settings without paths that differ between computers: equal ones give equal features."""
     return replace(config, clip="", sam="", allow_download=False)

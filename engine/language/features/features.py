@@ -1,4 +1,4 @@
-"""What every Gaussian looks like to an encoder, and the file that keeps it."""
+"""The features of Gaussians, and their file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Perceptron:
     biases: tuple[Tensor, ...]
 
     def __call__(self, vectors: Tensor) -> Tensor:
-        """(…, in) → (…, out) unit. Vectors are made unit first; one of length 0 gives a zero vector."""
+        """(…, in) → (…, out) unit. Inputs are normalised first; a vector of length 0 gives a zero vector."""
         values = functional.normalize(vectors.float(), dim=-1)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = functional.linear(values.relu() if layer else values, weight, bias)
@@ -39,17 +39,16 @@ class Perceptron:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What N Gaussians look like to an encoder, at L levels of masks; any prompt can be asked of it, at any later time.
+    """Features of N Gaussians at L levels of masks, which any prompt can query at any later time.
 
-    vectors: (N, L, D) unit, float32 or float16, zero where weight is 0; where there are decoders, codes (N, L, d) of
-    such vectors; weights: (N, L) float32, pixels drawn by the Gaussian (Σ α·T) for which there was a feature, summed
-    over views; agreement: (N, L) float32, how far the views say the same: the mean cosine of what each view says to
-    what is kept, weighted by how much it says, 0 where weight is 0; encoder_id: the identity of the encoder that made
-    them; decoders: none, one for all levels or one a level; gaussians: the `gaussians_id` of those they are of, empty
-    where an older file does not say it.
+    vectors: (N, L, D) unit, float32 or float16, zero if the weight is 0; with decoders, codes (N, L, d) of such
+    vectors; weights: (N, L) float32, pixels covered by the Gaussian (Σ α·T) that have a feature, summed over views;
+    agreement: (N, L) float32, agreement of the views: the mean cosine between the contribution of each view and the
+    result, weighted by the contribution, 0 if the weight is 0; encoder_id: identity of the encoder; decoders: none, one
+    for all levels or one per level; gaussians: the `gaussians_id` of their Gaussians, empty in older files.
 
-    An encoder that sees photos whole has one level. 100,000 Gaussians with 3 levels of 512 take 293 MB in half
-    precision, in memory as on disk, twice that in single; cosines change by less than 1e-3.
+    An encoder of whole photos has one level. 100,000 Gaussians with 3 levels of 512 take 293 MB in half precision, in
+    memory as on disk, twice that in single; cosines change by less than 1e-3.
     """
 
     vectors: Tensor
@@ -67,23 +66,23 @@ class Features:
         return self.vectors.shape[1]
 
     def unit(self, level: int, rows: slice = slice(None)) -> Tensor:
-        """(n, D) float32 features of one level as an encoder's words know them: decoded where they are codes, unit."""
+        """(n, D) float32 unit features of one level in the space of the encoder's words, decoded if they are codes."""
         vectors = self.vectors[rows, level].float()
         if self.decoders:
             return self.decoders[level if len(self.decoders) > 1 else 0](vectors)
         return vectors
 
     def of(self, means: Tensor) -> Features:
-        """The same, which say that they are of the Gaussians at means (N, 3)."""
+        """The same features, marked as those of the Gaussians at means (N, 3)."""
         return replace(self, gaussians=gaussians_id(means))
 
     def are_of(self, means: Tensor) -> bool:
-        """Whether they are features of the Gaussians at means (N, 3), as far as they say."""
+        """Whether these are features of the Gaussians at means (N, 3), as far as they record it."""
         return len(self) == len(means) and self.gaussians in ("", gaussians_id(means))
 
 
 def gaussians_id(means: Tensor) -> str:
-    """What tells Gaussians at means (N, 3) from others, also from as many of another training: a hash of them."""
+    """An id of the Gaussians at means (N, 3), different for any other training: a hash of the means."""
     return hashlib.sha256(means.detach().cpu().float().contiguous().numpy().tobytes()).hexdigest()
 
 
@@ -93,7 +92,7 @@ def blocks(n: int, size: int) -> list[slice]:
 
 
 def save_features(path: Path, features: Features) -> None:
-    """Write `features.safetensors` atomically; whose features they are and by which encoder is in its header.
+    """Write `features.safetensors` atomically; its header names the Gaussians and the encoder.
 
     Raises:
         OutputError: the file cannot be written.
@@ -113,7 +112,7 @@ def save_features(path: Path, features: Features) -> None:
 
 
 def load_features(path: Path) -> Features:
-    """Read what `save_features` wrote.
+    """Read features written by `save_features`.
 
     Raises:
         FormatError: the file is missing, damaged, of an earlier version or something else.

@@ -1,4 +1,4 @@
-"""Semantic codes trained into the Gaussians along with colour (paper eq. 7 to 9)."""
+"""Semantic codes trained into the Gaussians together with colour (paper eq. 7 to 9)."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ WEIGHT, LEARNING_RATE = 0.1, 0.02
 
 @dataclass(frozen=True, eq=False)
 class CodedView:
-    """The codes that one photo's pixels should show.
+    """The target codes of one photo.
 
-    cells: (H, W) the row of each pixel, as small integers; codes: (C + 1, L · 3) float32, unit for each level, 0 where
-    a level has no mask; the last row is for pixels outside all masks.
+    cells: (H, W) the row of each pixel, as small integers; codes: (C + 1, L · 3) float32, unit for each level, 0 if a
+    level has no mask; the last row is for pixels outside all masks.
     """
 
     cells: NDArray[Any]
@@ -44,10 +44,10 @@ class CodedView:
 
 @dataclass(frozen=True, eq=False)
 class Semantics:
-    """What joint training needs of the masks, and what turns its codes back into features.
+    """The masks' side of joint training, and the way from codes back to features.
 
-    views: one a camera, in its order; levels: L; autoencoders: one for all levels or one a level; encoder_id: of the
-    encoder behind the masks' features; key: a hash of all that and of the settings.
+    views: one per camera, in its order; levels: L; autoencoders: one for all levels or one per level; encoder_id: of
+    the encoder of the masks' features; key: a hash of all that and of the settings.
     """
 
     views: Sequence[CodedView]
@@ -57,8 +57,8 @@ class Semantics:
     key: str
 
     def loss(self, weight: float, view: int, drawn: NDArray[np.float32], gradient: NDArray[np.float32]) -> float:
-        """weight · L_sem of a drawn view (L · 3, H, W), eq. 8: the sum over levels of the mean over the pixels with a
-        mask; its gradient is written. A view drawn smaller is compared with every so many-th pixel."""
+        """weight · L_sem of a rendered view (L · 3, H, W), eq. 8: the sum over levels of the mean over pixels with a
+        mask; its gradient is written. A smaller view is compared with every n-th pixel."""
         coded = self.views[view]
         cells = sampled(coded.cells, drawn.shape[1], drawn.shape[2])
         pixels = max(int((cells < len(coded.codes) - 1).sum()), 1)
@@ -69,7 +69,7 @@ class Semantics:
         return weight * float(l1_sums.sum() + cosine_sums.sum()) / pixels
 
     def channels(self, config: EmbedConfig) -> ExtraChannels:
-        """What `train` takes to train the codes along."""
+        """The extra channels with which `train` trains the codes."""
         return ExtraChannels(
             count=CODE * self.levels,
             loss=lambda view, drawn, gradient: self.loss(WEIGHT, view, drawn, gradient),
@@ -80,7 +80,7 @@ class Semantics:
         )
 
     def features(self, channels: Tensor) -> Features:
-        """Trained channels (N, L · 3) as features; weights and agreement are not measured yet and 0 (`judged`)."""
+        """Trained channels (N, L · 3) as features; weights and agreement are 0 until `judged` measures them."""
         codes = channels.reshape(len(channels), self.levels, CODE)
         none = torch.zeros(len(channels), self.levels)
         decoders = tuple(each.decode for each in self.autoencoders)
@@ -95,9 +95,9 @@ def prepare_joint(
     encoder_id: str,
     progress: Progress = silent,
 ) -> Semantics:
-    """Learn the masks' codes and lay them out for training; hand `.channels(config)` to `train` as `extra`.
+    """Learn the codes of the masks and prepare them for training; pass `.channels(config)` to `train` as `extra`.
 
-    views: one a camera of the scene, held-out ones too (they are never trained on).
+    views: one per camera of the scene, including held-out ones, which are not trained on.
 
     Raises:
         SceneError: views and cameras do not fit, or no photo has a mask.
@@ -129,7 +129,7 @@ def judged(
     *,
     progress: Progress = silent,
 ) -> Features:
-    """Trained channels (N, L · 3) as features, with the pixels that each drew and how far the photos agree with it.
+    """Trained channels (N, L · 3) as features, with the pixels of each Gaussian and the agreement of the photos.
 
     Raises:
         SceneError: views and cameras do not fit.
@@ -141,7 +141,7 @@ def judged(
 
 
 def sampled(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
-    """(H, W) → (height, width) by the pixel under each middle."""
+    """(H, W) → (height, width) by the pixel under each centre."""
     rows = ((np.arange(height) + 0.5) * cells.shape[0] / height).astype(np.int64)
     columns = ((np.arange(width) + 0.5) * cells.shape[1] / width).astype(np.int64)
     return cells[rows[:, None], columns]

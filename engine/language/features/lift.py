@@ -1,4 +1,4 @@
-"""Features of photos lifted into Gaussians."""
+"""Features of photos, lifted into Gaussians."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def lift_features(
     encoder_id: str,
     progress: Progress = silent,
 ) -> Features:
-    """Average each view's pixel features into the Gaussians that drew those pixels.
+    """Average the pixel features of each view into the Gaussians that rendered the pixels.
 
-    targets: one (H, W, D) a view, at its camera's size. The weight of Gaussian i at pixel v is its blending weight
-    α_i(v)·T_i(v), so f_i ∝ Σ w·F (Marrie et al. 2024, eq. 3), normalised. A pixel with a zero feature (masked out)
-    counts for nothing. A Gaussian that no pixel saw has weight 0 and a zero feature. There is one level.
+    targets: one (H, W, D) per view, at its camera's size. The weight of Gaussian i at pixel v is its blending weight
+    α_i(v)·T_i(v), so f_i ∝ Σ w·F (Marrie et al. 2024, eq. 3), normalised. A pixel with a zero feature (masked out) does
+    not count. A Gaussian that no pixel shows has weight 0 and a zero feature. There is one level.
 
     Raises:
         SceneError: a target's size differs from its camera's, or there are more or fewer targets than cameras.
@@ -45,14 +45,15 @@ def lift_features(
         said += drawn.sums[:, :-1].norm(dim=-1)
     assert sums is not None  # `paired` refuses a scene without cameras
     progress(1.0, "features lifted")
-    # Σ |c|·cos(c, Σ c) = |Σ c|, so that one pass tells how far the views' contributions c agree.
+    # Σ |c|·cos(c, Σ c) = |Σ c|, so one pass measures how far the contributions c of the views agree.
     agreement = sums.norm(dim=-1) / said.clamp_min(1e-12)
     vectors = functional.normalize(sums, dim=-1)
     return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id)
 
 
 def encode_photos(scene: Scene, encoder: DenseEncoder) -> Iterator[Tensor]:
-    """The targets of `lift_features`: each photo's features at its camera's size, zero where its mask says no."""
+    """The targets of `lift_features`: the features of each photo at its camera's size, zero where its mask excludes
+    it."""
     for camera, photo in zip(scene.cameras, scene.images, strict=True):
         yield at_size(encoder.encode_dense(photo.pixels()), camera.height, camera.width, photo.mask())
 

@@ -1,4 +1,4 @@
-"""Features of masks lifted into Gaussians, without training."""
+"""Features of masks, lifted into Gaussians without training."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .features import Features, blocks
 from .mixing_kernels import mix
 
 AT_ONCE = 1 << 24
-"""Numbers of features that are held in single precision at a time."""
+"""Numbers of features in single precision at a time."""
 
 
 def lift_segments(
@@ -31,14 +31,14 @@ def lift_segments(
     rounds: int = 0,
     progress: Progress = silent,
 ) -> Features:
-    """Average the features of masks into the Gaussians that drew them: f_i ∝ Σ_m W_im v_m, level by level.
+    """Average the features of masks into the Gaussians that cover them: f_i ∝ Σ_m W_im v_m, level by level.
 
-    The same as `lift_features` of pictures that are constant in each mask: W_im = Σ_{v in m} α_i(v)·T_i(v) is summed
-    once for all levels and channels. A pixel outside all masks, or in one whose vector is 0, counts for nothing. With
-    `rounds` views that disagree with the others count for less: each round weighs a view by 1 / its distance from the
-    mean so far (Weiszfeld's steps towards the spherical median, which bears nearly half of the views being wrong).
+    Equals `lift_features` with images that are constant in each mask: W_im = Σ_{v in m} α_i(v)·T_i(v) is summed once
+    for all levels and channels. A pixel outside all masks, or in one whose vector is 0, does not count. With `rounds`,
+    views that disagree with the others count less: each round weighs a view by 1 / its distance from the current mean
+    (Weiszfeld's steps towards the spherical median, which tolerates nearly half of the views being wrong).
 
-    Views are asked for one at a time and tell of themselves; `progress` is of what comes after the last one.
+    Views are requested one at a time and report their own progress; `progress` covers what follows the last one.
 
     Raises:
         SceneError: views and cameras do not fit, or no photo has a mask.
@@ -51,7 +51,8 @@ def lift_segments(
 def mix_features(
     table: CellWeights, n: int, *, encoder_id: str, rounds: int = 0, progress: Progress = silent
 ) -> Features:
-    """Multiply the table by the masks' vectors; kept in half precision, a block of Gaussians at a time."""
+    """Multiply the table by the vectors of the masks, one block of Gaussians at a time; the result is in half
+    precision."""
     levels, length = table.levels, table.vectors.shape[1]
     vectors = torch.empty(n, levels, length, dtype=torch.float16)
     weights, agreement = torch.empty(n, levels), torch.empty(n, levels)
@@ -67,7 +68,7 @@ def mix_features(
 
 
 def _at_once(length: int) -> int:
-    """How many Gaussians are worked on at a time when features have so many numbers."""
+    """Number of Gaussians per block for features of this length."""
     return max(AT_ONCE // max(length, 1), 1)
 
 
@@ -93,7 +94,7 @@ class _Mixed:
 
 
 def judge_features(table: CellWeights, features: Features, *, progress: Progress = silent) -> Features:
-    """The features with weights and agreement measured against the masks; vectors or codes stay as they are."""
+    """The features with weights and agreement measured against the masks; vectors or codes stay unchanged."""
     n, length = len(features), table.vectors.shape[1]
     weights, agreement = torch.empty(n, table.levels), torch.empty(n, table.levels)
     for level in range(table.levels):

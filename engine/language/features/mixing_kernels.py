@@ -1,6 +1,6 @@
-"""Masks' vectors mixed into Gaussians by how much of each mask a Gaussian drew, one Gaussian at a time.
+"""Vectors of masks averaged into Gaussians by how much of each mask a Gaussian covers, one Gaussian at a time.
 
-All that a Gaussian needs is at hand at once: what each view says of it, the mean, and how far the views agree.
+For each Gaussian the contribution of every view, their mean and their agreement are computed together.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from ...compiled.lanes import LANES, fill, load, store, total
 
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-20)
 NEAREST = np.float32(1e-2)
-"""Distances between unit vectors below this count as this when views are weighed: the mean need not sit on a view."""
+"""Lower bound of the distance between unit vectors when views are weighted, because the mean may coincide with a
+view."""
 
 
 @njit
@@ -53,7 +54,8 @@ def _say(
     drew: NDArray[np.float32],
     sure: NDArray[np.float32],
 ) -> int:
-    """What each view says of one Gaussian: says (V · D) unit vectors, drew (V,) Σ w, sure (V,) |Σ w·v|. Returns V."""
+    """The contribution of each view to one Gaussian: says (V · D) unit vectors, drew (V,) Σ w, sure (V,) |Σ w·v|.
+    Returns V."""
     views, latest = 0, -1
     for entry in range(first, last):
         row = row_of[cells[entry]]
@@ -77,7 +79,7 @@ def _say(
 def _mean(
     views: int, says: NDArray[np.float32], shares: NDArray[np.float32], length: int, out: NDArray[np.float32]
 ) -> None:
-    """out (D,): Σ shares · says, made unit."""
+    """out (D,): Σ shares · says, normalised."""
     for d in range(0, length, LANES):
         store(out, d, fill(ZERO))
     for view in range(views):
@@ -107,8 +109,8 @@ def mix(
 
     starts, cells, weights: a sparse (Gaussian, cell) table whose rows go from view to view; view_of, row_of: of each
     cell, the row of its vector or -1; vectors: (M · D,) flat, D = length, a multiple of LANES; most: views that a row
-    can have. rounds: how often views are weighed anew by their distance from the mean (Weiszfeld's steps towards the
-    spherical median); 0 takes the mean by drawn pixels. given: `out` holds unit vectors already and is not changed.
+    can have. rounds: how often views are weighted again by their distance from the mean (Weiszfeld's steps towards the
+    spherical median); 0 takes the mean by pixels. given: `out` already contains unit vectors and is not changed.
     """
     n = out.shape[0]
     counter = np.zeros(1, np.int64)
@@ -156,7 +158,7 @@ def append_view(
     all_cells: NDArray[np.int32],
     all_weights: NDArray[np.float32],
 ) -> None:
-    """Put a view's rows behind the earlier views' in a table of all views; places (N,) moves on.
+    """Append the rows of a view to a table of all views; places (N,) is advanced.
 
     offset: the number of the view's first cell.
     """

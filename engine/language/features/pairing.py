@@ -1,4 +1,4 @@
-"""Cameras with what was made of their photos, one view at a time."""
+"""Cameras with results for their photos, one view at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far drawn codes are from the masks' (paper eq. 8), and the gradient of that."""
+"""The distance of rendered codes from those of the masks (paper eq. 8), and its gradient."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...compiled.jit import kernel, prange
 
 ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-20)
 SHORTEST = np.float32(1e-3)
-"""The cosine of a drawn code shorter than this is not looked at: nothing is drawn there yet."""
+"""A rendered code shorter than this has no cosine: nothing is rendered there yet."""
 
 
 @kernel
@@ -28,8 +28,8 @@ def semantic_loss(
 ) -> None:
     """gradient (L · d, H, W): weight · d(Σ mean_d |F - H| + 1 - cos(F, H)) / dF, and both terms' sums by row (H,).
 
-    drawn: (L · d, H, W) F; cells: (H, W) the row in codes of each pixel; codes: (C, L · d) H, unit for each level, or 0
-    where a level has no mask there, which counts for nothing.
+    drawn: (L · d, H, W) the rendered codes F; cells: (H, W) the row in codes of each pixel; codes: (C, L · d) H, unit
+    for each level, or 0 if a level has no mask there, which does not count.
     """
     channels, height, width = drawn.shape
     size = channels // levels

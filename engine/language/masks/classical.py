@@ -15,11 +15,11 @@ from .regions import RegionGraph
 from .segments import Segments, numbered
 
 SEEN_SIDE = 640
-"""Longest side, in pixels, of the copy that is cut up; larger photos are shrunk to it, smaller ones stay."""
+"""Longest side, in pixels, of the copy that is segmented; larger photos are scaled down to it."""
 LEVEL_COUNTS = (640, 340, 120)
-"""Most regions a level: parts and small fruit, single fruit and leaves, clusters and branches."""
+"""Most regions per level: parts and small fruit, single fruit and leaves, clusters and branches."""
 SUPERPIXEL_SCALE, SUPERPIXEL_BLUR, LEAST_PIXELS = 15.0, 0.5, 10
-"""Of Felzenszwalb and Huttenlocher's superpixels (2004): how readily they grow, blur before, smallest size."""
+"""Parameters of Felzenszwalb and Huttenlocher's superpixels (2004): growth, blur before, smallest size."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Pictures of single masks, as a crop encoder wants them."""
+"""Pictures of single masks for a crop encoder."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from scipy import ndimage
 from .segments import Segments
 
 LARGEST_SIDE = 448
-"""Larger crops are shrunk to this many pixels a side: twice what CLIP looks at, so that nothing it sees is lost."""
+"""Larger crops are scaled down to this many pixels per side: twice CLIP's input, so that nothing is lost."""
 
 
 def masked_crops(image: NDArray[np.uint8], segments: Segments) -> Iterator[NDArray[np.uint8]]:
-    """One square picture (S, S, 3) a mask, in the order of their numbers: what lies in it, on black, in the middle.
+    """One square picture (S, S, 3) per mask, in the order of their numbers: its content, centred on black.
 
     They are made one at a time, because a photo has hundreds. image: (H, W, 3) sRGB.
     """
@@ -31,7 +31,7 @@ def masked_crops(image: NDArray[np.uint8], segments: Segments) -> Iterator[NDArr
 
 
 def _squared(crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Put a crop in the middle of a black square of at most LARGEST_SIDE, shrunk as much as that takes."""
+    """Put a crop in the centre of a black square of at most LARGEST_SIDE, scaled down if necessary."""
     height, width = crop.shape[:2]
     side = max(height, width)
     if side > LARGEST_SIDE:

@@ -1,4 +1,4 @@
-"""Every photo's masks with a feature each: what is kept of them on disk, and how they are made."""
+"""The masks of every photo with one feature each, and their cache on disk."""
 
 from __future__ import annotations
 
@@ -29,20 +29,19 @@ from .segments import SegmentedView, numbered
 
 FORMAT = "fruitlangs-segments-1"
 FINDING = 0.5
-"""Share of a view's progress that is told while its masks are found; the rest while they are looked at."""
+"""Share of a view's progress for finding its masks; the rest is for encoding them."""
 BATCH = 32
-"""Crops in memory at once; progress is told, and a wish to stop heard, between two batches."""
+"""Crops in memory at once; progress is reported, and a cancel noticed, between two batches."""
 
 
 def segmented_views(
     scene: Scene, segmenter: Segmenter, encoder: CropEncoder, cache: Path, progress: Progress = silent
 ) -> Iterator[SegmentedView]:
-    """Each view's masks with their features, one view at a time, in the scene's order.
+    """The masks of each view with their features, one view at a time, in the scene's order.
 
-    Pixels that a photo's mask excludes are -1. A view without masks is all -1 with vectors (0, D). Views are kept
-    below `cache` under the content of their photo and the identities of segmenter and encoder, in half precision,
-    each as soon as it is made: what a stopped run has made is not made again, and a view is the same bits when it is
-    first made as when it is read.
+    Pixels that a photo's mask excludes are -1. A view without masks is all -1 with vectors (0, D). Views are cached
+    below `cache` under the content of their photo and the identities of segmenter and encoder, in half precision, as
+    soon as they are computed. A view has the same bits when it is computed as when it is read.
 
     Raises:
         SceneError: a photo cannot be read, or is not of its camera's size.
@@ -80,7 +79,7 @@ def _segmented(
     encoder: CropEncoder,
     progress: Progress,
 ) -> SegmentedView:
-    """What `_read` would give after `_write`: the vectors have been through half precision."""
+    """The same as `_read` after `_write`: vectors rounded to half precision."""
     segments = segmenter.segment(image, progress=part(progress, 0.0, FINDING))
     if usable is not None:
         segments = numbered(np.where(usable, segments.labels, np.int32(-1)))
@@ -93,7 +92,7 @@ def _segmented(
 
 
 def _content(image: NDArray[np.uint8], usable: NDArray[np.bool_] | None) -> str:
-    """A name for what a photo shows and what of it may be used."""
+    """A name for the content of a photo and its usable pixels."""
     digest = hashlib.sha256(f"{image.shape}{usable is None}".encode())
     digest.update(np.ascontiguousarray(image).data)
     if usable is not None:
@@ -102,14 +101,14 @@ def _content(image: NDArray[np.uint8], usable: NDArray[np.bool_] | None) -> str:
 
 
 def _write(path: Path, view: SegmentedView) -> None:
-    """Labels are deflated: they are long runs of few numbers, and 24 megapixels at three levels take 288 MB plain."""
+    """Labels are compressed: 24 megapixels at three levels take 288 MB uncompressed."""
     packed = np.frombuffer(zlib.compress(np.ascontiguousarray(view.labels, "<i4").data, 1), np.uint8)
     tensors = {"labels": torch.from_numpy(packed.copy()), "vectors": view.vectors.half()}
     write_tensors(path, tensors, {"format": FORMAT, "shape": view.labels.shape})
 
 
 def _read(path: Path, dimension: int) -> SegmentedView | None:
-    """What `_write` wrote; None where it is not there or damaged, so that it is made anew."""
+    """Read a view written by `_write`; None if it is missing or damaged, so that it is computed again."""
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})["fruitlangs"])

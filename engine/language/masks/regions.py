@@ -1,4 +1,4 @@
-"""Regions of a picture that merge from small to large."""
+"""Regions of an image that merge from small to large."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 EDGE_WEIGHT = 6.0
-"""How much the mean step across a common border counts beside the difference of the mean colours."""
+"""Weight of the mean step across a common border relative to the difference of the mean colours."""
 
 
 class RegionGraph:
     """Regions with their mean colours, and the borders between them.
 
     Two regions of n and m pixels whose colours differ by d, with a mean step e across their border, merge in the order
-    of n·m / (n + m) · (d + EDGE_WEIGHT·e)²: Ward's cost, so that specks go first, with a say for edges, so that a
-    shaded side joins its fruit rather than the leaf that has the same shade.
+    of n·m / (n + m) · (d + EDGE_WEIGHT·e)²: Ward's cost, so that specks merge first, with a term for edges, so that a
+    shaded side joins its fruit rather than a leaf of the same shade.
     """
 
     def __init__(self, labels: NDArray[np.int64], colours: NDArray[np.float64]) -> None:
@@ -37,7 +37,8 @@ class RegionGraph:
         heapq.heapify(self._queue)
 
     def merge_until(self, count: int) -> NDArray[np.int64]:
-        """Merge until at most `count` regions remain (or none touch); which of them, from 0, each first one is in."""
+        """Merge until at most `count` regions remain (or none touch); returns the new region, from 0, of each original
+        one."""
         while self._remaining > count and self._queue:
             _, a, b = heapq.heappop(self._queue)
             if self._parents[a] == a and self._parents[b] == b:
@@ -48,7 +49,7 @@ class RegionGraph:
         return np.unique(roots[: self._first], return_inverse=True)[1]
 
     def _merge(self, a: int, b: int) -> None:
-        """Replace two regions by a new one, whose borders are theirs added up."""
+        """Replace two regions by a new one with their combined borders."""
         new, n, m = len(self._sizes), self._sizes[a], self._sizes[b]
         self._sizes.append(n + m)
         pairs = zip(self._means[a], self._means[b], strict=True)

@@ -1,4 +1,4 @@
-"""Masks by SAM: every point of a grid asks for its part of a part, its part and its whole."""
+"""Masks by SAM: for every point of a grid the subpart, part and whole that contain it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..encoders.checkpoints import SAM, Checkpoint, fitting, open_checkpoint
 from .segments import Segments, numbered
 
 LEVELS = 3
-"""Subpart, part, whole: what SAM answers to one point, by size."""
+"""Subpart, part, whole: SAM's masks for one point, by size."""
 POINTS_A_SIDE = 32
 LEAST_IOU, LEAST_STABILITY, LEAST_AREA = 0.7, 0.85, 100
 """The paper's settings: IoU as predicted, IoU between the mask at logits above 1 and above -1, pixels of the photo."""
 SAME_IOU = 0.7
-"""Of two masks of a level that agree more than this the better one stays."""
+"""Of two masks of a level with a larger IoU than this, the better one stays."""
 BATCH, BLOCK = 32, 128
-"""Points that are asked at once; masks that are compared with each other at once."""
+"""Points per batch; masks compared with each other at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class SamSegmenter:
         return self.checkpoint.identity
 
     def segment(self, image: NDArray[np.uint8], *, progress: Progress = silent) -> Segments:
-        """See `Segmenter`; a pixel that no mask holds is -1. A photo without any mask has a count of 0."""
+        """See `Segmenter`; a pixel outside all masks is -1. A photo without any mask has a count of 0."""
         height, width = image.shape[:2]
         seen = self._seen(image)
         steps = (torch.arange(POINTS_A_SIDE) + 0.5) / POINTS_A_SIDE
@@ -88,7 +88,7 @@ class SamSegmenter:
 
     @torch.inference_mode()
     def _answers(self, seen: _Seen, points: Tensor, least_share: float) -> list[_Masks]:
-        """The good masks of each level, small ones first, at points (P, 2), x and y as shares of the photo.
+        """The accepted masks of each level, small ones first, at points (P, 2), x and y as shares of the photo.
 
         least_share: the smallest area, as a share of the photo.
         """
@@ -108,7 +108,7 @@ class SamSegmenter:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What SAM's encoder made of a photo, once for all points; height, width: the photo in the model's square."""
+    """The output of SAM's encoder for a photo, shared by all points; height, width: the photo in the model's square."""
 
     embedding: Tensor
     height: int
@@ -120,7 +120,7 @@ def _fields(masks: _Masks) -> tuple[Tensor, ...]:
 
 
 def _good(logits: Tensor, predicted: Tensor, least: float) -> _Masks:
-    """Which of (P, h, w) masks, with (P,) predicted IoU, are sure, steady and of at least `least` cells."""
+    """Which of (P, h, w) masks, with (P,) predicted IoU, are accurate, stable and have at least `least` cells."""
     areas, strict, lenient = ((logits > threshold).sum((-2, -1)) for threshold in (0.0, 1.0, -1.0))
     stability = strict / lenient.clamp_min(1)
     good = (predicted >= LEAST_IOU) & (stability >= LEAST_STABILITY) & (areas >= max(least, 1.0))
@@ -128,7 +128,7 @@ def _good(logits: Tensor, predicted: Tensor, least: float) -> _Masks:
 
 
 def _distinct(masks: _Masks) -> _Masks:
-    """Leave out what a mask of a higher score says already."""
+    """Remove masks that a mask of a higher score covers already."""
     masks = masks.picked(masks.scores.argsort(descending=True, stable=True))
     inside = (masks.logits > 0).flatten(1)
     stays = torch.ones(len(inside), dtype=torch.bool)
@@ -144,7 +144,7 @@ def _distinct(masks: _Masks) -> _Masks:
 
 
 def _paint(labels: NDArray[np.int32], masks: _Masks) -> None:
-    """Draw masks into (H, W) labels, large ones first, so that what lies on a thing is not hidden by it."""
+    """Draw masks into (H, W) labels, large ones first, so that small ones stay visible."""
     height, width = labels.shape
     rows, columns = _stretch(masks.logits.shape[1], height), _stretch(masks.logits.shape[2], width)
     for number, index in enumerate(masks.areas.argsort(descending=True, stable=True).tolist()):
@@ -155,13 +155,13 @@ def _paint(labels: NDArray[np.int32], masks: _Masks) -> None:
 
 
 def _stretch(cells: int, size: int) -> Tensor:
-    """(size, cells) weights that enlarge bilinearly along one axis."""
+    """(size, cells) weights for bilinear enlargement along one axis."""
     at = ((torch.arange(size) + 0.5) * cells / size - 0.5).clamp(0, cells - 1)
     return (1.0 - (at[:, None] - torch.arange(cells)).abs()).clamp_min(0.0)
 
 
 def _reach(used: Tensor, size: int) -> slice:
-    """The pixels, of `size`, that cells in use and their neighbours can reach; used: (cells,) bool, some true."""
+    """The pixels, of `size`, that used cells and their neighbours affect; used: (cells,) bool, some true."""
     cells, at = len(used), used.nonzero()[:, 0]
     first, last = int(at[0]) - 1, int(at[-1]) + 2
     return slice(max(0, first * size // cells), min(size, -(-last * size // cells)))

@@ -1,4 +1,4 @@
-"""What finds the masks of a photo for a crop encoder, and how one is opened."""
+"""The interface of segmenters, which find the masks of a photo for a crop encoder, and how to open one."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .segments import Segments
 
 
 class Segmenter(Protocol):
-    """Cuts a photo into masks at several levels, small things first."""
+    """Divides a photo into masks at several levels, from small to large."""
 
     @property
     def identity(self) -> str:
-        """Name and, where it has weights, their fingerprint; masks of another identity are not reused."""
+        """Name and, for a model, fingerprint of its weights; masks of another identity are not reused."""
         ...
 
     def segment(self, image: NDArray[np.uint8], *, progress: Progress = silent) -> Segments:
-        """(H, W, 3) sRGB → masks with labels of (L, H, W). Raises Cancelled: `progress` asked for it."""
+        """(H, W, 3) sRGB → masks with labels of (L, H, W). Raises Cancelled if `progress` requests it."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""Masks of a photo at several levels, and what a crop encoder made of them: where the crop road meets the lifting."""
+"""Masks of a photo at several levels, with the features of a crop encoder."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class SegmentedView:
 
 
 def numbered(labels: NDArray[np.int32]) -> Segments:
-    """Masks from labels (L, H, W) whose numbers, -1 for none, may have gaps and may be used again at another level."""
+    """Masks from labels (L, H, W) whose numbers, -1 for none, may have gaps and may repeat at another level."""
     result, count = np.empty_like(labels), 0
     for level, given in enumerate(labels):
         used = np.bincount(given.ravel() + 1)[1:] > 0
-        names = np.full(len(used) + 1, -1, np.int32)  # the last one is -1's
+        names = np.full(len(used) + 1, -1, np.int32)  # the last one is that of -1
         names[:-1][used] = count + np.arange(used.sum(), dtype=np.int32)
         result[level] = names[given]
         count += int(used.sum())

@@ -1,4 +1,4 @@
-"""Which level of masks answers a word: subpart, part or whole."""
+"""The level of masks that matches a word best: subpart, part or whole."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ import torch
 from torch import Tensor
 
 SUREST = 1e-3
-"""Share of what the photos drew that decides how sure a level is: a fruit or two, so that rare things are found."""
+"""Share of all rendered pixels that decides the confidence of a level: a fruit or two, so that rare objects are
+found."""
 
 
 def best_level(answers: Tensor, weights: Tensor) -> int:
-    """The level that is surest of a word, as LangSplat chooses it (Qin et al. 2024, section 3.4), but in 3D.
+    """The level with the highest confidence for a word, chosen as by LangSplat (Qin et al. 2024, section 3.4), but in
+    3D.
 
-    answers: (L, N) probabilities or cosines; weights: (L, N) pixels drawn. A level is as sure as the mean answer of the
-    Gaussians that answer highest and together drew a thousandth of all pixels: the single highest is noise. Of equally
-    sure levels the first.
+    answers: (L, N) probabilities or cosines; weights: (L, N) pixels of each Gaussian. The confidence of a level is the
+    mean answer of the Gaussians with the highest answers that together cover a thousandth of all pixels, because the
+    single highest is noise. Of equal levels the first is chosen.
     """
     if len(answers) == 1:
         return 0

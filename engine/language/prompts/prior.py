@@ -1,4 +1,4 @@
-"""The scene's own say in what its fruit are: trees bear one kind, so a doubtful fruit is likely what the others are."""
+"""A prior for the kinds of fruit: a tree has one kind, so an ambiguous fruit is probably of the kind of the others."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ import torch
 from torch import Tensor
 
 PSEUDO_PIXELS = 300.0
-"""Weight, in lifted pixels, of the belief that all kinds are alike; a scene with less fruit than this is left alone."""
+"""Weight, in lifted pixels, of the prior that all kinds are equal; a scene with less fruit than this stays
+unchanged."""
 ASKED, ANY = 0.5, 0.05
-"""Weight, as shares of the scene's fruit, of the beliefs that people ask for what is there and that any kind may be:
-what an encoder thinks of one fruit of a tree it thinks of the others, so their number proves less than it seems to."""
+"""Weights, as shares of the scene's fruit, of the priors that the prompt names a kind that is there, and that any kind
+may be: an encoder errs equally on all fruit of a tree, so their number is weak evidence."""
 ROUNDS = 50
 
 
 def kind_shares(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> Tensor:
-    """(K,) how much of the scene's fruit is of each kind, by expectation maximisation.
+    """(K,) share of each kind in the fruit of the scene, by expectation maximisation.
 
-    vectors: (N, D) unit features; weights: (N,) pixels each Gaussian drew; kinds: (K, D) orthonormal text vectors of
+    vectors: (N, D) unit features; weights: (N,) pixels of each Gaussian; kinds: (K, D) orthonormal text vectors of
     words that exclude each other, whose squared cosines are proportional to probabilities (Saerens, Latinne and
     Decaestecker 2002, "Adjusting the outputs of a classifier to new a priori probabilities"); asked: (K,) bool, which
     of them the prompt names.
     """
     likelihood = (vectors @ kinds.T).square().double()
-    mass = (weights.double()[:, None] * likelihood).sum(1) * 2.0  # a block of unit length holds half of the square
+    mass = (weights.double()[:, None] * likelihood).sum(1) * 2.0  # a block of unit length has half of the square
     likelihood = likelihood / likelihood.sum(1, keepdim=True).clamp_min(1e-12)
     shares = torch.full((len(kinds),), 1.0 / len(kinds), dtype=torch.float64)
     belief = (PSEUDO_PIXELS + ANY * mass.sum()) * shares
@@ -36,7 +37,8 @@ def kind_shares(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) 
 
 
 def in_scene(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> Tensor:
-    """(N, D) unit features whose kinds are weighed by their shares of the scene; how much is fruit stays as it was.
+    """(N, D) unit features whose kinds are weighted by their shares of the scene; the probability of fruit is
+    unchanged.
 
     See `kind_shares`.
     """

@@ -1,4 +1,4 @@
-"""How likely each Gaussian is what the prompt says (paper eq. 10 and 11)."""
+"""The probability that each Gaussian matches the prompt (paper eq. 10 and 11)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .levels import best_level
 from .prior import in_scene
 
 MIN_WEIGHT = 0.3
-"""A Gaussian that drew less than this many pixels, summed over all views, has no say: its probability is 0."""
+"""A Gaussian with fewer pixels than this, summed over all views, has probability 0."""
 ROWS = 16_384
-"""Gaussians whose features are decoded or brought to single precision at a time."""
+"""Gaussians whose features are decoded or converted to single precision at a time."""
 
 
 def relevancy(
@@ -26,13 +26,13 @@ def relevancy(
     prompts: Sequence[str],
     negatives: Sequence[str] = (),
 ) -> Tensor:
-    """(N,) float32 probability that a Gaussian is any of `prompts` and none of `negatives`.
+    """(N,) float32 probability that a Gaussian matches any of `prompts` and none of `negatives`.
 
-    Each prompt is answered by the encoder's questions (see `Question`), which put it against every other word that
-    makes sense for it; so `negatives` are needed only for what the vocabulary does not already set against the prompt,
-    for example "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)), where kinds of fruit
-    have been weighed by how much of the scene's fruit they are, given that people ask for what is there (see `prior`).
-    Each word is answered at the level of masks where it is surest (see `best_level`).
+    Each prompt is answered by the encoder's questions (see `Question`), which compare it with every other relevant
+    word, so `negatives` are needed only for words that the vocabulary does not compare with the prompt, for example
+    "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)), after kinds of fruit were weighted
+    by their share of the scene and by the prompt (see `prior`). Each word uses the level of masks with the highest
+    confidence (see `best_level`).
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -58,7 +58,7 @@ def answers_by_level(
     words = understood(encoder, prompts, negatives)
     answers = torch.empty(features.levels, len(words.questions), len(features))
     for level in range(features.levels):
-        # What kinds the scene bears is asked of all Gaussians together.
+        # The kinds of the scene are estimated from all Gaussians together.
         for rows in blocks(len(features), len(features) if len(words.kinds) else ROWS):
             answers[level, :, rows] = scene_answers(features.unit(level, rows), features.weights[rows, level], words)
     return answers
@@ -66,8 +66,8 @@ def answers_by_level(
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """What an encoder makes of P words. questions: each word's; kinds: the encoder's kinds of fruit, (K, D); named:
-    (P, K) which kinds each word names; sought: (P,) whether it is looked for, and not avoided.
+    """The encoder's representation of P words. questions: of each word; kinds: the encoder's kinds of fruit, (K, D);
+    named: (P, K) which kinds each word names; sought: (P,) whether it is a prompt and not a negative.
     """
 
     questions: Sequence[Sequence[Question]]
@@ -77,7 +77,7 @@ class Words:
 
 
 def understood(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> Words:
-    """The words as `encoder` takes them, prompts first: asked of it once, however many Gaussians they are asked of.
+    """The words as `encoder` represents them, prompts first, computed once for any number of Gaussians.
 
     Raises:
         VocabularyError: an unknown word.
@@ -89,10 +89,9 @@ def understood(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str
 
 
 def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
-    """(P, N) probability of each word for all unit features (N, D) of a scene, which drew (N,) pixels.
+    """(P, N) probability of each word for all unit features (N, D) of a scene, with (N,) pixels.
 
-    Words that are looked for are believed to be there. Words for no kind of fruit, or for all of them, ask nothing of
-    the balance of kinds.
+    The prior assumes that prompts are there. Words for no kind of fruit, or for all of them, do not change the prior.
     """
     answers = torch.empty(len(words.questions), len(vectors))
     alike: dict[tuple[bool, ...], list[int]] = {}
@@ -126,7 +125,7 @@ def margin(vectors: Tensor, question: Question) -> Tensor:
 
 
 def check_encoder(features: Features, encoder: Encoder) -> None:
-    """Refuse features that the encoder's words mean nothing to.
+    """Refuse features that do not belong to the encoder.
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -139,7 +138,7 @@ def check_encoder(features: Features, encoder: Encoder) -> None:
 
 
 def check_prompts(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> None:
-    """Refuse what `relevancy` could not answer, before anything is computed for it.
+    """Refuse prompts that `relevancy` cannot answer, before anything is computed.
 
     Raises:
         VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.

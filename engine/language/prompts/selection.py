@@ -1,4 +1,4 @@
-"""Which Gaussians are what the prompt says: by calibrated probability, or by the paper's two thresholds."""
+"""Selects the Gaussians that match the prompt: by calibrated probability, or by the paper's two thresholds."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def select(
     config: CountConfig,
     means: Tensor,
 ) -> Tensor:
-    """(N,) float32 in [0, 1], how far each Gaussian is what is counted; the settings say how that is decided.
+    """(N,) float32 in [0, 1], how far each Gaussian matches the prompt, by the method in the settings.
 
-    means: (N, 3) the Gaussians' places, for smoothing over neighbours.
+    means: (N, 3) the positions of the Gaussians, for smoothing over neighbours.
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -51,8 +51,8 @@ def dual_threshold(
 ) -> Tensor:
     """(N,) bool: s⁺ > τ_pos and s⁻ < τ_neg, s the largest cosine to a positive and to a negative (eq. 10 and 11).
 
-    Without negatives only s⁺ counts. All is asked at the level of masks where s⁺ is surest. A Gaussian that hardly any
-    pixel drew is never selected.
+    Without negatives only s⁺ counts. The level of masks with the highest s⁺ is used. A Gaussian with almost no pixels
+    is never selected.
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -70,7 +70,7 @@ def dual_threshold(
 
 
 def _largest_cosines(features: Features, text: Tensor) -> Tensor:
-    """(L, N) each Gaussian's largest cosine to a row of text (P, D), by level (eq. 10)."""
+    """(L, N) largest cosine of each Gaussian to a row of text (P, D), by level (eq. 10)."""
     cosines = torch.empty(features.levels, len(features))
     for level in range(features.levels):
         for rows in blocks(len(features), ROWS):
@@ -79,9 +79,9 @@ def _largest_cosines(features: Features, text: Tensor) -> Tensor:
 
 
 def smoothed(probability: Tensor, weights: Tensor, means: Tensor, neighbours: int) -> Tensor:
-    """(N,) probabilities averaged over each Gaussian and its nearest `neighbours`, by the pixels they drew.
+    """(N,) probabilities averaged over each Gaussian and its nearest `neighbours`, weighted by pixels.
 
-    weights: (N,) those pixels. A Gaussian that no pixel drew keeps its own.
+    weights: (N,) those pixels. A Gaussian without pixels keeps its own probability.
     """
     usable = torch.isfinite(means).all(1) & (weights >= MIN_WEIGHT)
     if not usable.any():

@@ -1,4 +1,4 @@
-"""Cameras as a result folder keeps them, so that another prompt needs no photos."""
+"""The cameras file of a result folder, so that another prompt needs no photos."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def dump_cameras(scene: Scene) -> str:
 
 
 def with_scene_facts(path: Path, scene: Scene) -> str:
-    """JSON text of a cameras file with the scene's unit and up direction in place of its own.
+    """JSON text of a cameras file with the unit and up direction of the scene instead of its own.
 
     Raises:
         OutputError, FormatError: as `read_cameras`.
@@ -45,7 +45,7 @@ def with_scene_facts(path: Path, scene: Scene) -> str:
 
 
 def camera_names(path: Path) -> list[str]:
-    """Names of the photos of a cameras file's cameras, in their order.
+    """Names of the photos of the cameras in a cameras file, in order.
 
     Raises:
         OutputError, FormatError: as `read_cameras`.
@@ -87,7 +87,7 @@ def read_cameras(path: Path) -> Scene:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The document of a cameras file of this version."""
+    """The content of a cameras file of this version."""
     if not path.is_file():
         raise OutputError(f"{path} is missing. Give the folder of the photos as SCENE instead of this result folder")
     try:

@@ -29,16 +29,16 @@ def read_colmap(
     masks: Path | None = None,
     progress: Progress = silent,
 ) -> Scene:
-    """Read a COLMAP model and the headers of its photos; pixels load when asked for, undistorted and resized.
+    """Read a COLMAP model and the headers of its photos; pixels load on demand, undistorted and resized.
 
     path: a folder with a model in `sparse/0`, `sparse`, itself or `colmap/sparse/0`; of several sub-models the one with
-    the most images is taken (`progress` says which). images: the folder of the photos, by default the nearest `images`
-    beside or above the model. masks: a folder of masks by the photos' names (or with `.png` appended), black where a
-    photo may not be used; by default `masks` beside the photos' folder, if there is one.
+    the most images is used (`progress` says which). images: the folder of the photos, by default the nearest `images`
+    next to or above the model. masks: a folder of masks by the photos' names (or with `.png` appended), black where a
+    photo may not be used; by default `masks` next to the photos' folder, if it exists.
 
     The scene's cameras and photos are in name order, its points in id order, its frame the model's, its scale unknown.
-    A model without points gives a scene without points: whoever starts from points has to refuse it. Points that are
-    not finite are left out (`progress` says how many).
+    A model without points gives a scene without points. Points that are not finite are left out (`progress` says how
+    many).
 
     Raises:
         SceneError: no model, an incomplete, damaged or empty one, a pose that is not finite, a missing photo, or a
@@ -63,7 +63,7 @@ def read_colmap(
 
 
 def colmap_files(path: Path, *, images: Path | None = None, masks: Path | None = None) -> list[Path]:
-    """Every file that `read_colmap` reads from: the model's, then photos and masks in name order.
+    """Every file that `read_colmap` reads: the model's, then photos and masks in name order.
 
     Raises:
         SceneError: as `read_colmap` for the model and missing photos.
@@ -75,7 +75,7 @@ def colmap_files(path: Path, *, images: Path | None = None, masks: Path | None =
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A model that pycolmap has read: its posed images in name order with their files."""
+    """A model read by pycolmap: its posed images in name order with their files."""
 
     files: ModelFiles
     reconstruction: Any

@@ -1,7 +1,7 @@
-"""Length and line checks of COLMAP's model files, before pycolmap reads them.
+"""Checks of the records in COLMAP's model files, before pycolmap reads them.
 
-pycolmap trusts the counts in the files: a cut points3D.bin makes it hang and a cut cameras.bin loads without an error.
-Layouts: https://colmap.github.io/format.html; rigs and frames as COLMAP ≥ 3.12 writes them.
+pycolmap trusts the counts in the files: a truncated points3D.bin makes it hang and a truncated cameras.bin loads
+without an error. Layouts: https://colmap.github.io/format.html; rigs and frames as COLMAP ≥ 3.12 writes them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RIG_FILES = ("rigs", "frames")
 
 
 def check_records(path: Path) -> int:
-    """The number of records in a model file, `.bin` or `.txt`, after checking every one's length or line.
+    """The number of records in a model file, `.bin` or `.txt`, after checking the length or line of each.
 
     Raises:
         SceneError: the file cannot be read, is cut short, goes on after its last record, or has a malformed line.
@@ -38,7 +38,7 @@ def check_records(path: Path) -> int:
 
 
 def _check_binary(path: Path) -> int:
-    """Walk over all records of a binary file."""
+    """Read through all records of a binary file."""
     content = path.read_bytes()
     walk = _WALKS[path.stem]
     try:
@@ -71,7 +71,7 @@ def _walk_cameras(content: bytes, count: int, path: Path) -> int:
 
 @cache
 def _parameter_counts() -> dict[int | str, int]:
-    """Number of parameters of every camera model pycolmap knows, by id and by name."""
+    """Number of parameters of every camera model of pycolmap, by id and by name."""
     pycolmap = colmap_library()
 
     counts: dict[int | str, int] = {}
@@ -120,7 +120,7 @@ def _walk_points(content: bytes, count: int, path: Path) -> int:
 
 
 def _require_rotation(quaternion: Sequence[float], path: Path, what: str) -> None:
-    if not 0.0 < sum(q * q for q in quaternion) < math.inf:  # pycolmap takes (0, 0, 0, 0) for no rotation
+    if not 0.0 < sum(q * q for q in quaternion) < math.inf:  # pycolmap accepts (0, 0, 0, 0) as no rotation
         raise SceneError(f"{path}: {what} has the quaternion {tuple(quaternion)}. Copy or export the model again")
 
 
@@ -153,7 +153,7 @@ _WALKS: dict[str, Callable[[bytes, int, Path], int]] = {
 
 
 def _check_text(path: Path) -> int:
-    """Check all lines of a text file (of rigs and frames only count them)."""
+    """Check all lines of a text file (only count those of rigs and frames)."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:

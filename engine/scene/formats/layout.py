@@ -1,4 +1,4 @@
-"""Where a COLMAP model, its photos and its masks lie in a folder."""
+"""Locations of a COLMAP model, its photos and its masks in a folder."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ...progress import Progress, silent
 from .colmap_records import MODEL_FILES, check_records
 
 LAYOUTS = ("sparse", ".", "colmap/sparse")
-"""Where a model lies in a scene's folder; numbered sub-models (`0`, `1`, …) inside each are looked at first."""
+"""Locations of a model in a scene's folder; numbered sub-models (`0`, `1`, …) inside each come first."""
 
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """The files of one sparse model: folder, `.bin` or `.txt`, and how many images it says it has."""
+    """The files of one sparse model: folder, `.bin` or `.txt`, and its number of images."""
 
     folder: Path
     suffix: str
@@ -29,7 +29,7 @@ class ModelFiles:
 def find_model(path: Path, progress: Progress = silent) -> ModelFiles | None:
     """The model in a scene's folder: the first layout of `LAYOUTS` that has one, its largest sub-model; None without.
 
-    Binary files go before text files. `progress` says which of several sub-models was taken.
+    Binary files are preferred to text files. `progress` reports which of several sub-models is used.
 
     Raises:
         SceneError: a model lacks a file or its images file is damaged.
@@ -59,7 +59,7 @@ def _model_in(folder: Path) -> ModelFiles | None:
 
 
 def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[Path]:
-    """The photos of a model, in `images` or in the nearest folder of that name beside or above the model.
+    """The photos of a model, in `images` or in the nearest folder of that name next to or above the model.
 
     Raises:
         SceneError: there is no such folder or a photo is not in it.
@@ -77,7 +77,7 @@ def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[
 
 
 def _photo_folder(model: Path, names: Sequence[str]) -> Path:
-    """The nearest folder `images` that has one of the photos, else the nearest, at most three levels up."""
+    """The nearest folder `images` that contains one of the photos, else the nearest, at most three levels up."""
     above = [model, *model.resolve().parents[:3]]
     folders = [folder / "images" for folder in above if (folder / "images").is_dir()]
     if not folders:
@@ -86,7 +86,7 @@ def _photo_folder(model: Path, names: Sequence[str]) -> Path:
 
 
 def mask_paths(photos: Sequence[Path], names: Sequence[str], masks: Path | None) -> list[Path | None]:
-    """A mask a photo, None where there is none: the same name, or with .png appended or in place of its suffix.
+    """One mask per photo, None without one: the same name, or with .png appended or as its suffix.
 
     Raises:
         SceneError: `masks` is given and has no mask at all.

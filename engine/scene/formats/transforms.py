@@ -1,4 +1,4 @@
-"""Nerfstudio's `transforms.json`: cameras with OpenGL axes, and perhaps a point cloud beside them."""
+"""Nerfstudio's `transforms.json`: cameras with OpenGL axes, and an optional point cloud."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def read_transforms(
 
 
 def transforms_files(path: Path) -> list[Path]:
-    """Every file that `read_transforms` reads from: the JSON, the point cloud, then photos and masks in name order.
+    """Every file that `read_transforms` reads: the JSON, the point cloud, then photos and masks in name order.
 
     Raises:
         SceneError: the JSON is missing or malformed, or a file that it names is missing.
@@ -72,7 +72,7 @@ def transforms_files(path: Path) -> list[Path]:
 
 
 def named_files(path: Path, key: str) -> list[Path | None]:
-    """The file that each frame names under `key`, in the order of `read_transforms`; None where it names none.
+    """The file that each frame names under `key`, in the order of `read_transforms`; None without one.
 
     Raises:
         SceneError: the JSON is missing or malformed, or a file that it names is missing.
@@ -82,7 +82,7 @@ def named_files(path: Path, key: str) -> list[Path | None]:
 
 
 def extra_fields(path: Path) -> Mapping[str, Any]:
-    """What stands in the JSON beside its frames.
+    """The entries of the JSON other than frames.
 
     Raises:
         SceneError: the JSON is missing or malformed.
@@ -93,7 +93,7 @@ def extra_fields(path: Path) -> Mapping[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One entry of `frames`: values are its own before the file's."""
+    """One entry of `frames`; its own values override those of the file."""
 
     name: str
     values: Mapping[str, Any]
@@ -103,7 +103,7 @@ class _Frame:
 
 @dataclass(frozen=True, eq=False)
 class _Transforms:
-    """A transforms.json with the files that it names; frames in name order."""
+    """A transforms.json with the files it names; frames in name order."""
 
     file: Path
     frames: Sequence[_Frame]
@@ -157,7 +157,7 @@ def _photo_path(path: Path, frames: int) -> Path:
 
 
 def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
-    """The file that `values[key]` names beside the JSON, None without one."""
+    """The file that `values[key]` names, relative to the JSON; None without one."""
     if not values.get(key):
         return None
     path = file.parent / str(values[key]).replace("\\", "/")
@@ -223,7 +223,7 @@ def _no_cloud() -> tuple[FloatArray, NDArray[np.uint8]]:
 
 
 def _cloud(path: Path) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """(P, 3) finite points and their (P, 3) colours (grey where the file has none)."""
+    """(P, 3) finite points and their (P, 3) colours (grey if the file has none)."""
     from plyfile import PlyData, PlyParseError
 
     try:

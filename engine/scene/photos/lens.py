@@ -1,7 +1,7 @@
-"""Lenses: what each of COLMAP's camera models does to straight rays, and how to undo it.
+"""Lenses: the distortion of each of COLMAP's camera models, and how to undo it.
 
-A lens is undone by asking, for every pixel of an ideal pinhole camera, where the real lens saw that pixel's ray
-(`source_map`). The pinhole keeps the lens's focal length, principal point and size, so the middle of the photo keeps
+Every pixel of an ideal pinhole camera takes the colour of the pixel where the real lens saw the same ray
+(`source_map`). The pinhole keeps focal length, principal point and size of the lens, so the middle of the photo keeps
 its resolution. A 360° panorama has no such pinhole: it becomes the six faces of a cube.
 """
 
@@ -56,7 +56,7 @@ class Lens:
 
     @property
     def is_pinhole(self) -> bool:
-        """True when photos of this lens need no undistorting."""
+        """True if photos of this lens need no undistortion."""
         return self.model in _PINHOLES
 
     @property
@@ -66,11 +66,11 @@ class Lens:
 
     @property
     def faces(self) -> tuple[str, ...]:
-        """Names of the pinhole views that show what the lens saw: the cube's six for a panorama, else one, unnamed."""
+        """Names of the pinhole views of the lens: six faces for a panorama, else one, unnamed."""
         return tuple(_CUBE_AXES) if self.is_panorama else ("",)
 
     def project(self, rays: FloatArray) -> FloatArray:
-        """(N, 2) pixels where rays (N, 3) in the camera's frame meet the photo; NaN where the lens cannot see."""
+        """(N, 2) pixels where rays (N, 3) in the camera frame meet the photo; NaN outside the field of view."""
         return np.asarray(self._colmap().img_from_cam(np.ascontiguousarray(rays, dtype=np.float64)))
 
     def _colmap(self) -> Any:
@@ -113,10 +113,10 @@ def view_of(lens: Lens, face: str, width: int, height: int) -> View:
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
-    """Where each pixel of a view comes from.
+    """The origin of each pixel of a view.
 
     pixels: (H, W, 2) float32 x, y in the resized photo (pixel centres at +0.5); valid: (H, W) False where the photo
-    shows nothing of that ray.
+    does not show that ray.
     """
 
     pixels: NDArray[np.float32]
@@ -127,8 +127,8 @@ class SourceMap:
 def source_map(lens: Lens, face: str, width: int, height: int) -> SourceMap:
     """Map the pixels of `view_of(lens, face, width, height)` to those of the photo resized to width × height.
 
-    Polynomial lenses fold back far outside the calibrated field: only the part that is joined to the principal point
-    without a fold is valid.
+    Polynomial lenses fold back far outside the calibrated field: only the part connected to the principal point without
+    a fold is valid.
     """
     view = view_of(lens, face, width, height)
     x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)

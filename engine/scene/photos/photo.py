@@ -1,4 +1,4 @@
-"""Photos on disk: headers are read at once, pixels when they are asked for, then resized and undistorted."""
+"""Photos on disk: headers are read at once, pixels on demand, then resized and undistorted."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ _UPRIGHT: dict[int, Image.Transpose] = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""What turns stored pixels upright, by EXIF orientation."""
+"""Rotation of stored pixels to upright, by EXIF orientation."""
 
 _SKYWARD: dict[int, tuple[float, float]] = {3: (0, 1), 4: (0, 1), 5: (-1, 0), 6: (-1, 0), 7: (1, 0), 8: (1, 0)}
-"""Where the upright photo's top is among the stored pixels (x right, y down), by EXIF orientation; else (0, -1)."""
+"""Direction of the upright photo's top among the stored pixels (x right, y down), by EXIF orientation; else (0, -1)."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a photo's first bytes say: size in pixels, whether it has an alpha channel, EXIF orientation (1–8)."""
+    """The header of a photo: size in pixels, whether it has an alpha channel, EXIF orientation (1–8)."""
 
     width: int
     height: int
@@ -64,17 +64,17 @@ def read_header(path: Path) -> Header:
 
 
 def read_exif(image: Image.Image) -> Image.Exif:
-    """The EXIF tags of an open picture, none where it has none; nothing is decoded for it."""
-    exif_is_near = image.format != "PNG" or "exif" in image.info  # else Pillow decodes the PNG to look for it
+    """The EXIF tags of an open picture, empty without any; nothing is decoded for it."""
+    exif_is_near = image.format != "PNG" or "exif" in image.info  # otherwise Pillow decodes the PNG to find it
     return image.getexif() if exif_is_near else Image.Exif()
 
 
 @dataclass(frozen=True)
 class FilePhoto:
-    """A photo in a file, decoded, resized and undistorted anew each time it is asked for.
+    """A photo in a file, decoded, resized and undistorted each time it is loaded.
 
-    name: as the model names it (a cube face of a panorama adds `@face`); header: of the stored file; turn: how stored
-    pixels are turned to the calibrated photo, None as they are; width, height: pixels after the resize, before
+    name: in the model (a cube face of a panorama adds `@face`); header: of the stored file; turn: rotation of the
+    stored pixels to the calibrated photo, None without one; width, height: pixels after the resize, before
     undistorting; mask_path: a picture whose black pixels may not be used.
     """
 
@@ -90,11 +90,11 @@ class FilePhoto:
 
     @property
     def is_as_stored(self) -> bool:
-        """True when the file's own pixels are the view: nothing to turn and nothing to undistort, whatever its size."""
+        """True if the pixels of the file are the view: no rotation and no distortion, whatever its size."""
         return self.lens.is_pinhole and self.turn is None
 
     def pixels(self) -> NDArray[np.uint8]:
-        """(H, W, 3) sRGB of the undistorted view; black where the photo shows nothing.
+        """(H, W, 3) sRGB of the undistorted view; black outside the photo.
 
         Raises:
             SceneError: the file is gone, truncated or not the one whose header was read.
@@ -105,7 +105,7 @@ class FilePhoto:
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
     def mask(self) -> NDArray[np.bool_] | None:
-        """(H, W) True where the view may be used: mask file, alpha channel and lens all allow it; None when all may.
+        """(H, W) True where the view may be used: mask file, alpha channel and lens all allow it; None if all may.
 
         Raises:
             SceneError: as `pixels`, or the mask has another shape than the photo.
@@ -158,7 +158,7 @@ def _rgb(image: Image.Image, path: Path) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False)
 class PosedPhoto:
-    """One view of a scene: its camera, its photo and where the photo's top points, (3,) in the camera's frame."""
+    """One view of a scene: its camera, its photo and the direction of the photo's top, (3,) in the camera frame."""
 
     camera: Camera
     photo: FilePhoto
@@ -177,9 +177,9 @@ def posed_photos(
 ) -> list[PosedPhoto]:
     """The views of one photo: one, or the six cube faces of a panorama. Only headers are read.
 
-    downscale: divide width and height by this; max_side: and by more where a side would still be longer (0: no limit).
-    The photo may be a resized copy of what was calibrated (same shape, other number of pixels), or, where only that
-    fits, its EXIF orientation is applied; otherwise EXIF orientation is ignored, as COLMAP does.
+    downscale: divide width and height by this; max_side: and by more if a side would still be longer (0: no limit). The
+    photo may be a resized copy of the calibrated one (same shape, other number of pixels), or, if only that fits, its
+    EXIF orientation is applied; otherwise EXIF orientation is ignored, as COLMAP does.
 
     Raises:
         SceneError: the photo or mask is not a picture, its shape is not its camera's, or it has too few pixels.
@@ -232,7 +232,7 @@ def posed_photos(
 
 
 def make_scene(views: Sequence[PosedPhoto], points: FloatArray, colors: NDArray[np.uint8]) -> Scene:
-    """A scene of views in the order given, with its up direction estimated from them."""
+    """A scene of views in the given order, with its up direction estimated from them."""
     cameras = [view.camera for view in views]
     return Scene(
         cameras=cameras,

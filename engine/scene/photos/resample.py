@@ -1,4 +1,4 @@
-"""Resampling of pixel arrays: exact area averages and bilinear look-ups. Pixel centres are at +0.5."""
+"""Resampling of pixel arrays: exact area averages and bilinear interpolation. Pixel centres are at +0.5."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _coverage(old: int, new: int) -> sparse.csr_array:
 
 
 def look_up(image: NDArray[np.float32], source: SourceMap) -> NDArray[np.float32]:
-    """Bilinear values of (H, W, C) at the source map's pixels; 0 where it is not valid."""
+    """Bilinear values of (H, W, C) at the pixels of the source map; 0 where it is not valid."""
     at = source.pixels.transpose(2, 0, 1)[::-1] - np.float32(0.5)
     sampled = [
         ndimage.map_coordinates(image[..., channel], at, order=1, mode="nearest", output=np.float32)

@@ -1,4 +1,4 @@
-"""Poses from photos alone: a folder of photos → a COLMAP model, by pycolmap's structure from motion."""
+"""Camera poses from photos alone: a folder of photos → a COLMAP model, by pycolmap's structure from motion."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MODEL, _WORK = "model", "work"
 
 @dataclass(frozen=True, kw_only=True)
 class FoundPoses:
-    """A model of photos: its folder; what the user should know of it; whether an earlier run had made it."""
+    """A model of photos: its folder; messages for the user; whether it was in the cache."""
 
     model: Path
     notices: Sequence[str]
@@ -36,7 +36,7 @@ class FoundPoses:
 
 
 def list_photos(folder: Path) -> list[Path]:
-    """The photos that lie in a folder itself, in name order; [] where there is no such folder."""
+    """The photos directly in a folder, in name order; [] if the folder does not exist."""
     if not folder.is_dir():
         return []
     return sorted(
@@ -52,19 +52,19 @@ def find_poses(
     *,
     progress: Progress = silent,
 ) -> FoundPoses:
-    """Find the cameras of the photos in the folder `photos` and leave a COLMAP model (binary) in `out`/model.
+    """Estimate the cameras of the photos in the folder `photos` and write a COLMAP model (binary) to `out`/model.
 
     SIFT features, guided matching with verification, then incremental mapping, all in a child process that a cancel
     ends at once. Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. Up to
-    `config.exhaustive_up_to` photos every pair is matched; above that each photo with the `config.overlap` next ones
-    in name order, and an evenly spread subset of `exhaustive_up_to` photos exhaustively, which closes the walk (no
-    vocabulary tree is needed). EXIF orientation is ignored, as COLMAP
-    does, except that photos of several orientations are not held to be upright; masks are not used.
+    `config.exhaustive_up_to` photos every pair is matched; above that each photo is matched with the next
+    `config.overlap` ones in name order, and an evenly spread subset of `exhaustive_up_to` photos exhaustively, which
+    closes the loop without a vocabulary tree. EXIF orientation is ignored, as COLMAP does, except that photos of
+    several orientations are not assumed to be upright; masks are not used.
 
     The model's frame and scale are arbitrary; names and pixels are those of the photos. Equal photos, settings and
-    versions give equal models. `out` is for one set of photos and settings: a finished model in it is returned as it
-    is, and an interrupted run goes on with the features and matches it had (placing the photos starts anew). The model
-    is put in place when it is whole.
+    versions give equal models. `out` is for one set of photos and settings: a finished model in it is returned
+    unchanged, and an interrupted run continues with its features and matches (mapping starts again). The model is
+    written atomically.
 
     Raises:
         SceneError: fewer than 3 photos, one that cannot be decoded, no two that match, fewer than half of the photos
@@ -95,7 +95,7 @@ def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progres
     copies = []
     for index, file in enumerate(files):
         progress(0.1 * index / len(files), f"reading photo {index + 1} of {len(files)}")
-        # Neutral names: pycolmap's list of pairs has spaces between its columns.
+        # Neutral names: pycolmap's list of pairs is separated by spaces.
         copies.append(_copy(file, work / "copies" / f"{index:06d}.png", config.max_side))
     for folder in ("models", _MODEL):
         shutil.rmtree(work / folder, ignore_errors=True)
@@ -113,7 +113,7 @@ def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progres
 
 
 def _copy(file: Path, copy: Path, max_side: int) -> Copy:
-    """Write a grey copy with sides of at most `max_side` pixels, unless it is there.
+    """Write a grey copy with sides of at most `max_side` pixels, unless it exists.
 
     Raises:
         SceneError: the photo cannot be decoded.
@@ -148,7 +148,7 @@ def _grey(image: Image.Image) -> Image.Image:
 
 
 def _notices(files: Sequence[Path], model: Path) -> list[str]:
-    """What a user should know of a model that was found: photos left out, other models."""
+    """Messages for the user about a model: photos left out, other models."""
     found = json.loads((model / FOUND).read_text(encoding="utf-8"))
     notices = []
     missing = sorted({file.name for file in files} - set(found["placed"]))

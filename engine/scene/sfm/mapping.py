@@ -1,4 +1,4 @@
-"""Structure from motion by pycolmap, in a process of its own (`child_process`): copies of photos → a COLMAP model."""
+"""Structure from motion by pycolmap, in a separate process (`child_process`): copies of photos → a COLMAP model."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from ..pycolmap_import import colmap_library
 
 JOB, FOUND = "job.json", "poses.json"
 _BLOCK = 10
-"""Pairs are matched in blocks of so many by so many photos: what a cancel loses, and a step of the progress shown."""
+"""Pairs are matched in blocks of this many by this many photos: the work a cancel loses, and a step of the progress."""
 _MOST_FEATURES = 8192
-"""Features kept per photo."""
+"""Features per photo."""
 _FEW_PIXELS = 400_000
-"""Copies with no more pixels than this get descriptors pooled over sizes: 4 times as long, and it joins more photos."""
+"""Copies with at most this many pixels get descriptors pooled over sizes: 4 times as long, and they join more
+photos."""
 _LARGEST_PATCH = 1.0
-"""Largest size of what a pooled descriptor sees, in sizes of the feature: behind a leaf's edge lies the background."""
+"""Largest region of a pooled descriptor, in sizes of the feature: beyond the edge of a leaf lies the background."""
 _LOST = 10.0
-"""A photo this many times farther from the middle of all than most, and than the scene, is placed by chance."""
+"""A photo this many times farther from the middle than most photos, and than the scene, is misplaced."""
 _LEAST_INLIERS = (20, 8)
-"""Points that must place a photo, in the first attempt, and in another where that did not place them all."""
+"""Points needed to place a photo, in the first attempt, and in a second one if the first did not place all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Copy:
-    """One photo to be posed: its own name and size in pixels, its copy (grey, smaller), and its file for EXIF."""
+    """One photo to be placed: its name and size in pixels, its copy (grey, smaller), and its file for EXIF."""
 
     name: str
     width: int
@@ -46,7 +47,7 @@ class Copy:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What the child works on: copies in `folder`/copies in name order; leaves `folder`/model."""
+    """The job of the child: copies in `folder`/copies in name order; it writes `folder`/model."""
 
     folder: str
     photos: Sequence[Copy]
@@ -73,7 +74,7 @@ class Job:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """The child: from the job file given to a model in its folder, or one line that says why there is none."""
+    """The child: from the job file to a model in its folder, or a one-line reason why there is none."""
     end_with_parent()
     job = Job.read(Path(arguments[0]))
     try:
@@ -87,10 +88,10 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _list_photos(job: Job) -> None:
-    """Put the photos and their cameras into the database, unless an earlier run had.
+    """Add the photos and their cameras to the database, unless an earlier run did.
 
-    Photos of one size share a camera, except where EXIF gives them other focal lengths; without EXIF the focal length
-    starts at 1.2 times the longer side.
+    Photos of one size share a camera, unless EXIF gives them other focal lengths; without EXIF the focal length starts
+    at 1.2 times the longer side.
     """
     pycolmap = colmap_library()
     database = _open(job)
@@ -117,7 +118,7 @@ def _open(job: Job) -> Any:
 
 
 def _focal(photo: Copy) -> float:
-    """The focal length that EXIF gives, in pixels of the copy (whole per cent apart at least); 0 without EXIF."""
+    """The focal length from EXIF, in pixels of the copy (rounded to 1 %); 0 without EXIF."""
     try:
         camera = colmap_library().infer_camera_from_image(photo.file)
     except (ValueError, RuntimeError):  # a format that pycolmap does not read
@@ -129,7 +130,7 @@ def _focal(photo: Copy) -> float:
 
 
 def _by_camera(photos: Sequence[Copy], focals: Mapping[str, float]) -> list[list[Copy]]:
-    """Photos that one camera took: of the same size, and with the same focal length where EXIF tells it."""
+    """Photos of one camera: of the same size, and with the same focal length if EXIF gives it."""
 
     def camera(photo: Copy) -> tuple[int, int, float]:
         return photo.width, photo.height, focals[photo.copy]
@@ -138,7 +139,7 @@ def _by_camera(photos: Sequence[Copy], focals: Mapping[str, float]) -> list[list
 
 
 def _find_features(job: Job) -> None:
-    """SIFT for photos that have none yet; tuned for leaves a few pixels wide in photos of few pixels."""
+    """SIFT for photos that have no features yet; tuned for leaves a few pixels wide in small photos."""
     pycolmap = colmap_library()
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False  # another device finds other features
@@ -157,10 +158,10 @@ def _find_features(job: Job) -> None:
 
 
 def pairs_to_match(count: int, config: PhotosConfig) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, of photos to compare, by place in name order.
+    """Pairs (i, j), i < j, of photos to match, by position in name order.
 
-    All of them up to `exhaustive_up_to` photos. A longer walk: every photo with the `overlap` next ones, and, so that
-    the walk closes, so many evenly spread photos that all of them can be compared with each other.
+    All pairs up to `exhaustive_up_to` photos. Above it, every photo with the next `overlap` ones and, to close the
+    loop, an evenly spread subset of photos that are all matched with each other.
     """
     if count <= config.exhaustive_up_to:
         return list(itertools.combinations(range(count), 2))
@@ -170,7 +171,8 @@ def pairs_to_match(count: int, config: PhotosConfig) -> list[tuple[int, int]]:
 
 
 def _match(job: Job) -> None:
-    """Match and verify the pairs that are not yet in the database. Every pair has its own seed, so order is nothing."""
+    """Match and verify the pairs that are not in the database. Every pair has its own seed, so the order does not
+    matter."""
     pycolmap = colmap_library()
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
@@ -180,7 +182,7 @@ def _match(job: Job) -> None:
     verification.min_num_inliers = 10
     verification.ransac.random_seed = job.config.seed
     verification.ransac.max_error = 2.0
-    verification.ransac.max_num_trials = 1500  # pairs that show nothing in common take them all
+    verification.ransac.max_num_trials = 1500  # pairs without common content need all of them
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = Path(job.folder) / "pairs.txt"
     pairs = pairs_to_match(len(job.photos), job.config)
@@ -200,7 +202,7 @@ def _match(job: Job) -> None:
 
 
 def _map(job: Job) -> None:
-    """Place photo after photo; write the largest model with the photos' own names, and how it went."""
+    """Place one photo after the other; write the largest model with the photos' own names, and a summary."""
     best: list[Any] = []
     for attempt, least_inliers in enumerate(_LEAST_INLIERS):
         start = 0.7 + 0.3 * attempt / len(_LEAST_INLIERS)
@@ -222,7 +224,7 @@ def _map(job: Job) -> None:
 
 
 def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
-    """The models that the photos make, largest first, where so many points at least place a photo."""
+    """The models of the photos, largest first, with at least this many points per placed photo."""
     pycolmap = colmap_library()
     registered = itertools.count(3)
 
@@ -241,7 +243,7 @@ def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
 
 
 def drop_lost(model: Any) -> None:
-    """Take out of a model the photos that stand absurdly far away: far things alone, or noise, placed them."""
+    """Remove photos from a model that are absurdly far away: distant objects alone, or noise, placed them."""
     placed = [image for image in model.images.values() if image.has_pose]
     points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
     if not placed or not len(points):
@@ -251,12 +253,13 @@ def drop_lost(model: Any) -> None:
     away = np.linalg.norm(centers - middle, axis=1)
     usual = max(np.percentile(away, 75), np.median(np.linalg.norm(points - middle, axis=1)))
     for image, distance in zip(placed, away, strict=True):
-        if not distance <= _LOST * usual:  # NaN is lost too
+        if not distance <= _LOST * usual:  # NaN is removed too
             model.deregister_frame(image.frame_id)
 
 
 def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:
-    """COLMAP's, eased for trees: few matches a pair, and most leaves seen by two photos only; one thread, seeded."""
+    """COLMAP's options, relaxed for trees: few matches per pair, and most leaves visible in two photos only; one
+    thread, seeded."""
     options = colmap_library().IncrementalPipelineOptions()
     options.num_threads = 1  # several sum in another order each time
     options.random_seed = config.seed
@@ -276,7 +279,7 @@ def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:
 
 
 def _name_and_resize(model: Any, photos: Sequence[Copy]) -> None:
-    """Give a model of the copies the photos' own names and sizes."""
+    """Restore the photos' own names and sizes in a model of the copies."""
     by_copy = {photo.copy: photo for photo in photos}
     sizes = {}
     for image in model.images.values():
