@@ -1,1 +1,1 @@
-"""What Blender shows: properties, panels, preferences, and the one list of classes."""
+"""The user interface in Blender: properties, panels, preferences, and the list of classes."""

@@ -1,4 +1,4 @@
-"""How photos are shown in the viewport, and what looking through one replaced."""
+"""Settings of photos in the viewport, and the view that a photo replaced."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"

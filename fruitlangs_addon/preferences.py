@@ -50,7 +50,8 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
 
 
 def device_text() -> str:
-    """What computes. Nothing is imported for it: whether PyTorch sees a card is known once something has been done."""
+    """The device of computation. Nothing is imported for it: whether PyTorch supports a card is known after its first
+    use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     text = f"Computes on the CPU with {cores} core{'s' if cores > 1 else ''}"
     torch: Any = sys.modules.get("torch")
@@ -60,7 +61,7 @@ def device_text() -> str:
 
 
 def draw_online(layout: Any) -> None:
-    """Whether Blender lets extensions go online, which is all that decides it, and where to change it."""
+    """Whether Blender allows online access, and where to change it."""
     if online():
         layout.label(text="Online: downloads packages and checkpoints when you ask for them", icon="INTERNET")
         return

@@ -1,4 +1,4 @@
-"""The state that a Blender scene keeps: what to count where, the settings of every stage, and the last result."""
+"""The properties of a Blender scene: source, prompt, the settings of every stage, and the last result."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -20,14 +20,14 @@ from .review_properties import FRUITLANGS_PG_review
 
 
 def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:
-    """A property group class made by call, because its properties are computed."""
+    """A property group class created at run time, because its properties are computed."""
     return type(
         name, (bpy.types.PropertyGroup,), {"__annotations__": properties, "__doc__": doc, "__module__": __name__}
     )
 
 
 UPDATES: dict[str, dict[str, Any]] = {"count": {"threshold": threshold_changed}}
-"""{stage: {setting: what an edit of it calls}}."""
+"""{stage: {setting: update callback}}."""
 
 STAGES = {
     stage: _group(
@@ -45,7 +45,7 @@ FRUITLANGS_PG_config = _group(
 
 
 class FRUITLANGS_PG_result(bpy.types.PropertyGroup):
-    """What the panel shows of the last import and the last count."""
+    """What the panel shows about the last import and the last count."""
 
     cameras: IntProperty(name="Cameras", min=0)
     points: IntProperty(name="Points", min=0)
@@ -106,7 +106,7 @@ class FRUITLANGS_PG_answer(bpy.types.PropertyGroup):
 
 
 class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
-    """How Gaussians look."""
+    """Appearance of the Gaussians."""
 
     style: EnumProperty(
         name="Show",

@@ -1,4 +1,4 @@
-"""The one list of classes, and what registering adds to Blender beside them."""
+"""The list of classes, and everything else that registering adds to Blender."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ CLASSES: tuple[Any, ...] = (
 )
 
 CANCEL_SECONDS = 5.0
-"""How long disabling waits for a job to stop."""
+"""Seconds that disabling waits for a job to stop."""
 
 
 def register() -> None:
-    """Add everything; a second call first takes the first one's away."""
+    """Register everything; a second call first unregisters the first one's."""
     if hasattr(bpy.types.Scene, "fruitlangs"):
         unregister()
     package_folder.use_packages()
@@ -80,7 +80,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take everything away and leave nothing behind; what waits for clicks ends, a running job is asked to stop."""
+    """Unregister everything; a tool that waits for clicks ends, and a running job is asked to stop."""
     active_tool.end_waiting()
     jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()

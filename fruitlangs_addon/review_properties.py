@@ -1,4 +1,4 @@
-"""What a review keeps in the .blend: its log, and how the list of fruit is shown."""
+"""What a review stores in the .blend: its log, and the settings of the list of fruit."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -19,7 +19,7 @@ from ..operators.review.review import get_active_fruit, set_active_fruit
 
 
 class FRUITLANGS_PG_spot(bpy.types.PropertyGroup):
-    """One fruit as it stood, in the scene's frame."""
+    """One fruit before or after a decision, in the scene frame."""
 
     number: IntProperty(name="Number", description="Number of the fruit")
     label: StringProperty(name="Label", description="Label of the fruit")

@@ -1,1 +1,1 @@
-"""What Blender does: operators and writers from engine values to Blender data."""
+"""Operators, and writers of engine values to Blender data."""

@@ -1,7 +1,7 @@
-"""The few things every writer does with Blender data: attributes from arrays, and finding what we own.
+"""Basic operations on Blender data: attributes from arrays, and finding our own data.
 
-What this extension makes carries the custom property `OWNER` with its role, so that it is found again whatever its name
-has become, in this Blender scene only, and nothing of the user's is ever replaced.
+Data blocks of this extension have the custom property `OWNER` with their role. So they are found whatever their name
+is, in this Blender scene only, and the user's data are never replaced.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _FIELDS: dict[AttributeType, tuple[str, int]] = {
 
 
 def array(values: Any, dtype: type = np.float32) -> NDArray[Any]:
-    """A contiguous NumPy array of `values`, be they a torch tensor on any device, an array or a sequence."""
+    """A contiguous NumPy array of `values`: a torch tensor on any device, an array or a sequence."""
     if hasattr(values, "detach"):
         values = values.detach().cpu().numpy()
     return np.ascontiguousarray(values, dtype=dtype)
@@ -51,7 +51,7 @@ def point_mesh(name: str, positions: NDArray[Any]) -> bpy.types.Mesh:
 
 
 def set_attribute(mesh: bpy.types.Mesh, name: str, kind: AttributeType, values: NDArray[Any]) -> None:
-    """Write `values`, one row a vertex, as the named point attribute; an attribute of that name is replaced."""
+    """Write `values`, one row per vertex, as the named point attribute; an attribute of that name is replaced."""
     old = mesh.attributes.get(name)
     if old is not None:
         mesh.attributes.remove(old)
@@ -74,13 +74,13 @@ def get_attribute(mesh: bpy.types.Mesh, name: str) -> NDArray[Any]:
 
 
 def linear_from_srgb(srgb: NDArray[Any] | Sequence[float]) -> NDArray[Any]:
-    """Blender's attributes and materials hold scene-linear colour; photos and Gaussians hold sRGB."""
+    """Blender's attributes and materials contain scene-linear colour; photos and Gaussians contain sRGB."""
     values = np.asarray(srgb, dtype=np.float32)
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_from_linear(linear: NDArray[Any] | Sequence[float]) -> NDArray[Any]:
-    """The way back of `linear_from_srgb`."""
+    """The inverse of `linear_from_srgb`."""
     values = np.asarray(linear, dtype=np.float32)
     return np.where(values <= 0.04045 / 12.92, values * 12.92, 1.055 * np.maximum(values, 0.0) ** (1 / 2.4) - 0.055)
 
@@ -101,14 +101,14 @@ def owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
 
 
 def _has_role(item: bpy.types.Object, role: Role) -> bool:
-    """Whether an object is ours and has that role: not where it is linked from another file, which nothing here may
-    change, nor where a person made something else than a mesh of it."""
+    """Whether an object is ours and has that role: not if it is linked from another file, which cannot be changed, nor
+    if the user turned it into something else than a mesh."""
     return item.get(OWNER) == role and item.library is None and (item.type == "MESH" or role not in MESHES)
 
 
 def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any]] | None:
-    """These attributes of this Blender scene's Gaussians; None where there are none, where they are being edited, and
-    where one is missing."""
+    """These attributes of this Blender scene's Gaussians; None if there are none, if they are being edited, or if one
+    is missing."""
     item = owned_object(scene, "gaussians")
     if item is None or item.mode == "EDIT" or any(name not in item.data.attributes for name in names):
         return None
@@ -116,12 +116,12 @@ def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any
 
 
 def local_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    """All collections of this Blender scene below its own, but for those linked from another file."""
+    """All collections of this Blender scene below its own, except those linked from another file."""
     return [each for each in scene.collection.children_recursive if each.library is None]
 
 
 def owned_collection(scene: bpy.types.Scene, role: Role, name: str) -> bpy.types.Collection:
-    """This Blender scene's collection with that role, made under its name where there is none."""
+    """This Blender scene's collection with that role, created under its name if there is none."""
     for collection in local_collections(scene):
         if collection.get(OWNER) == role:
             return collection
@@ -144,16 +144,16 @@ def new_object(
 
 
 def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> None:
-    """Select these and nothing else, but for hidden ones, and make the first active.
+    """Select only these, except hidden ones, and make the first active.
 
-    What this view layer leaves out cannot be selected. Its own list of objects is not gone through: in 5.0 it holds
-    dangling ones where some were just deleted.
+    Objects that this view layer excludes cannot be selected. Its list of objects is not iterated: in 5.0 it contains
+    dangling ones after a deletion.
     """
     for item in context.scene.objects:
         if item.select_get():
             item.select_set(False)
     for item in items:
-        with suppress(RuntimeError):  # this view layer leaves it out
+        with suppress(RuntimeError):  # this view layer excludes it
             item.select_set(not item.hide_viewport)
     if items:
         with suppress(RuntimeError):
@@ -161,14 +161,14 @@ def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -
 
 
 def in_scene_frame(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:
-    """The object's transform in the scene's frame; of a child of `root` as it was set, evaluated or not."""
+    """The object's transform in the scene frame; that of a child of `root` as it was set, evaluated or not."""
     if item.parent == root:
         return item.matrix_parent_inverse @ item.matrix_basis
     return root.matrix_world.inverted() @ item.matrix_world
 
 
 def remove_objects(objects: Iterable[bpy.types.Object]) -> None:
-    """Delete objects, and their data where nothing else uses it."""
+    """Delete objects, and their data if nothing else uses them."""
     doomed: Sequence[bpy.types.Object] = list(objects)
     data = {item.data for item in doomed if item.data is not None}
     bpy.data.batch_remove(doomed)

@@ -1,4 +1,4 @@
-"""Where the extension keeps the Python packages that it installed, and how Blender finds them."""
+"""The folder of the Python packages that the extension installed, and how Python finds them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from pathlib import Path
 import bpy
 
 EXTENSION = __package__.rpartition(".")[0]
-"""The extension's name in this Blender (`bl_ext.….fruitlangs`), or of the package where it is loaded otherwise."""
+"""The extension's name in this Blender (`bl_ext.….fruitlangs`), or the name of the package if it is not an
+extension."""
 
 UNFINISHED = ".part"
-"""Ends the name of a folder that is still being filled, or that a killed install left; it is never used."""
+"""Suffix of a folder that is being filled, or that a killed install left; it is never used."""
 
 
 def packages_folder() -> Path:
-    """The extension's own folder for packages, which outlives its updates; it may not be there yet.
+    """The extension's own folder for packages, which survives its updates; it may not exist yet.
 
-    Each install is a folder of its own in it, named after the Python that it is for.
+    Each install is a folder in it, named after its Python version.
     """
     try:
         return Path(bpy.utils.extension_path_user(EXTENSION, path="packages"))
@@ -33,7 +34,7 @@ def new_install(folder: Path) -> Path:
 
 
 def installs(folder: Path) -> list[Path]:
-    """The finished installs for this Python, oldest first; Blender copies folders from versions with another one."""
+    """The finished installs for this Python, oldest first; Blender also copies folders of versions with another one."""
     found = folder.glob(f"{sys.implementation.cache_tag}-*") if folder.is_dir() else []
     return sorted((path for path in found if path.name.rpartition("-")[2].isdigit()), key=_number)
 
@@ -43,7 +44,7 @@ def _number(install: Path) -> int:
 
 
 def use_packages(folder: Path | None = None) -> None:
-    """Let Python import what was installed in `folder`, else in ours, after all that Blender brings itself."""
+    """Let Python import packages from `folder`, else from ours, after all that Blender has."""
     sys.path += [str(path) for path in installs(folder or packages_folder()) if str(path) not in sys.path]
     importlib.invalidate_caches()
 

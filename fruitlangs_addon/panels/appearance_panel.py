@@ -1,4 +1,4 @@
-"""How Gaussians look, folded out below step 3: an answer is best judged by how it lights them."""
+"""Appearance of the Gaussians, a panel below step 3 because the highlight shows the effect of a prompt."""
 
 from __future__ import annotations
 

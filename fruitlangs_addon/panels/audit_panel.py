@@ -1,4 +1,4 @@
-"""Why: the audit of the active fruit's cluster, and what was dropped."""
+"""The audit of the active fruit, and the dropped clusters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class FRUITLANGS_PT_review_why(SidebarPanel, bpy.types.Panel):
 
 
 def _draw_dropped(layout: Any, dropped: Sequence[AuditEntry], metres: float | None, context: bpy.types.Context) -> None:
-    """The dropped clusters from the one on that the review says; they come largest first."""
+    """The dropped clusters, largest first, starting at the one set in the review."""
     review = context.scene.fruitlangs.review
     layout.label(text=f"{len(dropped)} dropped clusters, largest first" if dropped else "No cluster was dropped")
     if len(dropped) > ROWS:
@@ -57,7 +57,7 @@ def _draw_cluster(box: Any, entry: AuditEntry, metres: float | None, context: bp
 
 
 def texts_of_active(item: Any, audit: Sequence[AuditEntry], metres_per_unit: float | None) -> list[str]:
-    """What the audit says of the active object, a text each cluster: 'split, 3287 points, fruit 16, 17: …'."""
+    """The audit of the active object, one text per cluster: 'split, 3287 points, fruit 16, 17: …'."""
     if item is None or item.get(OWNER) != "fruit":
         return ["Select a fruit to see why it was counted"]
     if item.get(REVIEW) == ADDED:

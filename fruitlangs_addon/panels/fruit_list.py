@@ -1,4 +1,4 @@
-"""The list of fruit: one row an object of the Fruits collection, sorted and filtered as the review says."""
+"""The list of fruit: one row per object of the Fruits collection, sorted and filtered by the settings of the review."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .panel_parts import sidebar_width
 VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
 KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
 WIDTHS = (0.3, 0.37, 0.47)
-"""Of what is left: name, diameter, probability; the visible share has the rest, where the kind is a sign."""
-WIDE, WIDE_WIDTHS = 340, (0.26, 0.32, 0.36, 0.42)  # of these the kind has the rest
-"""Pixels of a sidebar from which there is room for the kind's name, before the interface's scale."""
+"""Widths of name, diameter and probability, each as a share of the remaining width; the visible share gets the rest."""
+WIDE, WIDE_WIDTHS = 340, (0.26, 0.32, 0.36, 0.42)  # of these the kind gets the rest
+"""Width of the sidebar in pixels above which the name of the kind fits, at an interface scale of 1."""
 
 
 class FRUITLANGS_UL_fruits(bpy.types.UIList):
@@ -49,12 +49,12 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
 
 
 def draw_head(layout: Any, context: bpy.types.Context) -> None:
-    """What the columns of the list are, with their units."""
+    """The headings of the columns, with units."""
     _draw_row(layout.row(align=True), context, "BLANK1", head(metres_per_unit(context.scene) is not None))
 
 
 def _draw_row(row: Any, context: bpy.types.Context, sign: str, texts: list[str]) -> None:
-    """One text a column; without the last one, the kind, where there is no room for it."""
+    """One text per column; without the last one, the kind, if there is no room for it."""
     wide = _has_room(context)
     row.label(text="", icon=sign)
     for text, share in zip(texts, (*WIDE_WIDTHS, None) if wide else (*WIDTHS, None, None), strict=True):
@@ -66,17 +66,17 @@ def _draw_row(row: Any, context: bpy.types.Context, sign: str, texts: list[str])
 
 
 def _has_room(context: bpy.types.Context) -> bool:
-    """Whether the sidebar has room for the kind's name."""
+    """Whether the sidebar is wide enough for the name of the kind."""
     return sidebar_width(context) >= WIDE
 
 
 def head(metric: bool) -> list[str]:
-    """What `cells` are. metric: lengths are metres."""
+    """The headings of `cells`. metric: lengths are metres."""
     return ["Fruit", diameter_head(metric), "Prob.", "Visible", "Kind"]
 
 
 def cells(item: Any, metric: bool) -> list[str]:
-    """Number and label, diameter (its unit is in the `head`), probability, visible share and kind of a fruit object.
+    """Id and label, diameter (its unit is in the `head`), probability, visible share and kind of a fruit object.
     metric: lengths are metres."""
     visible = item.get("visible_fraction")
     return [
@@ -89,7 +89,7 @@ def cells(item: Any, metric: bool) -> list[str]:
 
 
 def is_shown(item: Any, show: str, doubt: float, name: str) -> bool:
-    """Whether the list shows an object: a fruit, as the review says."""
+    """Whether the list shows an object: a fruit that passes the filters of the review."""
     if item.get(OWNER) != "fruit":
         return False
     verdict = item.get(REVIEW)
@@ -103,7 +103,7 @@ def is_shown(item: Any, show: str, doubt: float, name: str) -> bool:
 
 
 def ranks(items: list[Any], key: str) -> list[int]:
-    """The place of each item when they are sorted by a custom property, then by number."""
+    """The position of each item when sorted by a custom property, then by id."""
     default: Any = "" if key in {"kind", "label"} else 1.0
     order = sorted(range(len(items)), key=lambda index: (items[index].get(key, default), items[index].get("id", 0)))
     places = [0] * len(items)

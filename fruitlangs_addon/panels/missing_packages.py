@@ -1,4 +1,4 @@
-"""What a panel shows where Python packages are missing: which, and the button that installs them."""
+"""The message and the install button that a panel shows if Python packages are missing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .panel_parts import draw_job, draw_text
 
 
 def draw_missing_packages(layout: Any, context: bpy.types.Context) -> bool:
-    """The missing packages with the ways to get them, or how far their install is; False where none is missing."""
+    """Draw the missing packages with the ways to get them, or the progress of their installation; False if none is
+    missing."""
     missing = missing_packages()
     if not missing:
         return False

@@ -1,4 +1,4 @@
-"""What the steps of the Fruit tab share: their frame, their state, text that wraps, and settings in short."""
+"""Parts that the steps of the Fruit tab share: frame, state, wrapped text, and settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class SidebarPanel:
 
 
 class StepPanel(SidebarPanel):
-    """One step of the day: its header shows how far it is, its body what it needs next."""
+    """A step of the workflow: its header shows its state, its body what it needs next."""
 
     step: ClassVar[Name]
 
@@ -28,7 +28,8 @@ class StepPanel(SidebarPanel):
         self.layout.label(text="", icon=ICONS[step_of(self.step, context.scene).state])
 
     def body(self: Any, context: bpy.types.Context) -> Any:
-        """The panel's layout with names left of their values, below what the step needs next."""
+        """The layout of the panel with labels left of their values, below the sentence about what the step needs
+        next."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         sentence = step_of(self.step, context.scene).sentence
@@ -38,8 +39,8 @@ class StepPanel(SidebarPanel):
 
 
 def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
-    """How far the job of that title is, with the button that stops it, and False where no such job runs; then also
-    what went wrong with the last one."""
+    """Draw the progress of the job with that title and its Cancel button; False if it does not run, then also with the
+    last error."""
     job: Job | None = running()
     if job is None or job.title != title:
         settings = context.scene.fruitlangs
@@ -56,14 +57,14 @@ def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
 
 
 def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
-    """Text broken to the sidebar's width; labels do not wrap by themselves."""
+    """Draw text wrapped to the width of the sidebar; labels do not wrap by themselves."""
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(text, max(int(sidebar_width(context) / 6.3) - 6, 12))):
         column.label(text=line, icon=icon if number == 0 else "NONE")
 
 
 def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
-    """Why splats cannot be drawn, with what can be instead; nothing while they can."""
+    """Draw why splats cannot be drawn and what can be shown instead; nothing if they can."""
     if not problem():
         return
     box, look = layout.box(), context.scene.fruitlangs.look
@@ -76,13 +77,13 @@ def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
 
 
 def sidebar_width(context: bpy.types.Context) -> float:
-    """Pixels of the region that is drawn, before the interface's scale."""
+    """Width of the drawn region in pixels, at an interface scale of 1."""
     pixels: float = context.region.width / context.preferences.system.ui_scale
     return pixels
 
 
 def draw_settings(layout: Any, group: Any, names: Iterable[str]) -> None:
-    """Settings of one stage, one below the other."""
+    """Draw settings of one stage, one below the other."""
     column = layout.column(align=True)
     for name in names:
         column.prop(group, name)

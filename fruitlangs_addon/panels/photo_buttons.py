@@ -12,7 +12,7 @@ from .panel_parts import draw_text
 
 
 def draw_photos(layout: Any, context: bpy.types.Context) -> None:
-    """The buttons that look at the active fruit in its photos, and how strongly a photo is shown."""
+    """Draw the buttons that show the active fruit in its photos, and the opacity of the photo."""
     photos, camera = context.scene.fruitlangs.photos, context.scene.camera
     column = layout.column(align=True)
     row = column.row(align=True)

@@ -1,4 +1,4 @@
-"""Step 3, Ask: which words, and how many Gaussians answer to them."""
+"""Step 3, Prompt: the words, and how many Gaussians match them."""
 
 from __future__ import annotations
 

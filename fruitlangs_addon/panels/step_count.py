@@ -1,4 +1,4 @@
-"""Step 4, Count: the number, how sure it is, and what went wrong."""
+"""Step 4, Count: the count with its intervals, or the error."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
 
 
 def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
-    """The last count."""
+    """Draw the last count."""
     result = settings.result
     if result.count < 0:
         return

@@ -1,4 +1,4 @@
-"""Step 6, Export: what stands after the review, as files for people and for other programs."""
+"""Step 6, Export: the reviewed fruit as files for people and for other programs."""
 
 from __future__ import annotations
 

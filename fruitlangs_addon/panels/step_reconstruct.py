@@ -10,7 +10,7 @@ from .panel_parts import StepPanel, draw_job, draw_settings, draw_splat_problem,
 from .settings_panels import settings_panels
 
 MAIN = ("steps", "max_gaussians")
-"""The settings most people change; the others fold out below."""
+"""The settings that most people change; the others are in the panels below."""
 
 
 class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
@@ -37,7 +37,7 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
             layout.label(text=f"{result.gaussians:,} Gaussians", icon="CHECKMARK")
             if result.quality:
                 draw_text(layout, result.quality[:1].upper() + result.quality[1:], context)
-            if result.notices and result.count < 0:  # the step Count tells them with its count
+            if result.notices and result.count < 0:  # after a count, step 4 shows them
                 draw_text(layout, result.notices, context)
 
 

@@ -1,4 +1,4 @@
-"""Step 5, Review: the list of fruit, and what a person says of them."""
+"""Step 5, Review: the list of fruit, and the decisions of the user."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
 
 
 def draw_list(layout: Any, context: bpy.types.Context) -> None:
-    """The fruit there are, and the ways to look at them; nothing where there is none."""
+    """Draw the list of fruit and the ways to view them; nothing without fruit."""
     review, collection = context.scene.fruitlangs.review, fruit_collection(context.scene)
     if collection is None:
         return

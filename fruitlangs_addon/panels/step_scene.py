@@ -1,4 +1,4 @@
-"""Step 1, Scene: which photos or reconstruction, and what is known of them."""
+"""Step 1, Scene: the photos or the reconstruction, and information about them."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
             points = f", {result.points:,} points" if result.points else ""
             layout.label(text=f"{result.cameras} cameras{points}", icon="CAMERA_DATA")
             draw_tools(layout, context)
-        if result.notices and not result.gaussians and result.count < 0:  # later steps tell them with what they made
+        if result.notices and not result.gaussians and result.count < 0:  # later steps show them with their results
             draw_text(layout, result.notices, context, icon="INFO")
 
 
 def draw_tools(layout: Any, context: bpy.types.Context) -> None:
-    """What a person can say of the scene by clicks: its scale, its ground, and where to count."""
+    """Draw the tools for scale, ground and region."""
     column = layout.column(align=True)
     column.operator(FRUITLANGS_OT_measure.bl_idname, icon="DRIVER_DISTANCE")
     column.operator(FRUITLANGS_OT_set_ground.bl_idname, icon="GRID")

@@ -1,4 +1,5 @@
-"""How far each of the six steps is, and what it needs next in a sentence; quick, for every draw asks."""
+"""The state of each of the six steps, and a sentence about what it needs next; fast, because every redraw computes
+it."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ CHOOSE = "Choose a scene in step 1 first"
 
 @dataclass(frozen=True)
 class Step:
-    """state: how far it is; sentence: what it needs next, or how it ended; empty where the panel shows that anyway."""
+    """state: of the step; sentence: what it needs next, or how it ended; empty if the panel shows that anyway."""
 
     state: State
     sentence: str
@@ -39,7 +40,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Check:
-    """What one look at a Blender scene tells of a step: whether it is done, whether all that it needs is there."""
+    """The state of a step in a Blender scene: whether it is done, and whether everything it needs is there."""
 
     done: bool
     ready: bool
@@ -47,7 +48,7 @@ class Check:
 
 
 def step_of(name: Name, bpy_scene: bpy.types.Scene) -> Step:
-    """How far a step is. `next` is the first one that is not done; of the others `ready` ones can be done as well."""
+    """The state of a step. `next` is the first one that is not done; `ready` ones can be done as well."""
     if _went_wrong(name, bpy_scene):
         return Step("wrong", "")
     found = CHECKS[name](bpy_scene)
@@ -138,11 +139,11 @@ CHECKS: dict[Name, Callable[[bpy.types.Scene], Check]] = {
     "review": _review,
     "export": _export,
 }
-"""In the order of the day."""
+"""The steps in order."""
 TITLES: dict[Name, str] = {
     "scene": FRUITLANGS_OT_import_scene.title,
     "reconstruct": FRUITLANGS_OT_reconstruct.title,
     "count": FRUITLANGS_OT_count.title,
     "export": TITLE,
 }
-"""The jobs that do the steps' work."""
+"""The jobs of the steps."""

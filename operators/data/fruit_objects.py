@@ -1,4 +1,4 @@
-"""The fruit objects of a Blender scene as a review sees them: where they are, and what a person said of them."""
+"""The fruit objects of a Blender scene for the review: their positions, and the user's decisions."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Decision, Spot
 
 REVIEW = "review"
-"""Custom property of a fruit that a person judged: 'confirmed', 'rejected', or 'added' where they made it."""
+"""Custom property of a reviewed fruit: 'confirmed', 'rejected', or 'added' if the user made it."""
 REJECTED, CONFIRMED, ADDED = "rejected", "confirmed", "added"
 LAST_ID = "fruitlangs_last_id"
-"""Custom property of the Blender scene: the highest number that a fruit ever had in it."""
+"""Custom property of the Blender scene: the highest id that a fruit ever had in it."""
 
 
 def fruit_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The collection of the fruit objects, or of the first of them where a person took it away; None without fruit."""
+    """The collection of the fruit objects, or that of the first of them if the user removed it; None without fruit."""
     first = owned_object(bpy_scene, "fruit")
     if first is None:
         return None
@@ -41,12 +41,12 @@ def fruit_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
 
 
 def standing(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The fruit that count: all that were not rejected."""
+    """The fruit that count: all that are not rejected."""
     return [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) != REJECTED]
 
 
 def metres_per_unit(bpy_scene: bpy.types.Scene) -> float | None:
-    """Metres in a unit of the scene's frame; None where the scale is not known."""
+    """Metres per unit of the scene frame; None if the scale is unknown."""
     root = owned_object(bpy_scene, "root")
     return None if root is None else float(root.get("metres_per_unit", 0.0)) or None
 
@@ -62,16 +62,16 @@ def diameter_number(item: bpy.types.Object, metric: bool) -> str:
 
 
 def diameter_head(metric: bool) -> str:
-    """What stands over, or before, diameters without a unit."""
+    """The heading of diameters without a unit."""
     return "Ø mm" if metric else "Ø units"
 
 
 def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:
-    """Where a fruit object stands, in the scene's frame and units."""
+    """The position of a fruit object, in the scene frame and units."""
     from ...engine.counting.accounts.review import Spot
 
     placed = np.array(in_scene_frame(item, root))
-    # The mesh is a ball of diameter 1.
+    # The mesh is a sphere of diameter 1.
     axes = 0.5 * placed[:3, :3].T
     axes = axes[np.argsort(-np.linalg.norm(axes, axis=1), kind="stable")]
     axes[2] *= np.sign(np.linalg.det(axes)) or 1.0
@@ -79,7 +79,7 @@ def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:
 
 
 def judge(item: bpy.types.Object, verdict: str) -> None:
-    """Say of a fruit that it is 'confirmed', 'rejected' or 'added', or nothing (''); rejected ones are hidden."""
+    """Mark a fruit as 'confirmed', 'rejected' or 'added', or remove the mark (''); rejected ones are hidden."""
     if verdict:
         item[REVIEW] = verdict
     elif REVIEW in item:
@@ -88,7 +88,7 @@ def judge(item: bpy.types.Object, verdict: str) -> None:
 
 
 def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | None) -> bpy.types.Object:
-    """An object for a fruit that a person made; its colour and tree are those of the fruit `like`."""
+    """An object for a fruit that the user made; its colour and tree are those of the fruit `like`."""
     from ...engine.counting.fruit import Fruit
 
     root = owned_object(bpy_scene, "root")
@@ -118,16 +118,16 @@ def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | 
 
 
 def next_ids(bpy_scene: bpy.types.Scene, count: int) -> list[int]:
-    """Numbers that no fruit of this Blender scene ever had."""
+    """Ids that no fruit of this Blender scene ever had."""
     used = [int(item.get("id", 0)) for item in owned_objects(bpy_scene, "fruit")]
     last = max([int(bpy_scene.get(LAST_ID, 0)), *used])
     return list(range(last + 1, last + 1 + count))
 
 
 def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices (M,) of the Gaussians of a fruit, and their places (M, 3) in the scene's frame.
+    """Indices (M,) of the Gaussians of a fruit, and their positions (M, 3) in the scene frame.
 
-    A copy that a person made of a fruit has its number: of those each has the Gaussians that are nearest to it.
+    A copy that the user made of a fruit has the same id: each of them gets the Gaussians nearest to it.
     """
     found = gaussian_attributes(bpy_scene, "fruit_id", "position")
     if found is None:
@@ -144,7 +144,7 @@ def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray
 
 
 def give_members(bpy_scene: bpy.types.Scene, own: NDArray[np.int64], numbers: NDArray[np.int64] | int) -> None:
-    """Make the Gaussians `own` (M,) those of the fruit with these numbers, (M,) or one."""
+    """Assign the Gaussians `own` (M,) to the fruit with these ids, (M,) or one."""
     item, found = owned_object(bpy_scene, "gaussians"), gaussian_attributes(bpy_scene, "fruit_id")
     if len(own) and item is not None and found is not None:
         found[0][own] = numbers
@@ -152,12 +152,12 @@ def give_members(bpy_scene: bpy.types.Scene, own: NDArray[np.int64], numbers: ND
 
 
 def now() -> str:
-    """The time, as the log has it."""
+    """The current time in the format of the log."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def write_log(bpy_scene: bpy.types.Scene, decision: Decision) -> None:
-    """Add a decision to the log that the .blend keeps."""
+    """Add a decision to the log in the .blend."""
     entry = bpy_scene.fruitlangs.review.log.add()
     entry.action, entry.time, entry.reason = decision.action, decision.time, decision.reason
     for spots, kept in ((decision.before, entry.before), (decision.after, entry.after)):
@@ -166,14 +166,14 @@ def write_log(bpy_scene: bpy.types.Scene, decision: Decision) -> None:
 
 
 def keep_spot(rows: Any, spot: Spot) -> None:
-    """Add a spot to those that the .blend keeps."""
+    """Add a spot to those in the .blend."""
     row = rows.add()
     row.number, row.label = spot.id, spot.label
     row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
 
 
 def read_log(bpy_scene: bpy.types.Scene) -> list[Decision]:
-    """The decisions that the .blend keeps, oldest first."""
+    """The decisions in the .blend, oldest first."""
     from ...engine.counting.accounts.review import Decision
 
     return [

@@ -1,7 +1,7 @@
-"""Fruit that a person deleted or copied by Blender's own means (X, Shift-D), told to the log.
+"""Logs fruit that the user deleted or copied with Blender's own tools (X, Shift-D).
 
-The .blend keeps which fruit stood when last looked (`review.known`). What is missing since was deleted: rejected. What
-is there beside them was copied: added. So the log is complete, and a later count keeps both.
+The .blend stores which fruit existed at the last check (`review.known`). Fruit missing since then were deleted:
+rejected. New ones were copied: added. So the log is complete, and a later count keeps both.
 """
 
 from __future__ import annotations
@@ -31,11 +31,12 @@ if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Spot
 
 OF_ONE_LOOK = ("probability", "visible_fraction", "diameter_sd", "views", "kind")
-"""Custom properties that say how the machine saw a fruit, and nothing of a copy of it."""
+"""Custom properties of a counted fruit that a copy of it does not get."""
 
 
 def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
-    """Keep which fruit stand and where; those of the machine where it found them, as a later count will."""
+    """Store which fruit exist and where; counted ones at the position of the count, so that a later count finds
+    them."""
     root, known = owned_object(bpy_scene, "root"), bpy_scene.fruitlangs.review.known
     if root is None:
         return
@@ -50,10 +51,10 @@ def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
 
 
 def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
-    """Write into the log which fruit were deleted or copied since `remember_fruit`; returns it in words.
+    """Log which fruit were deleted or copied since `remember_fruit`; returns it as texts.
 
-    Nothing is known of fruit that were never remembered (a .blend of the command line), nor where the root is gone: who
-    deletes all of a scene has judged no fruit.
+    Fruit that were never stored (a .blend of the command line) are not logged, nor are fruit whose root is gone:
+    deleting a whole scene is not a review.
     """
     from ...engine.counting.accounts.review import Decision
 
@@ -77,9 +78,9 @@ def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
 
 
 def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[Spot]) -> dict[int, bpy.types.Object]:
-    """{number: object} of the fruit that were known; of several with a number the one that is nearest to where it was.
+    """{id: object} of the stored fruit; of several with one id the nearest to the stored position.
 
-    Where none was known the first of each number is taken for it.
+    Without a stored position it is the first of each id.
     """
     centers, found = {spot.id: spot.center for spot in known}, dict[int, tuple[float, bpy.types.Object]]()
     for item in sorted(standing(bpy_scene), key=lambda item: item.name):
@@ -94,7 +95,7 @@ def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[S
 
 
 def _make_own(bpy_scene: bpy.types.Scene, item: bpy.types.Object, number: int) -> None:
-    """Make a fruit of its own of a copy, as if a person had added it: what is selected or active stays so."""
+    """Make a copy a fruit of its own, as if the user had added it; selection and active object stay."""
     for key in OF_ONE_LOOK:
         if key in item:
             del item[key]

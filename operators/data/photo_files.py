@@ -1,6 +1,6 @@
-"""The photo of a Blender camera: where its file is, and which lens took it.
+"""The photo of a Blender camera: its file and its lens.
 
-A camera keeps all of it in custom properties, so that a saved .blend needs neither the scene's model nor its reader.
+A camera stores them in custom properties, so that a saved .blend needs neither the scene's model nor its reader.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from ...engine.scene.photos.photo import FilePhoto
 
 PHOTO, FILE, LENS, SIZE, ASPECT = "photo", "photo_file", "photo_lens", "photo_size", "pixel_aspect"
-"""Custom properties of a camera: its photo's name, its file, its lens where the file is not what the camera sees, the
-camera's width and height in pixels, and fx / fy."""
+"""Custom properties of a camera: name and file of its photo, its lens if the file is distorted, the camera's width and
+height in pixels, and fx / fy."""
 LONGEST = 2048
-"""Pixels a side of an undistorted picture, at most: a person waits for it."""
+"""Longest side of an undistorted picture in pixels: the user waits for it."""
 NEAR_BLEND = 2
-"""Folders up from the .blend in which a photo that was moved is looked for."""
+"""Folders above the .blend in which a moved photo is searched."""
 
 
 def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> None:
-    """Write into a camera what it needs to find and show its photo later."""
+    """Store in a camera what is needed to find and show its photo later."""
     item[PHOTO] = "" if photo is None else photo.name
     item[SIZE] = [camera.width, camera.height]
     item[ASPECT] = float(camera.K[0, 0] / camera.K[1, 1])
@@ -54,12 +54,12 @@ def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> N
 
 
 def has_photo(item: bpy.types.Object | None) -> bool:
-    """Whether an object is a camera of ours that was made with its photo."""
+    """Whether an object is a camera of ours that was created with its photo."""
     return item is not None and item.get("fruitlangs") == "camera" and bool(item.get(FILE)) and SIZE in item
 
 
 def photo_path(item: bpy.types.Object) -> Path:
-    """The file of a camera's photo; one that was moved along with the .blend or the scene's folder is found there.
+    """The file of a camera's photo; one that was moved together with the .blend or the scene's folder is found.
 
     Raises:
         SceneError: the camera was made without one, or it is not there (any more).
@@ -79,7 +79,7 @@ def photo_path(item: bpy.types.Object) -> Path:
 
 
 def _bases() -> list[Path]:
-    """Folders in which photos that were moved are looked for."""
+    """Folders in which moved photos are searched."""
     found = []
     if bpy.data.filepath:
         folder = Path(bpy.data.filepath).parent
@@ -89,7 +89,7 @@ def _bases() -> list[Path]:
 
 
 def viewed_file(item: bpy.types.Object) -> Path:
-    """A picture of what the camera sees: the photo's own file, or an undistorted copy in Blender's temporary folder.
+    """A picture of what the camera shows: the photo's own file, or an undistorted copy in Blender's temporary folder.
 
     Raises:
         SceneError: the photo is gone or cannot be decoded.
@@ -102,7 +102,7 @@ def viewed_file(item: bpy.types.Object) -> Path:
 
 
 def ready_file(item: bpy.types.Object) -> Path | None:
-    """`viewed_file` where that takes no time; None where `undistorting` must be called first.
+    """`viewed_file` if that takes no time; None if `undistorting` must be called first.
 
     Raises:
         SceneError: the photo is gone.
@@ -131,7 +131,7 @@ def _viewed_name(item: bpy.types.Object) -> Path:
 
 
 def _file_photo(item: bpy.types.Object, path: Path) -> FilePhoto:
-    """The photo as the scene reader had it, no larger than `LONGEST`."""
+    """The photo as the scene reader reads it, no larger than `LONGEST`."""
     from PIL import Image
 
     from ...engine.scene.photos.lens import Lens
@@ -165,11 +165,11 @@ def _write_undistorted(photo: FilePhoto, made: Path) -> None:
 
 
 def remove_backgrounds(items: Iterable[bpy.types.Object]) -> None:
-    """Take our photos from behind these cameras, and out of memory."""
+    """Remove our photos from these cameras and from memory."""
     for item in items:
         slots = item.data.background_images
         for slot in [slot for slot in slots if slot.image is not None and slot.image.get(OWNER) == "photo"]:
-            image, slot.image = slot.image, None  # removing the slot alone would leave its use of the picture counted
+            image, slot.image = slot.image, None  # removing the slot alone would keep a user of the picture
             slots.remove(slot)
             if image.users == 0:
                 bpy.data.images.remove(image)

@@ -1,4 +1,4 @@
-"""Blender's cameras as the engine's: the way back of `write_cameras`, and what a person looks through."""
+"""Blender's cameras as the engine's: the inverse of `write_cameras`, and the user's own camera."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def read_scene(bpy_scene: bpy.types.Scene) -> Scene:
-    """The photos' cameras and the sparse points that are shown, in the scene's frame; without the photos.
+    """The photos' cameras and the sparse points that are shown, in the scene frame, without the photos.
 
     Raises:
         SceneError: nothing was imported, or a camera is none of perspective.
@@ -35,7 +35,7 @@ def read_scene(bpy_scene: bpy.types.Scene) -> Scene:
 
 
 def read_up(bpy_scene: bpy.types.Scene) -> FloatArray:
-    """(3,) unit vector away from the ground, in the scene's frame.
+    """(3,) unit vector away from the ground, in the scene frame.
 
     Raises:
         SceneError: nothing was imported.
@@ -45,7 +45,7 @@ def read_up(bpy_scene: bpy.types.Scene) -> FloatArray:
 
 
 def read_cameras(bpy_scene: bpy.types.Scene) -> list[Camera]:
-    """The photos' cameras, as they stand now.
+    """The photos' cameras, at their current poses.
 
     Raises:
         SceneError: one is none of perspective.
@@ -55,7 +55,7 @@ def read_cameras(bpy_scene: bpy.types.Scene) -> list[Camera]:
 
 
 def read_camera(item: bpy.types.Object, root: bpy.types.Object) -> Camera:
-    """One photo's camera, as it stands now.
+    """One photo's camera, at its current pose.
 
     Raises:
         SceneError: it is none of perspective.
@@ -65,7 +65,7 @@ def read_camera(item: bpy.types.Object, root: bpy.types.Object) -> Camera:
 
 
 def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
-    """The camera that Blender would render through, at the render's size.
+    """The camera of a Blender render, at the size of the render.
 
     Raises:
         SceneError: there is none, it is none of perspective, or nothing was imported.
@@ -74,7 +74,7 @@ def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
     if item is None:
         raise SceneError("The scene has no active camera. Set one, or choose the automatic view")
     for layer in bpy_scene.view_layers:
-        layer.update()  # a camera that was just moved or added has no place in the world yet
+        layer.update()  # a camera that was just moved or added has no world matrix yet
     share = render.resolution_percentage / 100.0
     width, height = (max(round(side * share), 1) for side in (render.resolution_x, render.resolution_y))
     return _camera(item, _root(bpy_scene), width, height, render.pixel_aspect_y / render.pixel_aspect_x)

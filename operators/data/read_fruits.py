@@ -1,4 +1,4 @@
-"""Fruit objects as the engine's count: what stands now, a person's corrections and all."""
+"""Fruit objects as an engine count, with the user's corrections."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from ...engine.counting.fruit import Fruit, FruitCount, Tree
 
 SAME = 1e-3
-"""Share by which a fruit's diameter may differ from the one it was given before a person must have scaled it."""
+"""Relative difference between a fruit's diameter and its stored one above which the user must have scaled it."""
 
 
 def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
-    """The fruit that stand in this Blender scene, by number, where and as large as they are now.
+    """The current fruit of this Blender scene, by id, at their current positions and sizes.
 
-    Rejected fruit are left out. A copy that a person made of a fruit has its number; it gets a free one here. The
-    interval is the corrected one. Of all fruit, seen or not, something is told only while nothing was reviewed.
-    The audit is that of the count, before the review. The sampled points are not in a .blend; a tree's place is the
-    middle of its fruit, and trees without any are not known.
+    Rejected fruit are left out. A copy that the user made of a fruit has the same id; it gets a free one here. The
+    interval is the corrected one. The number with hidden fruit is given only before any review. The audit is that of
+    the count, before the review. The sampled points are not in a .blend; the position of a tree is the middle of its
+    fruit, and trees without fruit are unknown.
 
     Raises:
         CountingError: nothing was counted.
@@ -60,14 +60,14 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
 
 
 def counted(bpy_scene: bpy.types.Scene) -> bool:
-    """Whether there was a count, be it of 0 fruit."""
+    """Whether there was a count, including one of 0 fruit."""
     return bpy_scene.fruitlangs.result.count >= 0 or owned_object(bpy_scene, "fruit") is not None
 
 
 def _fruit(
     item: bpy.types.Object, root: bpy.types.Object, number: int, owners: NDArray[np.int32], metres_per_unit: float
 ) -> Fruit:
-    """One fruit object. owners: (N,) the Gaussians' fruit."""
+    """One fruit object. owners: (N,) the fruit id of each Gaussian."""
     from ...engine.counting.fruit import Fruit
 
     spot = spot_of(item, root)
@@ -79,7 +79,7 @@ def _fruit(
         label=spot.label,
         center=spot.center,
         diameter=spot.diameter,
-        # What was measured says nothing of a size that a person gave.
+        # Measured values do not apply to a size that the user set.
         diameter_sd=float(item.get("diameter_sd", np.nan)) / metres_per_unit if as_given else float("nan"),
         volume=float(np.pi / 6.0 * spot.diameter**3),
         axes=spot.axes,
@@ -95,7 +95,7 @@ def _fruit(
 
 
 def _numbers(bpy_scene: bpy.types.Scene, items: list[bpy.types.Object]) -> list[int]:
-    """One number a fruit; the first of several with the same keeps it."""
+    """One id per fruit; the first of several with the same keeps it."""
     found = np.array([item.get("id", 0) for item in items], np.int64)
     first = np.zeros(len(found), bool)
     first[np.unique(found, return_index=True)[1]] = True
@@ -114,6 +114,6 @@ def _trees(fruits: list[Fruit]) -> list[Tree]:
 
 
 def _gaussian_attribute(bpy_scene: bpy.types.Scene, name: str, kind: type) -> NDArray[Any]:
-    """(N,) an attribute of the Gaussians; empty where it cannot be had."""
+    """(N,) an attribute of the Gaussians; empty if it is missing."""
     found = gaussian_attributes(bpy_scene, name)
     return np.zeros(0, kind) if found is None else found[0]

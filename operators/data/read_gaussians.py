@@ -1,4 +1,4 @@
-"""The Gaussian object's attributes as engine values: the way back of `write_gaussians`."""
+"""The Gaussian object's attributes as engine values: the inverse of `write_gaussians`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from ...engine.splatting.gaussians import Gaussians
 
 NEEDED = ("scale", "quaternion", "radiance:base", "opacity")
-"""Attributes that a picture cannot do without."""
+"""Attributes that a picture needs."""
 LEAST = 1e-6
-"""Opacities are kept this far from 0 and 1, where their logits end."""
+"""Opacities are kept this far from 0 and 1, where logits are infinite."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredGaussians:
-    """What the mesh holds of N Gaussians, as NumPy arrays: reading them needs no PyTorch, whose import takes seconds.
+    """The N Gaussians of the mesh as NumPy arrays: reading them does not need PyTorch, whose import takes seconds.
 
     positions: (N, 3); scales: (N, 3); quaternions: (N, 4); colors: (N, 3) sRGB; opacities: (N,).
     """
@@ -37,7 +37,7 @@ class StoredGaussians:
     antialiased: bool
 
     def gaussians(self) -> Gaussians:
-        """In the scene's frame. Their colour is alike from all sides (spherical harmonics of degree 0)."""
+        """In the scene frame, without view-dependent colour (spherical harmonics of degree 0)."""
         import torch
 
         from ...engine.splatting.gaussians import Gaussians, harmonics_of
@@ -53,7 +53,7 @@ class StoredGaussians:
 
 
 def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
-    """This Blender scene's Gaussians; None where it has none.
+    """This Blender scene's Gaussians; None if it has none.
 
     Raises:
         FormatError: the object is being edited, or a person removed an attribute.

@@ -1,7 +1,7 @@
 """The audit of a count in the .blend: why each cluster of points was kept, split, merged or dropped.
 
-It is text in a custom property of the Blender scene: the command line writes scene.blend without the extension's own
-properties.
+It is text in a custom property of the Blender scene, because the command line writes scene.blend without the
+extension's own properties.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ AUDIT = "fruitlangs_audit"
 
 
 def write_audit(bpy_scene: bpy.types.Scene, audit: Sequence[AuditEntry]) -> None:
-    """Replace the audit that this Blender scene keeps."""
+    """Replace the audit of this Blender scene."""
     largest_first = sorted(audit, key=lambda entry: (-entry.points, entry.cluster))
     bpy_scene[AUDIT] = json.dumps([dataclasses.asdict(entry) for entry in largest_first])
 
 
 def read_audit(bpy_scene: bpy.types.Scene) -> list[AuditEntry]:
-    """The entries of the count that is shown, those of most points first; none where the .blend keeps no audit."""
+    """The entries of the shown count, largest first; none if the .blend has no audit."""
     return list(_entries(bpy_scene.get(AUDIT, "[]")))
 
 
-@lru_cache(maxsize=2)  # a panel asks at every draw
+@lru_cache(maxsize=2)  # a panel needs it at every redraw
 def _entries(text: str) -> tuple[AuditEntry, ...]:
     from ...engine.counting.fruit import AuditEntry
 
@@ -43,5 +43,5 @@ def _entries(text: str) -> tuple[AuditEntry, ...]:
 
 
 def about_fruit(audit: Sequence[AuditEntry], number: int) -> list[AuditEntry]:
-    """The entries that name the fruit of that number: of its own cluster first, then of those merged into it."""
+    """The entries that name the fruit of that id: its own cluster first, then those merged into it."""
     return sorted((entry for entry in audit if number in entry.fruit_ids), key=lambda entry: entry.verdict == "merged")

@@ -1,4 +1,4 @@
-"""After a count: what a person decided before holds on, and the line that says where the review stands."""
+"""Applies the user's decisions again after a count, and summarises the state of the review."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 
 def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
-    """Write into the log which fruit a person deleted and copied, which is told in words, and where those that a person
-    made stand now: they may have been moved and scaled since."""
+    """Log which fruit the user deleted and copied, returned as texts, and where the user's own fruit are now, since
+    they may have been moved and scaled."""
     root = owned_object(bpy_scene, "root")
     if root is None:
         return []
@@ -50,14 +50,15 @@ def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
 
 
 def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
-    """Every fruit that the log names."""
+    """Every fruit in the log."""
     for entry in bpy_scene.fruitlangs.review.log:
         yield from entry.before
         yield from entry.after
 
 
 def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts: Sequence[str]) -> list[str]:
-    """Apply the log to the fruit objects of a new count of these prompts; returns what of it was not, in words."""
+    """Apply the log to the fruit objects of a new count of these prompts; returns what could not be applied, as
+    texts."""
     from ...engine.counting.accounts.review import about, replay
 
     bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), fruit_count.last_id)
@@ -80,13 +81,13 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts:
     remove_objects(gone.values())
     for row in _rows(bpy_scene):
         row.number = found.renumbered.get(row.number, row.number)
-    bpy_scene.fruitlangs.review.known.clear()  # a number may be another fruit's now
+    bpy_scene.fruitlangs.review.known.clear()  # an id may belong to another fruit now
     remember_fruit(bpy_scene)
     return _not_applied(found.lost, others)
 
 
 def _labels(fruit_count: FruitCount, prompts: Sequence[str]) -> set[str]:
-    """What the fruit of a count may be called."""
+    """The labels that the fruit of a count may have."""
     from ...engine.language.vocabulary import parse
 
     labels = {fruit.label for fruit in fruit_count.fruits} | set(prompts)
@@ -97,8 +98,8 @@ def _labels(fruit_count: FruitCount, prompts: Sequence[str]) -> set[str]:
 
 
 def _give_members(bpy_scene: bpy.types.Scene, gone: dict[int, bpy.types.Object], found: Reviewed) -> None:
-    """Give the Gaussians of the machine's fruit that persons replaced, {index: object}, to what was made of each, the
-    nearest."""
+    """Assign the Gaussians of counted fruit that the user replaced, {index: object}, to the nearest of the new
+    fruit."""
     for index, item in gone.items():
         heirs = [spot for spot, origins in zip(found.spots, found.origins, strict=True) if index in origins]
         own, places = members(bpy_scene, item)
@@ -119,7 +120,7 @@ def _not_applied(lost: Sequence[Decision], others: Sequence[Decision]) -> list[s
 
 
 def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
-    """Whether a person has decided anything about the fruit that were counted last."""
+    """Whether the user has made any decision about the fruit of the last count."""
     counted = bpy_scene.fruitlangs.result.count
     return any(REVIEW in item for item in owned_objects(bpy_scene, "fruit")) or (
         counted >= 0 and len(standing(bpy_scene)) != counted
@@ -127,7 +128,7 @@ def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
 
 
 def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """90 % interval of the visible fruit, narrowed by what has been looked at; None where the count tells none."""
+    """90 % interval of the visible fruit, narrowed by the review; None if the count has none."""
     from ...engine.counting.accounts.review import corrected_interval
 
     shown = bpy_scene.fruitlangs.result
@@ -142,13 +143,13 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
 
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185, interval 178–196'; without the middle where nothing was reviewed."""
+    """'machine 182, after review 185, interval 178–196'; without the middle part before any review."""
     interval = reviewed_interval(bpy_scene)
     return counts_line(bpy_scene) + ("" if interval is None else f", interval {interval[0]}–{interval[1]}")
 
 
 def counts_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185'; without the second where nothing was reviewed."""
+    """'machine 182, after review 185'; without the second part before any review."""
     shown = bpy_scene.fruitlangs.result
     parts = [f"machine {shown.count}"] if shown.count >= 0 else []
     if is_reviewed(bpy_scene):

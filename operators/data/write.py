@@ -1,4 +1,4 @@
-"""Engine values into Blender: everything of one result, into the open file or as a .blend of its own."""
+"""Writes engine values to Blender: everything about one result, into the open file or as a .blend of its own."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ...engine.splatting.gaussians import Gaussians
 
 SET_ID = "fruitlangs_set_id"
-"""Custom property of the Blender scene: which set of result files it shows."""
+"""Custom property of the Blender scene: the set of result files that it shows."""
 
 
 def write_result(
@@ -46,8 +46,8 @@ def write_result(
 ) -> bpy.types.Object:
     """Put a counted scene into a Blender scene and return its root empty.
 
-    Everything an earlier call put there is replaced; nothing else is touched. Coordinates below the root are those of
-    the input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian; asked: the prompt, of
+    Everything from an earlier call is replaced; other data are not changed. Coordinates below the root are those of the
+    input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian; asked: the prompt, of
     `asked_words`.
     """
     root = write_root(bpy_scene, scene)
@@ -69,12 +69,12 @@ def write_blend(
     set_id: str = "",
     threshold: float = THRESHOLD,
 ) -> None:
-    """Write a result as a .blend of its own, lit and with a camera, ready to be opened or rendered.
+    """Write a result as a .blend of its own, with light and a camera, ready to be opened or rendered.
 
-    For the command line: it starts from an empty file, so it refuses to run where a person works. The file appears
-    complete or not at all, and no .blend1 is left beside it. set_id names the set of
-    result files it belongs to (see `fruits.json`); it becomes the scene's custom property `fruitlangs_set_id`.
-    asked: the prompt, of `asked_words`; threshold: probability from which Gaussians are lit.
+    For the command line: it starts from an empty file, so it refuses to run in a window. The file is written completely
+    or not at all, and no .blend1 is left. set_id names the set of result files it belongs to (see `fruits.json`); it
+    becomes the scene's custom property `fruitlangs_set_id`. asked: the prompt, from `asked_words`; threshold:
+    probability above which Gaussians are highlighted.
 
     Raises:
         OutputError: the file cannot be written, or a window is open.
@@ -96,7 +96,7 @@ def write_blend(
 
 
 def light_scene(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> None:
-    """A sun, a grey sky and plain colour management, so that a render shows what the attributes hold."""
+    """Add a sun, a grey sky and plain colour management, so that a render shows the attributes."""
     sun = bpy.data.lights.new("Sun", "SUN")
     sun.energy, sun.angle = 2.5, 0.1
     item = new_object("Sun", sun, "light", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
@@ -121,15 +121,15 @@ def save_blend(path: Path) -> None:
         try:
             with _quiet():
                 bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)
-        except RuntimeError as error:  # how Blender says that a file cannot be saved
+        except RuntimeError as error:  # Blender's error for a file that cannot be saved
             raise OutputError(f"{path} cannot be written ({str(error).strip()}). Choose another folder") from error
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Blender's own code prints "Saved copy as" with the temporary name; in a command's output that would mislead.
+    """Suppress Blender's message "Saved copy as" with the temporary name, which would mislead.
 
-    It prints by way of C's buffer, which is emptied before and after, or it would come out later where it is a file.
+    Blender prints through C's buffer, which is flushed before and after; otherwise the message would appear later.
     """
     libc = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
     sys.stdout.flush()

@@ -23,9 +23,9 @@ BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> list[bpy.types.Object]:
-    """Replace this Blender scene's photo cameras; the one at the middle of the list becomes active.
+    """Replace this Blender scene's photo cameras; the one in the middle of the list becomes active.
 
-    A camera is named after its photo and keeps in custom properties what shows it later (see `photo_files`).
+    A camera is named after its photo and stores in custom properties what is needed to show it (see `photo_files`).
     """
     was_ours = bpy_scene.camera is None or bpy_scene.camera in owned_objects(bpy_scene, "camera")
     remove_backgrounds(owned_objects(bpy_scene, "camera"))
@@ -34,14 +34,14 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
     size = 0.04 * scene.extent if len(scene.cameras) else 1.0
     scale = scene.metres_per_unit or 1.0
     objects = []
-    # A scene read back from a result whose photos are gone has cameras only.
+    # A scene read from a result whose photos are missing has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
     photos: list[Photo | None] = [*scene.images] or [None] * len(scene.cameras)
     for camera, photo, name in zip(scene.cameras, photos, names, strict=True):
         data = bpy.data.cameras.new(PurePath(name).name)
         set_intrinsics(data, camera)
         data.display_size = size
-        # Unlike all else below the root, clipping is in the world's unit.
+        # Unlike everything else below the root, clipping is in world units.
         data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
         item = new_object(PurePath(name).stem, data, "camera", collection, root)
         keep_photo(item, camera, photo)
@@ -58,7 +58,7 @@ def blender_pose(camera: Camera) -> FloatArray:
 
 
 def set_intrinsics(data: bpy.types.Camera, camera: Camera) -> None:
-    """Lens and shift from K. Shifts are fractions of the image's width (horizontal sensor fit)."""
+    """Set lens and shift from K. Shifts are fractions of the width of the image (horizontal sensor fit)."""
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
@@ -68,7 +68,7 @@ def set_intrinsics(data: bpy.types.Camera, camera: Camera) -> None:
 
 
 def show_through(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """Make a camera of ours active and render at its photo's size and pixel shape (fx ≠ fy is a pixel aspect)."""
+    """Make a camera of ours active and render at the size and pixel aspect of its photo (fx ≠ fy is a pixel aspect)."""
     bpy_scene.camera = item
     render, ratio = bpy_scene.render, item[ASPECT]
     (render.resolution_x, render.resolution_y), render.resolution_percentage = item[SIZE], 100

@@ -1,4 +1,4 @@
-"""Counted fruit as Blender objects: one each, sharing a mesh a label."""
+"""Counted fruit as Blender objects that share one mesh per label."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def write_fruits(
 ) -> list[bpy.types.Object]:
     """Replace this Blender scene's fruit objects.
 
-    Each is called label.id (`apple.001`), stands at the fruit's centre in the scene's frame (the root places it in the
-    world), turned and scaled as it is long, and carries the custom properties of its row in `fruits.json`: id, label,
-    diameter, length, width and thickness (metres where metres_per_unit is known, else scene units), probability, views,
-    color and kind; absent where not known: diameter_sd (in the same unit), visible_fraction, fallen and tree.
+    Each is named label.id (`apple.001`), is at the fruit's centre in the scene frame (the root places it in the world),
+    has its axes as rotation and scale, and has the custom properties of its entry in `fruits.json`: id, label,
+    diameter, length, width and thickness (metres if metres_per_unit is known, else scene units), probability, views,
+    color and kind; if known also diameter_sd (in the same unit), visible_fraction, fallen and tree.
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -59,14 +59,14 @@ def write_fruits(
 def write_fruit(
     bpy_scene: bpy.types.Scene, fruit: Fruit, root: bpy.types.Object, *, metres_per_unit: float | None = None
 ) -> bpy.types.Object:
-    """Add one fruit object to those there are, as `write_fruits` makes them."""
+    """Add one fruit object to the existing ones, as `write_fruits` creates them."""
     meshes = {item["label"]: item.data for item in owned_objects(bpy_scene, "fruit") if "label" in item}
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
     return _write(bpy_scene, fruit, root, collection, meshes, metres_per_unit)
 
 
 def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) -> None:
-    """Give a fruit object another label: its name, colour and mesh follow."""
+    """Give a fruit object another label, with its name, colour and mesh."""
     old = item.data
     others = (each for each in owned_objects(bpy_scene, "fruit") if each.get("label") == label)
     item.data = next((each.data for each in others), None) or _unit_sphere(label)
@@ -97,7 +97,7 @@ def _write(
 
 
 def fruit_color(label: str, number: int) -> tuple[float, float, float, float]:
-    """Linear RGBA: the label's hue, with a brightness by id so that touching fruit can be told apart."""
+    """Linear RGBA: the hue of the label, with a brightness by id so that touching fruit can be distinguished."""
     hue = LABEL_HUES.get(label)
     if hue is None:
         hue = zlib.crc32(label.encode()) % 1000 / 1000
@@ -107,9 +107,9 @@ def fruit_color(label: str, number: int) -> tuple[float, float, float, float]:
 
 
 def _name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:
-    """What a fruit is called, `own` where it is there already."""
+    """The name of a fruit; `own` if it already has it."""
     name = fruit_name(label, number)
-    # Taken, by another Blender scene's fruit or by the user: Blender would count on and give a name with another id.
+    # Taken by another Blender scene's fruit or by the user: Blender would continue numbering with another fruit's id.
     return name if bpy.data.objects.get(name) in (None, own) else f"{bpy_scene.name} {name}"
 
 
@@ -142,13 +142,13 @@ def _set_properties(item: bpy.types.Object, fruit: Fruit, metres_per_unit: float
 
 
 def set_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
-    """Say in a fruit's custom properties in which unit its lengths are."""
+    """Store the unit of its lengths in the custom properties of a fruit."""
     for key in (key for key in MEASURED if key in item):
         item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 
 
 def _unit_sphere(label: str) -> bpy.types.Mesh:
-    """A smooth sphere of diameter 1, so that an object's scale is its length, width and thickness."""
+    """A smooth sphere of diameter 1, so that the scale of an object is its length, width and thickness."""
     mesh = bpy.data.meshes.new(label)
     shape = bmesh.new()
     bmesh.ops.create_icosphere(shape, subdivisions=3, radius=0.5)
@@ -160,7 +160,7 @@ def _unit_sphere(label: str) -> bpy.types.Mesh:
 
 
 def _fruit_material() -> bpy.types.Material:
-    """A matt skin in the object's own colour, one for all fruit."""
+    """A matt material in the colour of the object, one for all fruit."""
     for material in bpy.data.materials:
         if material.get(OWNER) == "fruit":
             return material

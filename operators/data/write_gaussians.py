@@ -1,9 +1,10 @@
-"""Gaussians as a Blender point object: a mesh of points with attributes, drawn as ellipsoids by Geometry Nodes.
+"""Gaussians as a Blender point object: a mesh of points with attributes, shown as ellipsoids by Geometry Nodes.
 
 The attributes are the stored truth. Their names follow Blender's native splats where it has one: `scale` (standard
-deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); beside them `opacity`,
-`probability` and `fruit_id` (-1 where the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`.
-The mesh's custom properties say how they are drawn (`ANTIALIASED`) and which words `probability` answers (`ASKED`).
+deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); and also `opacity`,
+`probability` and `fruit_id` (-1 if the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`. The
+custom properties of the mesh say how they are drawn (`ANTIALIASED`) and to which prompt `probability` belongs
+(`ASKED`).
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ if TYPE_CHECKING:
     from ...engine.splatting.gaussians import Gaussians
 
 ASKED = "fruitlangs_asked"
-"""Custom property of the mesh: the words that its attribute `probability` answers, as `asked_words` has them."""
+"""Custom property of the mesh: the prompt of its attribute `probability`, from `asked_words`."""
 REACH = 1.2
-"""How far from the centre Gaussians are shown, in extents of the scene (about the cameras' distance)."""
+"""Distance from the centre up to which Gaussians are shown, in extents of the scene (about the cameras' distance)."""
 
 
 def write_gaussians(
@@ -54,8 +55,8 @@ def write_gaussians(
 ) -> bpy.types.Object:
     """Replace this Blender scene's Gaussian object.
 
-    Gaussians outside the cameras' ring (sky, far background) are hidden by the modifier's Reach, not left out. asked:
-    what the probability answers, of `asked_words`.
+    Gaussians outside the cameras' ring (sky, distant background) are hidden by the modifier's Reach, but stay in the
+    mesh. asked: the prompt of the probability, from `asked_words`.
     """
     remove_objects(owned_objects(bpy_scene, "gaussians"))
     mesh = gaussian_mesh(gaussians, probability, fruits)
@@ -68,19 +69,19 @@ def write_gaussians(
     if len(scene.cameras):
         set_input(modifier, "Reach", REACH * scene.extent)
     set_input(modifier, "Highlight", probability is not None)
-    item.visible_shadow = False  # what they show is light already; the fruit among them need theirs
+    item.visible_shadow = False  # their colour includes light already; the fruit among them need lights
     return item
 
 
 def asked_words(prompts: Sequence[str], negatives: Sequence[str]) -> str:
-    """'apple, plum | leaf': what was asked for, and what not."""
+    """'apple, plum | leaf': prompts and negatives."""
     return f"{', '.join(prompts)} | {', '.join(negatives)}"
 
 
 def gaussian_mesh(
     gaussians: Gaussians, probability: Tensor | NDArray[Any] | None, fruits: Sequence[Fruit]
 ) -> bpy.types.Mesh:
-    """Points at the means, in the scene's frame, with the attributes named above."""
+    """Points at the means, in the scene frame, with the attributes named above."""
     from ...engine.counting.fruit import member_ids
 
     count = len(gaussians)

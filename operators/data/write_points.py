@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ...engine.scene.camera import Scene
 
 RADIUS = 0.003
-"""Of a point, as a share of the scene's extent."""
+"""Radius of a point, as a share of the scene's extent."""
 
 
 def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> bpy.types.Object:
@@ -40,9 +40,9 @@ def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Objec
 
 
 def hide_points(bpy_scene: bpy.types.Scene) -> None:
-    """Close the eye of the sparse cloud, and leave it out of renders: Gaussians show the same places better."""
+    """Hide the sparse cloud in viewport and renders, because Gaussians show the same."""
     for item in owned_objects(bpy_scene, "points"):
         item.hide_render = True
         for view_layer in bpy_scene.view_layers:
-            with suppress(RuntimeError):  # this view layer leaves it out
+            with suppress(RuntimeError):  # this view layer excludes it
                 item.hide_set(True, view_layer=view_layer)

@@ -1,9 +1,9 @@
-"""The root empty: stands the scene upright while everything below it keeps the input scene's coordinates.
+"""The root empty: makes the scene upright while everything below it keeps the coordinates of the input scene.
 
-Gaussians, points, cameras and fruit are its children with untouched local coordinates, so `object.location` of a fruit
-is its `center` in `fruits.json` and in the input model. The root alone turns the scene's `up` to Blender's +Z, puts the
-point the cameras look at over the origin and the ground at z = 0, where a person picked it or as the points tell, and
-scales scene units to metres where the scale is known.
+Gaussians, points, cameras and fruit are its children with unchanged local coordinates, so `object.location` of a fruit
+is its `center` in `fruits.json` and in the input model. The root alone rotates the scene's `up` to Blender's +Z, puts
+the point that the cameras look at over the origin and the ground at z = 0 (as picked by the user or estimated from the
+points), and scales scene units to metres if the scale is known.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from ...engine.scene.camera import FloatArray, Scene
 
 GROUND = "fruitlangs_ground"
-"""Custom property of the Blender scene: a place on the ground that a person picked, in the scene's frame."""
+"""Custom property of the Blender scene: a point on the ground that the user picked, in the scene frame."""
 GROUND_PERCENTILE = 2.0
-"""A robust lowest point: this share of the sparse points may lie below the ground."""
+"""Share of the sparse points that may lie below the ground: a robust lowest point."""
 
 
 def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
-    """Place this Blender scene's root empty for `scene`; it is made where there is none."""
+    """Place this Blender scene's root empty for `scene`, creating it if necessary."""
     root = owned_object(bpy_scene, "root")
     if root is None:
         root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
@@ -39,7 +39,7 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
 
 
 def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
-    """How the root stands for `scene`; ground: a place that a person picked, in its frame."""
+    """The matrix of the root for `scene`; ground: a point that the user picked, in its frame."""
     matrix = upright_matrix(scene)
     if ground is not None:
         matrix[2, 3] = -matrix[2, :3] @ np.array(ground)
@@ -47,7 +47,7 @@ def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
 
 
 def upright_matrix(scene: Scene) -> FloatArray:
-    """(4, 4) rigid transform from the scene's frame to an upright one: centre over the origin, ground at z = 0."""
+    """(4, 4) rigid transform from the scene frame to an upright one: centre over the origin, ground at z = 0."""
     from ...engine.scene.orientation import upright_rotation
 
     matrix = np.eye(4)
@@ -63,7 +63,8 @@ def upright_matrix(scene: Scene) -> FloatArray:
 
 
 def looked_at(scene: Scene) -> FloatArray:
-    """(3,) the point nearest to all viewing rays by least squares; the points' median where the rays are parallel."""
+    """(3,) the point nearest to all viewing rays by least squares; the median of the points if the rays are
+    parallel."""
     from ...engine.scene.camera import axes_equations
 
     fallback = np.median(scene.points, axis=0) if len(scene.points) else np.zeros(3)

@@ -1,4 +1,4 @@
-"""Text beside every fruit in the viewport: its number, with its name or its diameter."""
+"""Text next to every fruit in the viewport: its id, with its name or its diameter."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..data.fruit_objects import diameter_text, metres_per_unit, standing
 from ..viewport.viewport import Drawing
 
 FONT, POINTS, BLUR = 0, 12.0, 5
-"""Blender's default font, its size before the interface's scale, and how far the shadow behind it spreads."""
+"""Blender's default font, its size at an interface scale of 1, and the size of its shadow."""
 GAP = 4.0
-"""Pixels between a fruit's edge and its text."""
+"""Pixels between the edge of a fruit and its text."""
 COLOR, ACTIVE_COLOR, SHADOW = (1.0, 1.0, 1.0, 1.0), (1.0, 0.75, 0.2, 1.0), (0.0, 0.0, 0.0, 1.0)
 
 
 def label_text(item: bpy.types.Object, kind: str, metric: bool) -> str:
-    """What is written beside a fruit: '12', 'apple 12' or '12: 81.2 mm'. metric: diameters are metres."""
+    """The text next to a fruit: '12', 'apple 12' or '12: 81.2 mm'. metric: diameters are metres."""
     number = str(item.get("id", ""))
     if kind == "NAME":
         return f"{item.get('label', 'fruit')} {number}"
@@ -48,7 +48,7 @@ def project(
 
 
 def uncovered(boxes: NDArray[np.float64]) -> list[int]:
-    """Which of boxes (N, 4) of x, y, width, height cover none that comes before them and stays, in their order."""
+    """Which of boxes (N, 4) of x, y, width, height cover none of the earlier ones that stay, in order."""
     low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
     covers, kept = np.zeros(len(boxes), bool), []
     for index in range(len(boxes)):
@@ -60,7 +60,7 @@ def uncovered(boxes: NDArray[np.float64]) -> list[int]:
 
 
 def labelled(context: bpy.types.Context, kind: str) -> list[bpy.types.Object]:
-    """The fruit that are written beside: standing ones that this viewport shows; the active one alone for 'NONE'."""
+    """The labelled fruit: those that count and that this viewport shows; only the active one for 'NONE'."""
     shown = [item for item in standing(context.scene) if item.visible_get(viewport=context.space_data)]
     if kind != "NONE":
         return shown
@@ -70,7 +70,7 @@ def labelled(context: bpy.types.Context, kind: str) -> list[bpy.types.Object]:
 def label_places(
     context: bpy.types.Context, items: Sequence[bpy.types.Object], texts: Sequence[str]
 ) -> list[tuple[int, NDArray[np.float64]]]:
-    """Index and place (2,) in the region, left and middle, of the labels that are written.
+    """Index and position (2,) in the region, left and middle, of the labels.
 
     The active fruit comes first, then the nearest; a label that would cover an earlier one is left out.
     """

@@ -1,4 +1,4 @@
-"""The legend of the highlight in a viewport: which colour means which probability, of which words."""
+"""The legend of the highlight in a viewport: the colours of probabilities, and the prompt."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from .splat_drawing import has_preview
 
 FONT, POINTS = 0, 11.0
 WIDTH, HEIGHT, MARGIN, PAD = 200.0, 10.0, 24.0, 6.0
-"""Of the bar, its distance from the viewport's lower edge and that of the text from the bar, in pixels before the
-interface's scale."""
+"""Width and height of the bar, its distance from the lower edge and that of the text from the bar, in pixels at an
+interface scale of 1."""
 INK, PAPER = (1.0, 1.0, 1.0, 1.0), (0.05, 0.05, 0.05, 0.6)
 
 
 @dataclass(frozen=True)
 class Legend:
-    """What a legend says. words: that were asked; threshold: probability at the bar's left end, its right end is 1."""
+    """The content of a legend. words: the prompt; threshold: probability at the left end of the bar, its right end is
+    1."""
 
     words: str
     threshold: float
@@ -34,7 +35,7 @@ class Legend:
 
 
 def legend_of(bpy_scene: bpy.types.Scene) -> Legend | None:
-    """The legend of what this Blender scene's viewports show; None where no Gaussian is lit."""
+    """The legend of this Blender scene's viewports; None if no Gaussian is highlighted."""
     item, look = owned_object(bpy_scene, "gaussians"), appearance_of(bpy_scene)
     if item is None or not look.highlight or look.style == "NONE" or has_preview(bpy_scene):
         return None
@@ -43,7 +44,7 @@ def legend_of(bpy_scene: bpy.types.Scene) -> Legend | None:
 
 
 def bar_colors() -> list[tuple[float, tuple[float, float, float, float]]]:
-    """(place 0 to 1 on the bar, sRGB and cover) of the stops of the ramp from the threshold on."""
+    """(position 0 to 1 on the bar, sRGB and coverage) of the stops of the ramp above the threshold."""
     return [
         ((place - RAMP_START) / (1.0 - RAMP_START), (*color, cover))
         for place, color, cover in PROBABILITY_RAMP
@@ -61,7 +62,7 @@ def _draw() -> None:
 
 
 def _write(context: bpy.types.Context, legend: Legend) -> None:
-    """Title, bar and numbers, in the middle of what the toolbar and the sidebar leave free, at the lower edge."""
+    """Draw title, bar and numbers at the lower edge, centred between toolbar and sidebar."""
     import gpu
     from gpu_extras.batch import batch_for_shader
 
@@ -102,7 +103,7 @@ def _write(context: bpy.types.Context, legend: Legend) -> None:
 
 
 def _free_span(context: bpy.types.Context) -> tuple[float, float]:
-    """Left and right end of what toolbar and sidebar leave free, pixels of the region."""
+    """Left and right end of the width between toolbar and sidebar, pixels of the region."""
     left, right = 0.0, float(context.region.width)
     for region in context.area.regions:
         if region.type == "TOOLS" and region.width > 1:
@@ -113,7 +114,7 @@ def _free_span(context: bpy.types.Context) -> tuple[float, float]:
 
 
 def _fitting(text: str, width: float) -> str:
-    """The text, its end left out where it is wider than that."""
+    """The text, truncated to that width."""
     if blf.dimensions(FONT, text)[0] <= width:
         return text
     while text and blf.dimensions(FONT, text + "…")[0] > width:

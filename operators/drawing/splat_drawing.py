@@ -1,7 +1,7 @@
-"""Splats in every 3D viewport: what is drawn where, and what must be read anew.
+"""Draws splats in every 3D viewport.
 
-A mesh is read when Blender says that it changed. What is on the graphics card belongs to this session, not to the
-.blend, and is found by the session's ids of meshes and scenes. Nothing here runs in background mode.
+A mesh is read when Blender reports a change. Data on the graphics card belong to this session, not to the .blend, and
+are found by the session's ids of meshes and scenes. Nothing here runs in background mode.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ if TYPE_CHECKING:
     from .splat_textures import Picture, SplatTextures
 
 KEPT_VIEWS = 12
-"""Viewports whose picture and orders are kept."""
+"""Number of viewports whose picture and orders are kept."""
 EVERYWHERE = ((0.0, 0.0, 0.0), 1e9)
 """Centre and reach that hide nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Interim:
-    """What training made so far. matrix: of its frame in the world; centre, reach: in its frame, as of the modifier."""
+    """The current state of training. matrix: from its frame to the world; centre, reach: in its frame, as in the
+    modifier."""
 
     splats: Splats
     matrix: Matrix
@@ -42,10 +43,10 @@ class Interim:
 
 @dataclass(eq=False)
 class Drawn:
-    """What this session has on the graphics card.
+    """This session's data on the graphics card.
 
     meshes: splats by the mesh's session id; stale: ids of meshes that changed since they were read; pictures: by
-    viewport; previews: what training made so far, by the Blender scene's session id.
+    viewport; previews: the state of training, by the Blender scene's session id.
     """
 
     meshes: dict[int, SplatTextures] = field(default_factory=dict)
@@ -60,8 +61,8 @@ _drawn = Drawn()
 
 
 def show_preview(scene: int, preview: Interim | None) -> None:
-    """Draw these splats in place of the Gaussians of the Blender scene of that session id; None: draw what the .blend
-    holds again."""
+    """Draw these splats instead of the Gaussians of the Blender scene with that session id; None: draw those of the
+    .blend again."""
     if bpy.app.background:
         return
     if preview is None:
@@ -73,17 +74,17 @@ def show_preview(scene: int, preview: Interim | None) -> None:
 
 
 def has_preview(bpy_scene: bpy.types.Scene) -> bool:
-    """Whether what a job trains is drawn in place of this Blender scene's Gaussians."""
+    """Whether the state of a training is drawn instead of this Blender scene's Gaussians."""
     return bpy_scene.session_uid in _drawn.previews
 
 
 def problem() -> str:
-    """Why splats cannot be drawn in this session; empty while they can."""
+    """Why splats cannot be drawn in this session; empty if they can."""
     return _drawn.problem
 
 
 def draw_viewport() -> None:
-    """Draw the splats of the scene that the viewport in context shows; Blender calls it after its own objects."""
+    """Draw the splats of the scene in the viewport of the context; Blender calls it after drawing its own objects."""
     context = bpy.context
     region, space, bpy_scene = context.region, context.space_data, context.scene
     if region is None or context.region_data is None or _drawn.problem:
@@ -91,13 +92,13 @@ def draw_viewport() -> None:
     try:
         layers = _layers(bpy_scene, context.view_layer, space)
         if layers:
-            # Splats are drawn after a camera's background and would hide the photo.
+            # Splats are drawn after the camera's background and would hide the photo.
             strength = 1.0 - photo_cover(space, context.region_data, bpy_scene)
             _draw(layers, bpy_scene, region, context.region_data, strength)
-    except Exception as error:  # one line; at every redraw it would be thousands
+    except Exception as error:  # printed once; every redraw would repeat it thousands of times
         _drawn.problem = f"{type(error).__name__}: {error}"
         print(f"FruitLangs cannot draw splats here, choose the look Ellipsoids: {_drawn.problem}", file=sys.stderr)
-        # The panels say it too; while Blender draws nothing may be asked to be drawn anew.
+        # The panels show it too; a redraw cannot be requested during drawing.
         bpy.app.timers.register(_redraw, first_interval=0.0)
 
 
@@ -107,7 +108,7 @@ def _redraw() -> None:
 
 
 def edit_appearance_soon(settings: Any, context: Any = None) -> None:
-    """Called when the look was edited: splats that could not be drawn are tried again, from the start."""
+    """Called when the appearance was edited: splats that could not be drawn are tried again."""
     global _drawn
     if _drawn.problem:
         _drawn = Drawn(previews=_drawn.previews)
@@ -165,7 +166,7 @@ def _preview_textures(scene: int, preview: Interim) -> SplatTextures:
 
 
 def _mesh_textures(item: bpy.types.Object) -> SplatTextures | None:
-    """An object's splats on the card, read anew where its mesh changed; as they were while it is edited."""
+    """An object's splats on the card, read again if its mesh changed; unchanged while it is edited."""
     from .splat_textures import SplatTextures
 
     uid, (centre, reach) = item.data.session_uid, _room(item)
@@ -199,9 +200,9 @@ def _read(item: bpy.types.Object) -> Splats | None:
 
 @persistent
 def note_changes(_scene: Any, depsgraph: bpy.types.Depsgraph) -> None:
-    """After an update: meshes of which Blender says that their geometry changed are read anew when drawn next.
+    """After an update: meshes whose geometry changed are read again when they are drawn next.
 
-    So are sparse points whose modifier changed: it has their radius.
+    So are sparse points whose modifier changed, because it has their radius.
     """
     for update in depsgraph.updates:
         if not update.is_updated_geometry:
@@ -215,7 +216,7 @@ def note_changes(_scene: Any, depsgraph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def note_all(_file: Any = None, _unused: Any = None) -> None:
-    """After undo and redo: any mesh may be another, and some are gone."""
+    """After undo and redo: any mesh may have changed, and some are gone."""
     alive = {mesh.session_uid for mesh in bpy.data.meshes}
     for uid in set(_drawn.meshes) - alive:
         del _drawn.meshes[uid]
@@ -247,7 +248,7 @@ def register_handlers() -> None:
 
 
 def unregister_handlers() -> None:
-    """Take back what `register_handlers` added."""
+    """Remove what `register_handlers` added."""
     for name, function in HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if function in handlers:

@@ -1,4 +1,4 @@
-"""In which order splats are drawn: back to front along the view, of those that are shown at all."""
+"""The order in which splats are drawn: back to front along the view."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float32]
 
 FAINTEST = 1.0 / 255.0
-"""Opacity from which a Gaussian is drawn, as by the engine's rasteriser."""
+"""Least opacity of a drawn Gaussian, as in the engine's rasteriser."""
 TURNED = math.radians(0.25)
-"""How far a view may turn before splats are sorted anew; moving without turning leaves the order as it is."""
+"""Rotation of a view above which splats are sorted again; moving without rotation does not change the order."""
 LOOKED_AT = 10_000
 NEAR, NEAR_DISTANCE = 0.2, 2.5
 
 
 def shown_indices(means: FloatArray, opacities: FloatArray, centre: Sequence[float], reach: float) -> NDArray[np.int64]:
-    """Indices of the splats within `reach` of `centre` (object's frame) that are neither too faint nor no numbers."""
+    """Indices of the finite splats within `reach` of `centre` (object frame) that are not too faint."""
     away = means - np.asarray(centre, np.float32)
     squared = np.einsum("nk,nk->n", away, away)
     with np.errstate(over="ignore"):
@@ -29,8 +29,8 @@ def shown_indices(means: FloatArray, opacities: FloatArray, centre: Sequence[flo
 def back_to_front(means: FloatArray, towards: Sequence[float]) -> NDArray[np.int64]:
     """(N,) indices that sort means (N, 3) from the farthest to the nearest.
 
-    towards: (3,) any vector that points from the scene to the viewer. Depths become whole numbers of 32 bits, sorted 16
-    at a time: NumPy sorts those by counting, three times as fast as floats. Equals keep their order.
+    towards: (3,) any vector that points from the scene to the viewer. Depths become 32-bit integers, sorted 16 bits at
+    a time: NumPy sorts those by counting, three times as fast as floats. Equal ones keep their order.
     """
     depth = means @ np.asarray(towards, np.float32)
     if not len(depth):
@@ -45,7 +45,7 @@ def back_to_front(means: FloatArray, towards: Sequence[float]) -> NDArray[np.int
 
 
 def has_turned(before: Sequence[float], now: Sequence[float]) -> bool:
-    """Whether two view directions differ so much that the order may."""
+    """Whether two view directions differ so much that the order may change."""
     a, b = np.asarray(before, np.float64), np.asarray(now, np.float64)
     return float(np.linalg.norm(np.cross(a, b))) > math.sin(TURNED) * float(a @ a) ** 0.5 * float(b @ b) ** 0.5 or (
         float(a @ b) <= 0.0
@@ -53,8 +53,8 @@ def has_turned(before: Sequence[float], now: Sequence[float]) -> bool:
 
 
 def near_distance(means: FloatArray, eye: Sequence[float]) -> float:
-    """The depth up to which a perspective view draws nothing, in the object's unit, as `near_plane` of the engine says
-    for a camera at `eye`: about a twelfth of the distance within which it has a quarter of the Gaussians."""
+    """The depth up to which a perspective view draws nothing, in the object's unit, as `near_plane` of the engine for a
+    camera at `eye`: about a twelfth of the distance within which it has a quarter of the Gaussians."""
     if not len(means):
         return NEAR
     away = means[:: -(-len(means) // LOOKED_AT)] - np.asarray(eye, np.float32)

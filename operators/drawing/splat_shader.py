@@ -1,10 +1,11 @@
-"""The shaders that draw splats: an ellipse each into a picture of their own, and that picture over the viewport.
+"""The shaders of splats: one draws each splat as an ellipse into a picture, the other draws that picture over the
+viewport.
 
-The picture holds colour as photos do (sRGB, blended as such, as the Gaussians were trained) in half floats; Blender's
-viewport blends in linear light with eight bits, which would wash out what hundreds of faint splats add up to.
+The picture contains colour as in photos (sRGB, blended as such, like the Gaussians were trained) in half floats;
+Blender's viewport blends in linear light with eight bits, which would wash out hundreds of faint splats.
 
-Gaussians are projected as by `engine/splatting/kernels/project.py`: covariance J V Σ Vᵀ Jᵀ + 0.3 I in px², α up to
-0.99, nothing below 1/255, which is three standard deviations or a little more. Nothing here runs in background mode.
+Gaussians are projected as in `engine/splatting/kernels/project.py`: covariance J V Σ Vᵀ Jᵀ + 0.3 I in px², α up to
+0.99, nothing below 1/255, which is slightly more than three standard deviations. Nothing here runs in background mode.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ..viewport.gaussian_nodes import PROBABILITY_RAMP, RAMP_START
 if TYPE_CHECKING:
     import gpu
 
-# What all splats of an object share: more than cards promise to take as push constants.
+# Values shared by all splats of an object: more than cards guarantee as push constants.
 _VALUES = """
 struct SplatValues {
   mat4 model_view;
@@ -37,7 +38,7 @@ struct SplatValues {
 };
 """
 
-# texel(i) of a texture that is read row by row.
+# texel(i) of a texture stored row by row.
 _TEXEL = "ivec2 texel(int index) { int row = int(values.row); return ivec2(index % row, index / row); }"
 
 _VERTEX = """
@@ -142,7 +143,8 @@ void main()
 
 
 def ramp_source() -> str:
-    """GLSL of the ramp of `gaussian_nodes.PROBABILITY_RAMP`: linear colour, and how far it covers the own one."""
+    """GLSL of the ramp of `gaussian_nodes.PROBABILITY_RAMP`: linear colour, and how much it replaces the Gaussian's
+    colour."""
     stops = [(position, (*linear_from_srgb(srgb).tolist(), cover)) for position, srgb, cover in PROBABILITY_RAMP]
     lines = ["vec4 probability_ramp(float at) {", f"  vec4 found = {_vec4(stops[0][1])};"]
     for (low, _), (high, color) in pairwise(stops):
@@ -169,8 +171,8 @@ def packed_values(
 ) -> NDArray[np.float32]:
     """(40,) the numbers of `SplatValues`, matrices by columns.
 
-    size: of the picture in px; nearest: depth in the world's unit up to which nothing is drawn; row: width of the
-    data's textures.
+    size: of the picture in px; nearest: depth in world units up to which nothing is drawn; row: width of the data
+    textures.
     """
     matrices = [np.array(matrix, np.float32).T.ravel() for matrix in (model_view, projection)]
     rest = (*size, nearest, threshold, dimming, highlight, antialiased, row)
@@ -178,7 +180,7 @@ def packed_values(
 
 
 def splat_shader() -> gpu.types.GPUShader:
-    """Draws one splat an instance, by the numbers of `packed_values`."""
+    """The shader that draws one splat per instance, with the values of `packed_values`."""
     import gpu
 
     between = gpu.types.GPUStageInterfaceInfo("fruitlangs_splat")
@@ -199,7 +201,7 @@ def splat_shader() -> gpu.types.GPUShader:
 
 
 def over_shader() -> gpu.types.GPUShader:
-    """Puts the picture of the splats over what the viewport shows."""
+    """The shader that draws the picture of the splats over the viewport."""
     import gpu
 
     info = gpu.types.GPUShaderCreateInfo()

@@ -1,4 +1,4 @@
-"""Splats on the graphics card: their data in textures, and the picture drawn of them. Never in background mode."""
+"""Splats on the graphics card: their data in textures, and their rendered picture. Never used in background mode."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .splat_order import back_to_front, has_turned, near_distance, shown_indices
 from .splat_shader import over_shader, packed_values, splat_shader
 
 ROW = 4096
-"""Widest texture that data is laid out in, row by row; every card has 16,384 rows of it, room for 67 million splats."""
+"""Width of data textures, filled row by row; every card supports 16,384 rows of it, enough for 67 million splats."""
 _FORMATS = {"places": "RGBA32F", "upper_shapes": "RGBA32F", "lower_shapes": "RG32F", "colors": "RGBA16F"}
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where splats are seen from: view_matrix from the world, projection as Blender's window matrix, size in px."""
+    """The viewpoint: view_matrix from the world, projection as Blender's window matrix, size in px."""
 
     view_matrix: Matrix
     projection: Matrix
@@ -36,7 +36,7 @@ class View:
 
 @dataclass(frozen=True)
 class Highlight:
-    """How the prompt's probability shows; `on` only where one was answered."""
+    """The display of the prompt's probability; `on` only if a prompt was answered."""
 
     on: bool
     threshold: float
@@ -45,7 +45,7 @@ class Highlight:
 
 @dataclass(eq=False)
 class Order:
-    """Which splats a view draws in which order, as a texture of indices."""
+    """The order of the splats of a view, as a texture of indices."""
 
     texture: gpu.types.GPUTexture
     count: int
@@ -55,7 +55,7 @@ class Order:
 
 @dataclass(eq=False)
 class SplatTextures:
-    """One object's splats on the card; `orders`: one a view, by whatever names the view."""
+    """One object's splats on the card; `orders`: one per view."""
 
     splats: Splats
     centre: tuple[float, ...]
@@ -68,7 +68,7 @@ class SplatTextures:
         self._upload_probability()
 
     def replace(self, splats: Splats, centre: tuple[float, ...], reach: float) -> None:
-        """Take other values, and upload only what differs."""
+        """Replace the values, uploading only those that differ."""
         old, self.splats = self.splats, splats
         placed = _same(old.means, splats.means) and _same(old.opacities, splats.opacities)
         if not (placed and _same(old.covariances, splats.covariances) and _same(old.colors, splats.colors)):
@@ -80,8 +80,8 @@ class SplatTextures:
             self._select()
 
     def order(self, view: Any, towards: tuple[float, ...]) -> Order:
-        """The order for a view from which `towards` (object's frame) points to the viewer, sorted anew where it
-        turned."""
+        """The order for a view from which `towards` (object frame) points to the viewer, sorted again if it was
+        rotated."""
         kept = self.orders.get(view)
         if kept is None or kept.shown is not self._shown or has_turned(kept.towards, towards):
             sorted_places = back_to_front(self._shown_means, towards)
@@ -109,7 +109,7 @@ class SplatTextures:
 
 
 class Picture:
-    """What a viewport's splats are drawn into: sRGB times alpha and alpha, half floats, of a viewport's size."""
+    """The target of a viewport's splats: sRGB times alpha and alpha, half floats, of the viewport's size."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
@@ -125,7 +125,7 @@ class Picture:
         name: Any = None,
     ) -> None:
         """Draw splats with their objects' matrices, object by object. depths: (H, W) of what hides them; name: of the
-        view, whose order of splats is kept."""
+        view, whose order of splats is cached."""
         with self._framebuffer.bind():
             self._framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
             gpu.state.depth_test_set("NONE")
@@ -136,7 +136,7 @@ class Picture:
             gpu.state.blend_set("NONE")
 
     def show(self, strength: float = 1.0) -> None:
-        """Put the picture, that strongly, over what is bound: a viewport's overlay."""
+        """Draw the picture with this opacity over the bound framebuffer, a viewport's overlay."""
         shader = _over_shader()
         gpu.state.depth_test_set("NONE")
         gpu.state.blend_set("ALPHA_PREMULT")
@@ -147,7 +147,7 @@ class Picture:
         gpu.state.blend_set("NONE")
 
     def pixels(self) -> NDArray[np.float32]:
-        """(H, W, 4) from the top; for tests and figures."""
+        """(H, W, 4) from the top; for tests and measurements."""
         values = np.array(self.texture.read().to_list(), np.float32)
         return values.reshape(self.size[1], self.size[0], 4)[::-1]
 
@@ -158,7 +158,7 @@ def no_depths(size: tuple[int, int]) -> gpu.types.GPUTexture:
 
 
 def read_depths(size: tuple[int, int]) -> gpu.types.GPUTexture:
-    """The depths of what is drawn so far, 0 to 1, in the active framebuffer."""
+    """The depths drawn so far, 0 to 1, in the active framebuffer."""
     found = gpu.state.active_framebuffer_get().read_depth(0, 0, *size)
     found.dimensions = [size[0] * size[1]]
     return gpu.types.GPUTexture(size, format="R32F", data=found)
@@ -193,7 +193,7 @@ def _draw_layer(
         antialiased=textures.splats.antialiased,
         row=ROW,
     )
-    block = gpu.types.GPUUniformBuf(_buffer(values))  # bound only as long as it lives
+    block = gpu.types.GPUUniformBuf(_buffer(values))  # bound only while it exists
     shader.uniform_block("values", block)
     shader.uniform_sampler("order", order.texture)
     for sampler, texture in textures.shapes.items():
@@ -223,12 +223,12 @@ def _square() -> gpu.types.GPUBatch:
 
 
 def order_texture(indices: NDArray[np.int64]) -> gpu.types.GPUTexture:
-    """Indices of splats in the order of drawing; floats hold them up to 16 million."""
+    """Indices of splats in drawing order; floats represent them exactly up to 16 million."""
     return _texture(indices, "R32F")
 
 
 def _texture(values: NDArray[Any], layout: str) -> gpu.types.GPUTexture:
-    """A texture of values (N,) or (N, width), `ROW` a row."""
+    """A texture of values (N,) or (N, width), `ROW` per row."""
     width = 1 if values.ndim == 1 else values.shape[1]
     height = max(-(-len(values) // ROW), 1)
     padded = np.zeros((height * ROW, width), np.float32)

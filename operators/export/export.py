@@ -1,4 +1,4 @@
-"""Export what stands after the review: a table for spreadsheets, meshes for other 3D programs."""
+"""Exports the reviewed fruit: a table for spreadsheets, meshes for other 3D programs."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class FRUITLANGS_OT_export_csv(ExportFile, bpy.types.Operator):
 
 
 class ExportMeshes(ExportFile):
-    """Mix into an operator that writes the fruit as ellipsoids, upright, in metres where the scale is known."""
+    """Mix-in of operators that write the fruit as upright ellipsoids, in metres if the scale is known."""
 
     writer = ""
-    """Which function of `engine.report.meshes` does it."""
+    """The function of `engine.report.meshes` that writes it."""
 
     def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         scale, up, name = metres_per_unit(context.scene), read_up(context.scene), self.writer
@@ -99,7 +99,7 @@ NAMES: dict[Any, str] = {
     FRUITLANGS_OT_export_obj: "OBJ (.obj)",
     FRUITLANGS_OT_export_ply: "PLY (.ply)",
 }
-"""What buttons and menu entries are called."""
+"""Texts of buttons and menu entries."""
 
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:

@@ -1,4 +1,4 @@
-"""What every export shares: a dialog that asks where, a file name that makes sense, and the fruit as they stand now."""
+"""What all exports share: a file dialog, a sensible file name, and the current fruit."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -29,13 +29,13 @@ _PATH = {"SKIP_SAVE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= 
 
 
 class ExportFile(JobOperator):
-    """Mix into an operator that writes one file. In a window a dialog asks where and a thread does the work; a script
-    gives `filepath`, and the file is there when the operator returns.
+    """Mix-in of operators that write one file. In a window a dialog asks for the path and a thread does the work; a
+    script gives `filepath`, and the file is written when the operator returns.
     """
 
     title = TITLE
     suffixes: tuple[str, ...] = ()
-    """Of the files it writes; the first is the one that a name without any gets."""
+    """Suffixes of its files; the first is added to a name without one."""
 
     filepath: bpy.props.StringProperty(name="File", subtype="FILE_PATH", options=_PATH, description="File to write")
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
@@ -51,7 +51,8 @@ class ExportFile(JobOperator):
         return True
 
     def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
-        """Read what else is needed from the .blend, on the main thread, and return what writes the file, on any."""
+        """Read what else is needed from the .blend, on the main thread, and return the function that writes the file,
+        on any."""
         raise NotImplementedError
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -62,7 +63,7 @@ class ExportFile(JobOperator):
         return self.ask_where(context)
 
     def check(self: Any, _context: bpy.types.Context) -> bool:
-        """Called by the dialog at every change: the name keeps a suffix that fits."""
+        """Called by the dialog at every change: the name keeps a valid suffix."""
         before = self.filepath
         if Path(before).name and not before.endswith(("/", "\\")):
             self.filepath = str(with_suffix(Path(before), self.suffixes))
@@ -85,7 +86,7 @@ class ExportFile(JobOperator):
 
 
 def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:
-    """The file that a person chose, absolute.
+    """The file that the user chose, absolute.
 
     Raises:
         OutputError: none was chosen, it is a folder, or relative to a .blend never saved.
@@ -106,7 +107,7 @@ def with_suffix(path: Path, suffixes: tuple[str, ...]) -> Path:
 
 
 def default_path(bpy_scene: bpy.types.Scene, suffix: str) -> Path:
-    """Where an export goes unless the person says otherwise: beside the .blend, else beside the results."""
+    """The default folder of an export: next to the .blend, else next to the results."""
     if bpy.data.filepath:
         opened = Path(bpy.data.filepath)
         return opened.with_name(f"{opened.stem}_fruit{suffix}")

@@ -1,4 +1,4 @@
-"""Export pictures for people: a still of the tree with its fruit numbered, and the report, a page that holds one."""
+"""Exports pictures for people: a still of the tree with numbered fruit, and the report."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ...engine.scene.camera import Camera, Scene
 
 WIDTH = 1600
-"""Pixels across the report's still."""
+"""Width of the report's still in pixels."""
 
 
 class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
@@ -115,7 +115,7 @@ def draw(
     width: int,
     progress: Progress,
 ) -> Image:
-    """The still from a camera, or framed and so many pixels wide without one."""
+    """The still from a camera, or from an automatic viewpoint with this width if there is none."""
     progress(0.0, "reading the Gaussians")
     from ...engine.report.framing import framing
     from ...engine.report.still import draw_still
@@ -136,7 +136,7 @@ def draw(
 
 
 def save(path: Path, still: Image) -> None:
-    """As PNG or JPEG, as its name says."""
+    """Write it as PNG or JPEG, depending on its suffix."""
     from ...engine.report.still import save_still
 
     if path.suffix.lower() != ".png":
@@ -147,7 +147,7 @@ def save(path: Path, still: Image) -> None:
 
 
 def what(bpy_scene: bpy.types.Scene) -> str:
-    """What was counted: 'apple'."""
+    """The counted prompt: 'apple'."""
     shown = bpy_scene.fruitlangs.result
     return str(shown.label or bpy_scene.fruitlangs.prompt)
 
@@ -155,7 +155,7 @@ def what(bpy_scene: bpy.types.Scene) -> str:
 def provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
     """How the count was made, as far as a .blend knows; the result folder has all of it.
 
-    Folders are told by name alone: a report is passed on, and where a person keeps things is nobody else's business.
+    Only names of folders are included, because a report is passed on.
     """
     settings, shown = bpy_scene.fruitlangs, bpy_scene.fruitlangs.result
     rows = {

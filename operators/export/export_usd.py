@@ -1,4 +1,4 @@
-"""Export the fruit objects by Blender's own USD writer, with their custom properties."""
+"""Exports the fruit objects with Blender's own USD writer, with their custom properties."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OPTIONS = {
     "visible_objects_only": False,
     "check_existing": False,
 }
-"""Of Blender's USD writer; those that its version lacks are left out."""
+"""Options of Blender's USD writer; those that its version lacks are left out."""
 
 
 def has_usd() -> bool:
@@ -61,7 +61,7 @@ class FRUITLANGS_OT_export_usd(ExportFile, bpy.types.Operator):
 
 
 def write_usd(path: Path, context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> None:
-    """Write the standing fruit of a Blender scene, atomically.
+    """Write the current fruit of a Blender scene, atomically.
 
     Raises:
         OutputError: the file cannot be written.
@@ -77,13 +77,13 @@ def write_usd(path: Path, context: bpy.types.Context, bpy_scene: bpy.types.Scene
         collection = stack.enter_context(_together(items, bpy_scene))
         try:
             bpy.ops.wm.usd_export("EXEC_DEFAULT", filepath=str(part), collection=collection.name, **options)
-        except RuntimeError as error:  # how Blender says that a file cannot be written
+        except RuntimeError as error:  # Blender's error for a file that cannot be written
             raise OutputError(f"{path} cannot be written ({str(error).strip()}). Choose another folder") from error
 
 
 @contextmanager
 def _together(items: list[bpy.types.Object], bpy_scene: bpy.types.Scene) -> Iterator[bpy.types.Collection]:
-    """A collection of these objects and no other, for as long as the block lasts."""
+    """A collection of only these objects while the block runs."""
     collection = bpy.data.collections.new("Fruit for USD")
     bpy_scene.collection.children.link(collection)
     try:
@@ -96,7 +96,7 @@ def _together(items: list[bpy.types.Object], bpy_scene: bpy.types.Scene) -> Iter
 
 @contextmanager
 def _shown(items: list[bpy.types.Object]) -> Iterator[None]:
-    """Objects that a person hid, shown for as long as the block lasts: they count."""
+    """Show objects that the user hid while the block runs: they count."""
     hidden = [(item, item.hide_viewport, item.hide_render) for item in items if item.hide_viewport or item.hide_render]
     try:
         for item, _, _ in hidden:
@@ -109,7 +109,7 @@ def _shown(items: list[bpy.types.Object]) -> Iterator[None]:
 
 @contextmanager
 def _plainly_coloured(items: list[bpy.types.Object]) -> Iterator[None]:
-    """One plain material a kind of fruit: USD does not know the material that takes an object's colour."""
+    """One plain material per kind of fruit: USD does not support the material that uses the object colour."""
     meshes = {item.data: item.color for item in reversed(items) if len(item.data.materials)}
     before = {mesh: mesh.materials[0] for mesh in meshes}
     made = []

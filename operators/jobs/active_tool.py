@@ -1,22 +1,22 @@
-"""The one tool that waits for clicks in a viewport, so that whatever makes its clicks senseless can end it."""
+"""The one tool that waits for clicks in a viewport, so that other actions can end it."""
 
 from __future__ import annotations
 
 from typing import Any
 
-# Blender forgets a tool whose class is unregistered without a word to it, so the one that waits for clicks is kept.
+# Blender forgets a tool whose class is unregistered without notice, so the one that waits for clicks is kept here.
 _waiting: Any = None
 
 
 def begin_waiting(tool: Any) -> None:
-    """Keep the tool that waits from now on, in place of any other."""
+    """Register the tool that waits from now on, instead of any other."""
     global _waiting
     end_waiting()
     _waiting = tool
 
 
 def end_waiting() -> None:
-    """End the tool that waits for clicks, if any: it takes away what it showed."""
+    """End the tool that waits for clicks, if any; it removes what it showed."""
     global _waiting
     tool, _waiting = _waiting, None
     if tool is not None:

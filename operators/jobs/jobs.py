@@ -1,6 +1,6 @@
-"""Long work from an operator: in a thread with progress and Cancel in a window, to the end at once in background mode.
+"""Long work of an operator: in a thread with progress and Cancel in a window, synchronously in background mode.
 
-The thread runs engine functions only. Everything of bpy is touched on the main thread: before the work starts
+The thread runs engine functions only. bpy is used on the main thread only: before the work starts
 (`JobOperator.prepare`) and after it has ended (`JobOperator.finish`).
 """
 
@@ -23,10 +23,10 @@ from .preload import preload_libraries
 from .target_scene import Target
 
 REDRAW_SECONDS = 0.25
-"""Redrawing more often takes the time from the work."""
+"""Seconds between two redraws; more frequent ones slow down the work."""
 
 LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
-"""How far and how long a job must have gone before the time that remains is told."""
+"""Progress and duration of a job above which the remaining time is shown."""
 
 LEAVE_EDITING = "Leave Edit Mode first (Tab)"
 LINKED = "This scene is linked from another file; make it local first"
@@ -35,7 +35,7 @@ Work = Callable[[Progress], Any]
 
 
 class Job:
-    """A function running in a thread, with what a panel shows of it."""
+    """A function that runs in a thread, with its state for panels."""
 
     def __init__(self, title: str, work: Work) -> None:
         self.title = title
@@ -52,11 +52,11 @@ class Job:
         self._thread.start()
 
     def cancel(self) -> None:
-        """Ask the work to stop; it does at its next report of progress."""
+        """Ask the work to stop, which it does at its next progress report."""
         self.cancelling = True
 
     def wait(self, seconds: float) -> None:
-        """Wait for the thread's end, no longer than this."""
+        """Wait for the end of the thread, at most this long."""
         self._thread.join(seconds)
 
     @property
@@ -65,26 +65,26 @@ class Job:
 
     @property
     def remaining(self) -> float | None:
-        """Seconds it will still take if it goes on as it went so far; None while that says nothing."""
+        """Estimated remaining seconds; None if unknown."""
         if self.fraction < LEAST_FRACTION or self.seconds < LEAST_SECONDS:
             return None
         return self.seconds * (1.0 - self.fraction) / self.fraction
 
     @property
     def text(self) -> str:
-        """How far it is, for a person: 'step 300/1200, 41,000 Gaussians, about 2 min left'."""
+        """The progress as text: 'step 300/1200, 41,000 Gaussians, about 2 min left'."""
         if self.cancelling:
             return "stopping at the next safe point"
         return self.message if self.remaining is None else f"{self.message}, about {duration(self.remaining)} left"
 
     @property
     def shown(self) -> tuple[int, str, int, bool]:
-        """What a panel shows of it: a redraw is due when this changes."""
+        """The state that a panel shows: a redraw is needed when it changes."""
         return int(100 * self.fraction), self.text, int(self.seconds), self.cancelling
 
     @property
     def seconds(self) -> float:
-        """Since the start."""
+        """Seconds since the start."""
         return time.monotonic() - self.started
 
     def _progress(self, fraction: float, message: str) -> None:
@@ -97,15 +97,15 @@ class Job:
             with without_full_collections():
                 preload_libraries()
                 self.result = self._work(self._progress)
-        except BaseException as error:  # whatever it is, the main thread reports it
+        except BaseException as error:  # any error: the main thread reports it
             self.error = error
 
 
 @contextmanager
 def without_full_collections() -> Iterator[None]:
-    """Let Python look for garbage among young objects alone.
+    """Limit Python's garbage collection to young objects.
 
-    A look among all of them stops the window for half a second while kernels are compiled for the first time.
+    A full collection stops the window for half a second while kernels are compiled for the first time.
     """
     young, middle, full = gc.get_threshold()
     gc.set_threshold(young, middle, 1_000_000)
@@ -115,15 +115,15 @@ def without_full_collections() -> Iterator[None]:
         gc.set_threshold(young, middle, full)
 
 
-# A thread cannot live in a .blend, so the one running job is the one thing kept here. It is not forgotten before its
-# thread has ended, even if its file was closed: two jobs must never work at once.
+# A thread cannot be stored in a .blend, so the running job is kept here. It is kept until its thread has ended, even
+# if its file was closed, because two jobs must never run at once.
 _current: Job | None = None
 # The operator that shows it in a window, until it takes the result over.
 _shower: JobOperator | None = None
 
 
 def running() -> Job | None:
-    """The job at work, or whose result is still to be shown, if any."""
+    """The running job, or one whose result is not shown yet, if any."""
     global _current
     if _current is not None and _current.ended and _shower is None:
         _current = None
@@ -131,7 +131,7 @@ def running() -> Job | None:
 
 
 def busy(operator: Any) -> bool:
-    """Whether a job is at work; the operator's poll then says so."""
+    """Whether a job is running; the operator's poll shows that as the reason."""
     if running() is None:
         return False
     operator.poll_message_set("Another job is running. Wait for it or cancel it first")
@@ -139,7 +139,8 @@ def busy(operator: Any) -> bool:
 
 
 def linked(operator: Any, context: bpy.types.Context) -> bool:
-    """Whether the scene belongs to another file, where nothing can be kept; the operator's poll then says so."""
+    """Whether the scene is linked from another file and cannot be changed; the operator's poll shows that as the
+    reason."""
     if context.scene is None or context.scene.library is None:
         return False
     operator.poll_message_set(LINKED)
@@ -147,7 +148,8 @@ def linked(operator: Any, context: bpy.types.Context) -> bool:
 
 
 def editing(operator: Any, context: bpy.types.Context) -> bool:
-    """Whether a person is not in Object Mode, or there is no scene of this file; the operator's poll then says so."""
+    """Whether Blender is not in Object Mode or there is no scene of this file; the operator's poll shows that as the
+    reason."""
     if linked(operator, context):
         return True
     if context.scene is not None and context.mode == "OBJECT":
@@ -157,7 +159,7 @@ def editing(operator: Any, context: bpy.types.Context) -> bool:
 
 
 def cancel_running(wait: float = 0.0) -> None:
-    """Ask the job at work to stop and wait up to so many seconds for it."""
+    """Ask the running job to stop and wait up to this many seconds for it."""
     job = running()
     if job is not None:
         job.cancel()
@@ -165,14 +167,14 @@ def cancel_running(wait: float = 0.0) -> None:
 
 
 def let_go(wait: float) -> None:
-    """Stop the job and take away what shows it: Blender tells no operator that its class is unregistered."""
+    """Stop the job and remove what shows it: Blender does not notify an operator when its class is unregistered."""
     cancel_running(wait)
     if _shower is not None:
         _shower._leave(bpy.context)
 
 
 def hands_full(context: bpy.types.Context) -> bool:
-    """Whether a person drags something or renders, and objects must stay what they are."""
+    """Whether the user drags something or renders, and objects must not change."""
     if bpy.app.is_job_running("RENDER"):
         return True
     modal = [item for window in context.window_manager.windows for item in getattr(window, "modal_operators", ())]
@@ -180,7 +182,7 @@ def hands_full(context: bpy.types.Context) -> bool:
 
 
 def start(operator: Any, name: str, **properties: Any) -> set[str]:
-    """Start `fruitlangs.name` as a button does, from the `execute` of an operator that shows why it cannot start."""
+    """Start `fruitlangs.name` like a button does, from the `execute` of an operator that shows why it cannot start."""
     try:
         getattr(bpy.ops.fruitlangs, name)("INVOKE_DEFAULT", **properties)
     except RuntimeError as error:
@@ -190,7 +192,7 @@ def start(operator: Any, name: str, **properties: Any) -> set[str]:
 
 
 def describe_error(error: BaseException) -> str:
-    """One line for a person; what nobody foresaw is also printed in full to the console."""
+    """One line for the user; an unexpected error is also printed in full to the console."""
     if isinstance(error, FruitLangsError):
         return str(error)
     if isinstance(error, ImportError):
@@ -202,11 +204,11 @@ def describe_error(error: BaseException) -> str:
 
 
 class JobOperator:
-    """Mix into an operator whose work is long.
+    """Mix-in of operators with long work.
 
     `execute` (scripts, background mode) runs to the end before it returns; `invoke` in a window starts a thread, and a
-    modal timer reports it. A failure is an error report, which scripts get as RuntimeError, and {'CANCELLED'}.
-    `self._target` is the Blender scene it works for, whatever happens meanwhile.
+    modal timer shows its progress. A failure is an error report, which scripts get as RuntimeError, and {'CANCELLED'}.
+    `self._target` is the Blender scene it works for, whatever happens in the meantime.
     """
 
     title = ""
@@ -217,7 +219,7 @@ class JobOperator:
     def prepare(self, context: bpy.types.Context) -> Work:
         """Read the settings and return the work; called on the main thread. May raise FruitLangsError.
 
-        The work imports what it needs of the engine by itself: that takes seconds, which are the thread's.
+        The work imports the engine itself: that takes seconds, which the thread can spend.
         """
         raise NotImplementedError
 
@@ -226,26 +228,26 @@ class JobOperator:
         raise NotImplementedError
 
     def failed(self: Any, context: bpy.types.Context, message: str) -> None:
-        """Leave the message where a panel shows it; called on the main thread, '' when work starts or went well."""
+        """Store the message where a panel shows it; called on the main thread, '' when work starts or succeeded."""
         bpy_scene = self._target.find()
         if bpy_scene is not None:
             bpy_scene.fruitlangs.error = message
             bpy_scene.fruitlangs.failed = self.title if message else ""
 
     def ticked(self, context: bpy.types.Context) -> None:
-        """While the work goes on, a few times a second on the main thread: show what there is of it so far."""
+        """Called a few times a second on the main thread during the work, to show its current state."""
 
     def ended(self, context: bpy.types.Context) -> None:
-        """However the work ended, before `finish`: take away what `ticked` showed."""
+        """Called when the work has ended, before `finish`: remove what `ticked` showed."""
 
     def ask_where(self: Any, context: bpy.types.Context) -> set[str]:
-        """Open Blender's file dialog, which calls `execute` when a place was chosen; for an `invoke` to return."""
+        """Open Blender's file dialog, which calls `execute` when a path was chosen; return value of an `invoke`."""
         self._asked = True
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self: Any, context: bpy.types.Context) -> set[str]:
-        if self._asked:  # started anew the operator works in a thread
+        if self._asked:  # when started again, the operator works in a thread
             name = type(self).bl_idname.partition(".")[2]
             return start(self, name, **self.as_keywords(ignore=("check_existing", "filter_glob")))
         self._begin(context)
@@ -276,7 +278,7 @@ class JobOperator:
         return {"RUNNING_MODAL"}
 
     def _begin(self, context: bpy.types.Context) -> None:
-        """Forget the last failure, and end the tool that waits for clicks: they would be on what the job replaces."""
+        """Forget the last failure, and end the tool that waits for clicks: the job replaces what they would hit."""
         self._target = Target(context.scene)
         self.failed(context, "")
         end_waiting()
@@ -300,16 +302,16 @@ class JobOperator:
         return self._conclude(context)
 
     def cancel(self: Any, context: bpy.types.Context) -> None:
-        """Called by Blender when the file or the window is closed: nothing is left to show the result in.
+        """Called by Blender when the file or the window is closed: the result cannot be shown.
 
-        Also when the file dialog that some open first is left without a choice: then there is no job yet.
+        Also called when the file dialog that some open first is cancelled: then there is no job yet.
         """
         if self._job is not None:
             self._job.cancel()
             self._leave(context)
 
     def _leave(self: Any, context: bpy.types.Context) -> None:
-        """Take away what the running job showed."""
+        """Remove what the running job showed."""
         global _shower
         _shower = None
         redraw_sidebars(context)
@@ -326,7 +328,7 @@ class JobOperator:
             return self._report_failure(context, job.error)
         try:
             self.finish(context, job.result)
-            self.failed(context, "")  # an undo meanwhile may have brought an old message back
+            self.failed(context, "")  # an undo in the meantime may have restored an old message
         except Exception as error:
             return self._report_failure(context, error)
         return {"FINISHED"}
@@ -353,7 +355,7 @@ class FRUITLANGS_OT_cancel(bpy.types.Operator):
 
 
 def duration(seconds: float) -> str:
-    """A time for people: '40 s', '3 min', '1 h 20 min'."""
+    """A duration as text: '40 s', '3 min', '1 h 20 min'."""
     if seconds < 90:
         return f"{max(round(seconds / 5) * 5, 5)} s" if seconds > 7.5 else f"{max(round(seconds), 1)} s"
     minutes = round(seconds / 60)
@@ -361,9 +363,9 @@ def duration(seconds: float) -> str:
 
 
 def show_status(context: bpy.types.Context, text: str | None) -> None:
-    """Say it in the status bar, of which there may be none while a file closes.
+    """Show it in the status bar, if there is one.
 
-    None brings back what Blender says there, in every workspace: a person may have gone to another one meanwhile.
+    None restores Blender's own text, in every workspace, since the user may have switched to another one.
     """
     if context.workspace is None:
         return
@@ -373,7 +375,7 @@ def show_status(context: bpy.types.Context, text: str | None) -> None:
 
 
 def redraw_sidebars(context: bpy.types.Context) -> None:
-    """Redraw the 3D viewports' sidebars and nothing else."""
+    """Redraw only the sidebars of the 3D viewports."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

@@ -1,7 +1,7 @@
-"""Large libraries loaded so that the window lives on meanwhile.
+"""Loads large libraries without blocking the window.
 
-Python holds its one lock while it loads an extension module, most of a second for PyTorch's; a foreign call gives the
-lock up. So a library is loaded by the system's own call first, and importing it then finds it there.
+Python holds its global lock while it loads an extension module, most of a second for PyTorch's; a foreign function call
+releases the lock. So a library is loaded by the system's own call first, and the import then finds it loaded.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from importlib.machinery import PathFinder
 from ...engine.scene.pycolmap_import import beside_another_gflags
 
 LARGE = {"torch": "_C", "pycolmap": "_core", "llvmlite": "binding/libllvmlite"}
-"""{package: its library, without suffix} of those that take a quarter of a second and more."""
+"""{package: its library, without suffix} of those that take a quarter of a second or more."""
 
 
 def preload_libraries() -> None:
-    """Load the large libraries that are installed and not loaded yet; to be called in a thread. What fails here fails
-    at the import, which tells more."""
+    """Load the large libraries that are installed and not loaded yet; called in a thread. Failures are reported by the
+    later import, in more detail."""
     if os.name != "posix":
         return
     for name, library in LARGE.items():

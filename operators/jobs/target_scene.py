@@ -1,4 +1,4 @@
-"""The Blender scene a job works for, found again when it ends."""
+"""The Blender scene that a job works for, found again when it ends."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from ...engine.errors import OutputError
 
 
 class Target:
-    """Remembers a Blender scene across undo, renaming and deletion, none of which a Python reference survives."""
+    """Remembers a Blender scene across undo, renaming and deletion, which a Python reference does not survive."""
 
     def __init__(self, scene: bpy.types.Scene) -> None:
         self._uid = scene.session_uid
         self._name = scene.name
 
     def scene(self, context: bpy.types.Context) -> bpy.types.Scene:
-        """The scene, with Object Mode entered where a person edits something in it.
+        """The scene, after leaving any edit mode in it.
 
         Raises:
             OutputError: it was deleted, or another file was opened.
@@ -27,12 +27,12 @@ class Target:
         return scene
 
     def find(self) -> bpy.types.Scene | None:
-        """The scene as it is; None where it was deleted, or another file was opened."""
+        """The scene in its current mode; None if it was deleted or another file was opened."""
         return find_scene(self._uid)
 
 
 def _leave_editing(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
-    """Enter Object Mode in the windows that show the scene; what a person edits in another one goes on."""
+    """Enter Object Mode in the windows that show the scene; edit modes of other scenes stay."""
     for window in context.window_manager.windows:
         if window.scene == scene:
             with context.temp_override(window=window, scene=scene, view_layer=window.view_layer):
@@ -41,5 +41,5 @@ def _leave_editing(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
 
 
 def find_scene(session_uid: int) -> bpy.types.Scene | None:
-    """The Blender scene of that session id; None where there is none any more."""
+    """The Blender scene with that session id; None if it no longer exists."""
     return next((scene for scene in bpy.data.scenes if scene.session_uid == session_uid), None)

@@ -1,4 +1,4 @@
-"""What is kept and can be cleared: compiled kernels, downloaded checkpoints, the work on the shown scene."""
+"""Caches that can be cleared: compiled kernels, downloaded checkpoints, the cached stages of the shown scene."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -17,9 +17,9 @@ from ..jobs.jobs import busy
 from ..settings.settings import result_folder
 
 STAGES = ("photos-", "train-", "embed-", "imported-", "segments-", "publish-")
-"""How the names of the folders begin that a run keeps in its results' cache."""
+"""Prefixes of the folders of a run in the cache of its results."""
 LOST = "Training goes on from the start; what was reconstructed and not counted cannot be asked until then"
-"""What deleting the work on a scene costs."""
+"""The consequence of deleting the cached stages of a scene."""
 
 
 def kernel_caches() -> list[Path]:
@@ -28,12 +28,12 @@ def kernel_caches() -> list[Path]:
 
 
 def downloaded_checkpoints() -> list[Path]:
-    """The folders of CLIP and SAM checkpoints that were downloaded, or put where downloads go."""
+    """The folders of CLIP and SAM checkpoints, downloaded or copied there."""
     return sorted(path for path in _entries(checkpoints_folder()) if path.is_dir())
 
 
 def work_folder(bpy_scene: bpy.types.Scene) -> Path | None:
-    """Where the runs on the chosen scene keep checkpoints and finished stages; None where it is not known."""
+    """The cache folder of runs on the chosen scene; None if unknown."""
     settings = bpy_scene.fruitlangs
     if not settings.source and not settings.out:
         return None
@@ -44,7 +44,7 @@ def work_folder(bpy_scene: bpy.types.Scene) -> Path | None:
 
 
 def work_caches(bpy_scene: bpy.types.Scene) -> list[Path]:
-    """The folders of finished stages and checkpoints of the chosen scene; nothing else that lies beside them."""
+    """The folders of finished stages and checkpoints of the chosen scene, without other files next to them."""
     folder = work_folder(bpy_scene)
     entries = [] if folder is None else _entries(folder)
     return sorted(path for path in entries if path.is_dir() and path.name.startswith(STAGES))
@@ -55,7 +55,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def megabytes(folders: Iterable[Path]) -> float:
-    """What the files in these folders take up."""
+    """Size of the files in these folders."""
     files = [file for folder in folders for file in folder.rglob("*") if file.is_file() and not file.is_symlink()]
     return sum(file.stat().st_size for file in files) / 1e6
 
@@ -106,7 +106,7 @@ class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
             self.layout.label(text=LOST, icon="INFO")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if busy(type(self)):  # begun since the dialog was opened
+        if busy(type(self)):  # started since the dialog was opened
             self.report({"ERROR"}, "A job is running. Wait for it or cancel it first")
             return {"CANCELLED"}
         chosen = (kernel_caches() if self.kernels else []) + (downloaded_checkpoints() if self.checkpoints else [])

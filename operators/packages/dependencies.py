@@ -1,4 +1,4 @@
-"""Which Python packages this Blender's Python lacks, and the operators that install them."""
+"""The Python packages that are missing in this Blender, and the operators that install them."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -28,12 +28,12 @@ OFFLINE = (
 
 
 def missing_packages() -> list[str]:
-    """pip names of what cannot be imported; looked up, not imported, so a panel may ask at every draw."""
+    """pip names of missing packages; searched, not imported, so that a panel can call it at every redraw."""
     return [package for module, package in REQUIRED.items() if importlib.util.find_spec(module) is None]
 
 
 def install_command(packages: list[str]) -> str:
-    """A line for a terminal that installs them; it never replaces Blender's own NumPy."""
+    """A terminal command that installs them; it never replaces Blender's own NumPy."""
     if bpy.app.binary_path:
         code = "import bpy; bpy.ops.fruitlangs.install_dependencies()"
         return f'"{bpy.app.binary_path}" -b --online-mode --python-exit-code 1 --python-expr "{code}"'
@@ -41,9 +41,9 @@ def install_command(packages: list[str]) -> str:
 
 
 def install_missing(wheels: Path | None = None, progress: Progress = silent) -> list[str]:
-    """Install what is missing into the extension's own folder, to be used at once; returns the packages.
+    """Install missing packages into the extension's own folder, usable at once; returns the packages.
 
-    wheels: a folder of wheel files to take them from instead of going online.
+    wheels: a folder of wheel files to install from instead of going online.
 
     Raises:
         InstallError: Blender may not go online and no folder is given, or it failed; nothing was changed.
@@ -53,7 +53,7 @@ def install_missing(wheels: Path | None = None, progress: Progress = silent) -> 
 
 
 def installing(wheels: Path | None = None) -> Callable[[Progress], list[str]]:
-    """What does the work of `install_missing`; any thread may call it.
+    """The function that does the work of `install_missing`; it may run in any thread.
 
     Raises:
         InstallError: Blender may not go online and no folder is given.
@@ -72,7 +72,7 @@ def installing(wheels: Path | None = None) -> Callable[[Progress], list[str]]:
 
 
 def source_text(packages: list[str], wheels: str) -> str:
-    """Where these packages come from, for the dialog that asks for consent."""
+    """The source of these packages, for the dialog that asks for consent."""
     if wheels:
         return bpy.path.abspath(wheels)
     extra = f"; PyTorch for the CPU from {CPU_INDEX}" if sys.platform == "linux" and "torch" in packages else ""
@@ -173,7 +173,7 @@ class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):
 
 
 def printed(progress: Progress = silent) -> Progress:
-    """A `Progress` that also prints every new step, for background mode, where nobody sees a bar."""
+    """A `Progress` that also prints every new step, for background mode."""
     last_step = ""
 
     def report(fraction: float, message: str) -> None:
@@ -188,7 +188,7 @@ def printed(progress: Progress = silent) -> Progress:
 
 
 def redraw_preferences(context: bpy.types.Context) -> None:
-    """Redraw the Preferences windows, where the install shows how far it is."""
+    """Redraw the Preferences windows, which show the progress of the install."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":

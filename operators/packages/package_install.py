@@ -1,8 +1,8 @@
-"""Installing Python packages into a folder of the extension's own, by pip in a process of its own.
+"""Installs Python packages into a folder of the extension, with pip in a separate process.
 
-Blender's NumPy, and whatever else its Python already has, is neither replaced nor shadowed: pip is held to Blender's
-NumPy, works out what is still missing, and installs exactly that. An install becomes visible, by one renaming,
-after every package has been imported once; until then, and if it fails or is killed, nothing has changed.
+Blender's NumPy and its other packages are neither replaced nor shadowed: pip is constrained to Blender's NumPy,
+resolves what is missing, and installs exactly that. An install becomes visible, by one rename, after every package has
+been imported once; until then, and if it fails or is killed, nothing has changed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .package_versions import CPU_INDEX, NEVER, REQUIRED, unpacked_megabytes, ve
 
 POLL_SECONDS = 0.25
 FORGOTTEN_SECONDS = 24 * 3600.0
-"""An unfinished install untouched for so long was killed."""
+"""An unfinished install that was not changed for this long was killed."""
 
 
 class InstallError(FruitLangsError):
@@ -38,9 +38,9 @@ class InstallError(FruitLangsError):
 def install_packages(
     packages: Sequence[str], folder: Path, *, wheels: Path | None = None, progress: Progress = silent
 ) -> Path:
-    """Install pip packages, with what they need, as a new install in `folder`; returns its folder.
+    """Install pip packages with their dependencies as a new install in `folder`; returns its folder.
 
-    wheels: a folder of wheel files to take them from; without it pip takes them from where its own settings say.
+    wheels: a folder of wheel files; without it pip uses its own settings.
 
     Raises:
         InstallError: pip cannot find, get or unpack one, one cannot be imported, or the folder cannot be written.
@@ -68,7 +68,7 @@ def install_packages(
 def _resolve(
     packages: Sequence[str], folder: Path, stage: Path, wheels: Path | None, progress: Progress
 ) -> dict[str, str]:
-    """{package: version} of what has to be installed, found out by pip without installing anything."""
+    """{package: version} of what has to be installed, resolved by pip without installing anything."""
     carried = _carried()
     fixed = {"numpy": np.__version__}
     if wheels is None:
@@ -90,7 +90,7 @@ def _resolve(
         raise InstallError(f"pip cannot find what is needed ({failure}); {_advice(wheels)}")
     document = json.loads(report.read_text(encoding="utf-8"))
     found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
-    # What Blender has would only be shadowed by it; whether an old one there will do, the imports tell.
+    # A newer copy would only be shadowed by Blender's; the imports show whether an old one works.
     return {name: version for name, version in found.items() if _normal(name) not in {*NEVER, *carried}}
 
 
@@ -125,7 +125,7 @@ def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | 
 
 
 def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: Progress) -> None:
-    """Import what was asked for, in a process of its own, with Blender's own packages before it."""
+    """Import the requested packages in a separate process, with Blender's own packages first."""
     modules = [module for module, package in REQUIRED.items() if package in packages]
     code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + ["print(numpy.__version__)"])
 
@@ -141,7 +141,7 @@ def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: P
 
 
 class _Lines:
-    """How a process ended and the last line it printed."""
+    """The exit of a process and its last line."""
 
     def __init__(self, code: int, text: str) -> None:
         lines = [line.strip() for line in text.splitlines() if line.strip()]
@@ -164,7 +164,7 @@ def _pip(arguments: Sequence[str], folder: Path, stage: Path, on_output: Callabl
 def _watch(
     command: Sequence[str], environment: Mapping[str, str], log: Path, on_output: Callable[[str], None]
 ) -> _Lines:
-    """Run a process to its end, telling what it printed now and then; whatever `on_output` raises ends it."""
+    """Run a process to its end and report its output from time to time; an exception from `on_output` ends it."""
     with log.open("wb") as output:
         try:
             child = subprocess.Popen(
@@ -191,7 +191,7 @@ def _text(log: Path) -> str:
 
 
 def _environment(folder: Path, stage: Path, *more: Path) -> dict[str, str]:
-    """What a Python beside Blender needs to see the packages that Blender sees, and nothing else of the user's."""
+    """The environment of a Python process that uses the same packages as Blender, and none of the user's."""
     own = [str(path) for path in installs(folder)]
     seen = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages") or path in own]
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PIP_TARGET")}
@@ -201,7 +201,7 @@ def _environment(folder: Path, stage: Path, *more: Path) -> dict[str, str]:
 
 
 def _bundled_pip() -> str:
-    """The wheel of pip that Python itself carries, for a Python that has it not installed."""
+    """The wheel of pip that is part of Python, for a Python without pip."""
     spec = importlib.util.find_spec("ensurepip")
     places = [Path(place) for place in (spec.submodule_search_locations or [])] if spec else []
     found = [wheel for place in places for wheel in sorted(place.glob("_bundled/pip-*.whl"))]
@@ -211,7 +211,7 @@ def _bundled_pip() -> str:
 
 
 def _sources(packages: Sequence[str] | Mapping[str, str], wheels: Path | None) -> list[list[str]]:
-    """Where pip looks, one after the other: by its own settings first, so that a mirror named there counts."""
+    """The options for pip's sources, tried in order: its own settings first, so that a mirror in them is used."""
     if wheels is not None:
         return [["--no-index", "--find-links", str(wheels)]]
     needs_index = sys.platform == "linux" and "torch" in map(_normal, packages)
@@ -225,7 +225,7 @@ def _advice(wheels: Path | None) -> str:
 
 
 def _carried() -> set[str]:
-    """The packages that this Blender's Python has, earlier installs included."""
+    """The packages of this Blender's Python, earlier installs included."""
     names = (distribution.metadata["Name"] for distribution in importlib.metadata.distributions())
     return {_normal(name) for name in names if name}
 
@@ -236,7 +236,7 @@ def _normal(name: str) -> str:
 
 
 def _doing(output: str) -> str:
-    """What pip is at, by what it printed."""
+    """The current task of pip, from its output."""
     if "\nInstalling collected" in output:
         return "unpacking"
     begun = re.findall(r"(?m)^(?:Collecting|Processing) (?:.*/)?([A-Za-z0-9_.-]+?)(?:==|-\d|$)", output)
@@ -244,7 +244,7 @@ def _doing(output: str) -> str:
 
 
 def _size(folder: Path) -> int:
-    """Bytes of all files below a folder that others write into."""
+    """Bytes of all files in a folder that other processes write to."""
     total = 0
     for path, _, names in os.walk(folder):
         for name in names:
@@ -256,7 +256,7 @@ def _size(folder: Path) -> int:
 
 
 def _remove_forgotten(folder: Path) -> None:
-    """Remove what killed installs left."""
+    """Remove the remains of killed installs."""
     for path in folder.glob(f"*{UNFINISHED}"):
         if time.time() - path.stat().st_mtime > FORGOTTEN_SECONDS:
             shutil.rmtree(path, ignore_errors=True)

@@ -1,6 +1,6 @@
-"""Which Python packages the engine needs, in which versions, and which NumPy each Blender carries.
+"""The Python packages that the engine needs, their versions, and the NumPy of each Blender.
 
-Nothing here is imported from Blender: the script that builds the extension reads it too.
+Nothing here is imported from Blender, because the script that builds the extension also reads it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ REQUIRED = {
 """{module: pip package} of what the panel needs; the command line also needs tyro and tqdm, and says so."""
 
 NEVER = ("numpy",)
-"""Never packed and never installed: Blender brings its own, and another one would break it and its add-ons."""
+"""Never packed and never installed: Blender has its own, and another one would break it and its add-ons."""
 
 VERSIONS = {
     "cloudpickle": "3.1.2",
@@ -59,21 +59,21 @@ VERSIONS = {
     "trimesh": "5.2.0",
     "typing-extensions": "4.16.0",
 }
-"""{pip package: version} of all that is needed and of what that needs, NumPy left out; the versions that are tested."""
+"""{pip package: version} of all needed packages and their dependencies, except NumPy; the tested versions."""
 
 SCIPY_FOR_NUMPY_1_24 = "1.15.3"
 """The last SciPy that works with the NumPy of Blender 4.2 to 4.4."""
 
 UNPACKED = 4.4
-"""Size of wheels and of what comes out of them, in sizes of wheels."""
+"""Approximate size of unpacked wheels, in sizes of wheels."""
 
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-"""PyTorch's own index of builds for the CPU. On Linux the build on PyPI brings gigabytes for NVIDIA cards."""
+"""PyTorch's index of CPU builds. On Linux the build on PyPI includes gigabytes for NVIDIA cards."""
 
 
 @dataclass(frozen=True)
 class BlenderSeries:
-    """The Blenders from version `first` on, up to but without `before`, and what they carry."""
+    """The Blender versions from `first` up to but without `before`, and their Python and NumPy."""
 
     first: str
     before: str | None
@@ -91,13 +91,13 @@ SERIES = (
     BlenderSeries(first="4.5.0", before="5.1.0", python="3.11", numpy="1.26.4"),
     BlenderSeries(first="5.1.0", before=None, python="3.13", numpy="2.3.4"),
 )
-"""The program's own builds (their versions.cmake); a distribution's Blender may use another Python and NumPy."""
+"""The official builds (their versions.cmake); a distribution's Blender may use another Python and NumPy."""
 
 
 def versions_for(numpy: str, platform: str) -> dict[str, str]:
-    """`VERSIONS` as they fit a Blender that carries this NumPy ('1.26.4'), PyTorch as built for the CPU.
+    """`VERSIONS` for a Blender with this NumPy ('1.26.4'), PyTorch as a CPU build.
 
-    platform: as `sys.platform` names it.
+    platform: as in `sys.platform`.
     """
     fitting = {"torch": VERSIONS["torch"] + ("+cpu" if platform == "linux" else "")}
     if tuple(map(int, numpy.split(".")[:2])) < (1, 26):
@@ -120,16 +120,16 @@ _MEGABYTES = {
 """{package: {sys.platform: megabytes of its wheel}}, measured; the others have less than one."""
 
 _BRINGS = {"torch": ("sympy", "networkx"), "numba": ("llvmlite",)}
-"""What comes with a package beside small things."""
+"""Packages installed together with a package, besides small ones."""
 
 
 def download_megabytes(packages: Iterable[str], platform: str = sys.platform) -> int:
-    """About how much is downloaded for these packages and what they need."""
+    """Approximate download size of these packages and their dependencies."""
     asked = list(packages)
     names = {*asked, *(more for name in asked for more in _BRINGS.get(name, ()))}
     return sum(_MEGABYTES[name].get(platform, 0) if name in _MEGABYTES else 1 for name in names)
 
 
 def unpacked_megabytes(packages: Iterable[str]) -> float:
-    """About what the same packages take up while they are downloaded and unpacked."""
+    """Approximate disk space of the same packages while they are downloaded and unpacked."""
     return UNPACKED * download_megabytes(packages)

@@ -1,4 +1,4 @@
-"""Look at a fruit in the photos: through the camera that sees it best, the next best, and back to the free view."""
+"""Shows a fruit in the photos: through the camera with the best view, the next best, and back to the free view."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -20,24 +20,24 @@ from .photo_view import look_through, remembers, restore_view, view_area
 
 
 def active_fruit(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The fruit that is active, in the list and in the viewport."""
+    """The active fruit of the list and the viewport."""
     item = context.view_layer.objects.active if context.view_layer else None
     return item if item is not None and item.get("fruitlangs") == "fruit" else None
 
 
 def photo_cameras(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The cameras of the photos, those whose photos are gone too."""
+    """The cameras of the photos, including those whose photos are missing."""
     return [item for item in owned_objects(bpy_scene, "camera") if SIZE in item]
 
 
 def fruit_sights(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tuple[bpy.types.Object, Sight]]:
-    """The cameras that see a fruit, best first."""
+    """The cameras that show a fruit, best first."""
     root = owned_object(bpy_scene, "root")
     cameras = photo_cameras(bpy_scene)
     if root is None or not cameras:
         return []
     placed = np.array(in_scene_frame(item, root), np.float64)
-    # The mesh is a ball of diameter 1.
+    # The mesh is a sphere of diameter 1.
     radius = 0.5 * float(np.linalg.norm(placed[:3, :3], axis=0).mean())
     views = [read_camera(camera, root) for camera in cameras]
     sights = best_sights(views, placed[:3, 3], radius, _surface(bpy_scene))
@@ -50,7 +50,7 @@ def _surface(bpy_scene: bpy.types.Scene) -> Surface | None:
 
 
 class _Look:
-    """Mix into an operator that looks at the active fruit through a photo's camera."""
+    """Mix-in of operators that show the active fruit through a photo's camera."""
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
@@ -65,7 +65,7 @@ class _Look:
         return True
 
     def look(self: Any, context: bpy.types.Context, step: int | None) -> set[str]:
-        """Look through the best camera (None), or the one that many places after the present one."""
+        """Show the view of the best camera (None), or of the one this many places after the current one."""
         item = active_fruit(context)
         assert item is not None
         sights = fruit_sights(context.scene, item)

@@ -1,8 +1,8 @@
-"""Photos behind their cameras: each is put there when somebody looks through its camera, and taken away after the next.
+"""Photos behind their cameras: loaded when a camera is viewed, removed after the next one.
 
-Hundreds of photos of 20 megapixels fit into no memory, so an import loads none. That a camera is looked through, by
-our buttons or by Blender's own keys, is noticed when a viewport is drawn. A photo of a lens that bends is undistorted
-in a thread, so that the window lives on.
+Hundreds of photos of 20 megapixels do not fit into memory, so an import loads none. Viewing through a camera, by our
+buttons or Blender's own keys, is detected when a viewport is drawn. A photo of a lens with distortion is undistorted in
+a thread, so that the window stays responsive.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from ..viewport.viewport import Drawing, in_window, redraw_viewports
 PROBLEM = "photo_problem"
 """Custom property of a camera: why its photo is not shown."""
 WAIT = 0.1
-"""Seconds between two looks whether a photo is undistorted."""
+"""Seconds between two checks whether a photo is undistorted."""
 
-# Undistorting belongs to this session, not to the .blend: {session id of a camera: its photo in work}.
+# Undistortion belongs to this session, not to the .blend: {session id of a camera: its photo in progress}.
 _in_work: dict[int, Future[None]] = {}
 _worker: ThreadPoolExecutor | None = None
 
 
 def show_photo(item: bpy.types.Object) -> None:
-    """Put the photo of a camera of ours behind it; nothing changes where it is there already.
+    """Put the photo of a camera of ours behind it, unless it is there.
 
-    In a window a photo that must be undistorted first comes when that is done (`is_awaited`); else this waits for it.
+    In a window, a photo that must be undistorted appears when that is done (`is_awaited`); otherwise this waits for it.
 
     Raises:
         SceneError: the photo is gone or cannot be decoded.
@@ -60,7 +60,7 @@ def is_awaited(item: bpy.types.Object) -> bool:
 
 
 def _file_soon(item: bpy.types.Object) -> Path | None:
-    """The picture that a camera sees; None while a thread makes it.
+    """The picture of a camera; None while a thread makes it.
 
     Raises:
         SceneError: the photo is gone, or the thread could not decode it.
@@ -82,7 +82,7 @@ def _file_soon(item: bpy.types.Object) -> Path | None:
 
 
 def background_of(item: bpy.types.Object) -> Any:
-    """The background of ours that a camera has; None where it has none, or its picture's file is gone."""
+    """The background of ours on a camera; None without one, or if the file of its picture is gone."""
     for slot in item.data.background_images:
         if slot.image is not None and slot.image.get(OWNER) == "photo":
             return slot if Path(bpy.path.abspath(slot.image.filepath)).is_file() else None
@@ -90,13 +90,13 @@ def background_of(item: bpy.types.Object) -> Any:
 
 
 def keep_only(items: Iterable[bpy.types.Object]) -> None:
-    """Take our photos from behind all cameras but these."""
+    """Remove our photos from all cameras but these."""
     kept = set(items)
     remove_backgrounds([item for item in bpy.data.objects if has_photo(item) and item not in kept])
 
 
 def fade(item: bpy.types.Object) -> None:
-    """Show a camera's photo as strongly as its scene's settings say."""
+    """Show a camera's photo with the opacity in the settings of its scene."""
     photos = _settings(item)
     slot = background_of(item)
     if slot is not None and photos is not None:
@@ -104,7 +104,7 @@ def fade(item: bpy.types.Object) -> None:
 
 
 def opacity_changed(photos: Any, _context: Any = None) -> None:
-    """Called when the strength of photos was edited."""
+    """Called when the opacity of photos was edited."""
     for item in photos.id_data.objects:
         if has_photo(item):
             fade(item)
@@ -116,14 +116,14 @@ def _settings(item: bpy.types.Object) -> Any:
 
 
 def photo_cover(space: Any, view: Any, bpy_scene: bpy.types.Scene) -> float:
-    """How much of what is reconstructed the photo covers in a viewport, 0 to 1; 0 where none is shown."""
+    """Opacity of the photo over the reconstruction in a viewport, 0 to 1; 0 if none is shown."""
     item = _camera_of(space, view, bpy_scene)
     slot = None if item is None or not item.data.show_background_images else background_of(item)
     return float(slot.alpha) if slot is not None and slot.show_background_image else 0.0
 
 
 def looked_through() -> list[bpy.types.Object]:
-    """The cameras of ours that the viewports of all windows look through."""
+    """The cameras of ours that the viewports of all windows show."""
     found = []
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
@@ -140,7 +140,7 @@ def _camera_of(space: Any, view: Any, bpy_scene: bpy.types.Scene) -> bpy.types.O
 
 
 def _watch() -> None:
-    """Called when a viewport is drawn, in which nothing of the .blend may be changed."""
+    """Called when a viewport is drawn, during which the .blend must not change."""
     context = bpy.context
     if context.space_data is None or context.region_data is None:
         return
@@ -156,7 +156,7 @@ def _show_soon() -> None:
 
 
 def _show_looked_through() -> float | None:
-    """Show the photos of the cameras that are looked through; why one is not shown stands in the panel."""
+    """Show the photos of the viewed cameras; the panel shows why one is missing."""
     items, before = looked_through(), set(_in_work)
     if items:
         keep_only(items)
@@ -172,7 +172,7 @@ def _show_looked_through() -> float | None:
 
 
 def _forget_work(items: Iterable[bpy.types.Object]) -> None:
-    """Let go of photos that are in work for cameras other than these."""
+    """Cancel photos in progress for cameras other than these."""
     wanted = {item.session_uid for item in items}
     for uid in set(_in_work) - wanted:
         _in_work.pop(uid).cancel()
@@ -180,7 +180,7 @@ def _forget_work(items: Iterable[bpy.types.Object]) -> None:
 
 @persistent
 def _forget_problems(_file: Any = None, _unused: Any = None) -> None:
-    """After loading: a photo that was gone when the file was saved may be back."""
+    """After loading: a photo that was missing when the file was saved may be back."""
     for item in bpy.data.objects:
         if PROBLEM in item:
             del item[PROBLEM]
@@ -190,7 +190,7 @@ _drawing = Drawing(_watch, "POST_PIXEL")
 
 
 def register_watch() -> None:
-    """Notice cameras that are looked through; in background mode nobody looks."""
+    """Detect viewed cameras; not in background mode."""
     _drawing.start()
     bpy.app.handlers.load_post.append(_forget_problems)
 

@@ -1,4 +1,4 @@
-"""Which photos see a fruit best: those in which it is large, inside the frame and not behind leaves."""
+"""Chooses the photos with the best view of a fruit: large, inside the frame and not behind leaves."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from ...engine.scene.camera import Camera
 from ..viewport.ray_hits import LEAST_ALPHA, SIGMAS, FloatArray, pick_surface
 
 SAMPLES = 6
-"""Places on a fruit's disc that are looked at, beside its middle."""
+"""Points tested on the disc of a fruit, in addition to its centre."""
 SAMPLE_RADIUS = 0.65
-"""How far from the middle they lie, in radii."""
+"""Their distance from the centre, in radii."""
 FRONT = 1.3
-"""What stops the light nearer than this, in radii before the middle, is something else than the fruit."""
+"""Whatever stops the light nearer than this, in radii before the centre, is another object."""
 MOST = 24
-"""Photos for which the view is followed through the Gaussians: those that show the fruit largest."""
+"""Number of photos for which occlusion by the Gaussians is tested: those that show the fruit largest."""
 LEAST_SHARE = 0.1
-"""Of the places on a fruit; a photo that shows fewer does not show it."""
+"""Least visible share of the tested points; a photo below it does not show the fruit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Gaussians that hide: means (N, 3), scales (N, 3), quats (N, 4) w first, opacities (N,); in the scene's frame."""
+    """Occluding Gaussians: means (N, 3), scales (N, 3), quats (N, 4) w first, opacities (N,); in the scene frame."""
 
     means: FloatArray
     scales: FloatArray
@@ -36,7 +36,7 @@ class Surface:
         return len(self.means)
 
     def along(self, origin: NDArray[np.float64], center: NDArray[np.float64], radius: float) -> Surface:
-        """Those that can hide a ball from a place: in the cone between both, or reaching into it."""
+        """Those that can hide a sphere from a position: in the cone between both, or reaching into it."""
         distance = float(np.linalg.norm(center - origin))
         offsets = self.means - origin.astype(self.means.dtype)
         depth = offsets @ ((center - origin) / distance).astype(self.means.dtype)
@@ -50,10 +50,10 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """How one photo shows a fruit.
+    """The view of a fruit in one photo.
 
-    index: of the camera; place: (2,) pixel of the fruit's middle; pixels: its diameter in the photo; share: of it that
-    is inside the frame and not hidden, 0 to 1.
+    index: of the camera; place: (2,) pixel of the centre of the fruit; pixels: its diameter in the photo; share: of it
+    that is inside the frame and not hidden, 0 to 1.
     """
 
     index: int
@@ -63,14 +63,14 @@ class Sight:
 
     @property
     def score(self) -> float:
-        """Pixels of the fruit that can be seen, as an area."""
+        """Visible pixels of the fruit, as an area."""
         return self.share * self.pixels**2
 
 
 def best_sights(
     cameras: Sequence[Camera], center: NDArray[np.float64], radius: float, surface: Surface | None
 ) -> list[Sight]:
-    """The photos that show a ball at center (3,), best first; empty where none does. surface: None hides nothing."""
+    """The photos that show a sphere at center (3,), best first; empty if none does. surface: None hides nothing."""
     framed = [sight for sight in (_in_frame(*each, center, radius) for each in enumerate(cameras)) if sight.share > 0.0]
     largest = sorted(framed, key=lambda sight: -sight.score)[:MOST]
     if surface is not None and len(surface):
@@ -82,7 +82,7 @@ def best_sights(
 
 
 def _in_frame(index: int, camera: Camera, center: NDArray[np.float64], radius: float) -> Sight:
-    """How a camera shows a ball when nothing is in the way."""
+    """The view of a sphere in a camera without occluders."""
     inside = _framed(camera, _disc(camera, center, radius))
     place, depth = camera.project(center)
     pixels = 2.0 * radius * float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / max(float(depth), 1e-12)
@@ -90,7 +90,7 @@ def _in_frame(index: int, camera: Camera, center: NDArray[np.float64], radius: f
 
 
 def _open_share(camera: Camera, center: NDArray[np.float64], radius: float, surface: Surface) -> float:
-    """Share of a ball's disc that is inside the frame and seen past the Gaussians."""
+    """Share of a sphere's disc that is inside the frame and not hidden by Gaussians."""
     places = _disc(camera, center, radius)
     near = surface.along(camera.center, center, radius)
     open_ones = 0
@@ -99,13 +99,13 @@ def _open_share(camera: Camera, center: NDArray[np.float64], radius: float, surf
         distance = float(np.linalg.norm(along))
         hit = pick_surface(
             camera.center, along / distance, near.means, near.scales, near.quats, near.opacities
-        )  # None: nothing is in the way, not even the fruit's own skin
+        )  # None: no occluder, not even the surface of the fruit
         open_ones += hit is None or float(np.linalg.norm(hit - camera.center)) > distance - FRONT * radius
     return open_ones / len(places)
 
 
 def _disc(camera: Camera, center: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """(SAMPLES + 1, 3) the middle of a ball and places around it, on the disc that faces the camera."""
+    """(SAMPLES + 1, 3) the centre of a sphere and points around it, on the disc that faces the camera."""
     along = (center - camera.center) / max(float(np.linalg.norm(center - camera.center)), 1e-12)
     right = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     right /= np.linalg.norm(right)
@@ -115,7 +115,7 @@ def _disc(camera: Camera, center: NDArray[np.float64], radius: float) -> NDArray
 
 
 def _framed(camera: Camera, places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(P,) whether places (P, 3) are inside the camera's frame."""
+    """(P,) whether points (P, 3) are inside the camera's frame."""
     pixels, depths = camera.project(places)
     inside = ((pixels >= 0.0) & (pixels <= [camera.width, camera.height])).all(axis=1)
     return np.asarray(inside & (depths > 0.0))

@@ -1,4 +1,4 @@
-"""A viewport that looks through a photo's camera, and the way back to where it looked before."""
+"""Shows a photo's camera in a viewport, and restores the previous view."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ..data.write_cameras import show_through
 from ..viewport.viewport import shown_screens
 
 SHOWN = 0.12
-"""How wide a fruit becomes at least, in heights of the viewport."""
+"""Least width of a fruit, in heights of the viewport."""
 
 
 def view_area(context: bpy.types.Context) -> bpy.types.Area | None:
-    """The 3D viewport that a button of which was pressed, else the first of the screen; None in background mode."""
+    """The 3D viewport whose button was pressed, else the first of the screen; None in background mode."""
     if bpy.app.background:
         return None
     if context.area is not None and context.area.type == "VIEW_3D":
@@ -27,16 +27,17 @@ def view_area(context: bpy.types.Context) -> bpy.types.Area | None:
 
 
 def remembers(bpy_scene: bpy.types.Scene) -> bool:
-    """Whether there is a view to go back to."""
+    """Whether there is a view to return to."""
     return bool(bpy_scene.fruitlangs.photos.perspective)
 
 
 def look_through(
     context: bpy.types.Context, camera: bpy.types.Object, place: NDArray[np.float64], pixels: float
 ) -> None:
-    """Turn the viewport to a camera of ours, to the thing at pixel `place` (2,) of its photo that is `pixels` wide.
+    """Show a camera of ours in the viewport, centred on the object at pixel `place` (2,) of its photo that is `pixels`
+    wide.
 
-    How the viewport looked is kept in the .blend until `restore_view`.
+    The previous view is stored in the .blend until `restore_view`.
     """
     area, bpy_scene = view_area(context), context.scene
     view = None if area is None else area.spaces.active.region_3d
@@ -51,7 +52,7 @@ def look_through(
 
 
 def _frame(area: bpy.types.Area, camera: bpy.types.Object, place: NDArray[np.float64], pixels: float) -> None:
-    """Move and zoom the photo so that a thing in it is in the middle of what the sidebar leaves free.
+    """Move and zoom the photo so that the object is centred in the region next to the sidebar.
 
     Blender draws the frame `zoom` times as wide as the region, and shifts it by twice the offset times `zoom` regions.
     """
@@ -71,7 +72,7 @@ def _frame(area: bpy.types.Area, camera: bpy.types.Object, place: NDArray[np.flo
 
 
 def restore_view(context: bpy.types.Context) -> None:
-    """Look from where the viewport looked before the first photo; the scene's own camera and size come back too."""
+    """Restore the view before the first photo, and the scene's own camera and size."""
     area, photos = view_area(context), context.scene.fruitlangs.photos
     if not remembers(context.scene):
         if area is not None:
@@ -84,7 +85,7 @@ def restore_view(context: bpy.types.Context) -> None:
             view.view_location, view.view_rotation = photos.location, photos.rotation
             view.view_distance = photos.distance
     render = context.scene.render
-    if photos.camera is not None:  # a count meanwhile replaces the cameras of photos
+    if photos.camera is not None:  # a count in the meantime replaces the cameras of photos
         context.scene.camera = photos.camera
     render.resolution_x, render.resolution_y, render.resolution_percentage = photos.resolution
     render.pixel_aspect_x, render.pixel_aspect_y = photos.aspect
@@ -92,9 +93,9 @@ def restore_view(context: bpy.types.Context) -> None:
 
 
 def _remember(bpy_scene: bpy.types.Scene, view: Any) -> None:
-    """Keep how a viewport looks, and the scene's camera and size, which a photo replaces."""
+    """Store the view of a viewport, and the scene's camera and size, which a photo replaces."""
     photos, render = bpy_scene.fruitlangs.photos, bpy_scene.render
-    if not remembers(bpy_scene):  # else a photo's camera is there already, and what it replaced is kept
+    if not remembers(bpy_scene):  # otherwise a photo's camera is shown already, and the previous view is stored
         photos.camera = bpy_scene.camera
         photos.resolution = (render.resolution_x, render.resolution_y, render.resolution_percentage)
         photos.aspect = (render.pixel_aspect_x, render.pixel_aspect_y)

@@ -1,1 +1,1 @@
-"""Corrections by a person, and the audit of single clusters."""
+"""Corrections by the user, and the audit of single clusters."""

@@ -1,4 +1,4 @@
-"""Review: a person confirms, rejects, merges, splits, adds and relabels fruit; all undoable, all in the log."""
+"""Review: the user confirms, rejects, merges, splits, adds and relabels fruit, with undo and a log."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Action, Spot
 
 CLOSE = 8.0
-"""Diameters from which a fruit is looked at."""
+"""Distance in diameters from which a fruit is shown."""
 NO_SIZE = "The size of the new fruit is unknown. Enter its diameter below Add first"
 
 
@@ -55,7 +55,7 @@ def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def has_root(operator: Any, context: bpy.types.Context) -> bool:
-    """Whether the scene's root is there; the operator's poll says so where it is not."""
+    """Whether the scene's root exists; the operator's poll shows a missing one as the reason."""
     if owned_object(context.scene, "root") is not None:
         return True
     operator.poll_message_set("The empty that holds the scene is gone; undo that, or import or count again")
@@ -63,10 +63,10 @@ def has_root(operator: Any, context: bpy.types.Context) -> bool:
 
 
 class Judgement:
-    """Mix into an operator that changes the fruit that are selected."""
+    """Mix-in of operators that change the selected fruit."""
 
     needs: ClassVar[int] = 1
-    """Fruit that must be selected at least."""
+    """Least number of selected fruit."""
 
     reason: bpy.props.StringProperty(
         name="Reason", options={"SKIP_SAVE"}, description="Reason kept in the log; empty uses the reason of the panel"
@@ -94,7 +94,7 @@ class Judgement:
         return {"FINISHED"}
 
     def decide(self, context: bpy.types.Context) -> None:
-        """Do it; whatever is raised is told in words, so it must come before anything changes.
+        """Do it; every error is reported, so it must occur before anything changes.
 
         Raises:
             FruitLangsError: it cannot be done.
@@ -104,7 +104,7 @@ class Judgement:
     def log(
         self: Any, context: bpy.types.Context, action: Action, before: Sequence[Spot] = (), after: Sequence[Spot] = ()
     ) -> None:
-        """Write what was done, with the reason in the panel, which is then empty again."""
+        """Log the decision with the reason in the panel, which is then cleared."""
         from ...engine.counting.accounts.review import Decision
 
         review = context.scene.fruitlangs.review
@@ -264,7 +264,7 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
         return super().invoke(context, event)
 
     def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
-        # The click is on the skin: the middle lies half a diameter behind it, away from the viewer.
+        # The click is on the surface: the centre lies half a diameter behind it, away from the viewer.
         direction = self._target3d.direction
         self.center = (points[0] + 0.5 * new_diameter(context.scene) * direction).tolist()
         return self.execute(context)
@@ -283,7 +283,7 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
 
 
 def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
-    """Median diameter of the fruit that stand, else of the rejected ones, scene units; 0 without any."""
+    """Median diameter of the current fruit, else of the rejected ones, scene units; 0 without any."""
     unit = metres_per_unit(bpy_scene) or 1.0
     items = standing(bpy_scene) or owned_objects(bpy_scene, "fruit")
     sizes = [float(item["diameter"]) / unit for item in items if "diameter" in item]
@@ -291,9 +291,10 @@ def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
 
 
 def new_diameter(bpy_scene: bpy.types.Scene) -> float:
-    """What an added fruit gets, scene units: the usual diameter, else the one typed in the panel; 0 of neither.
+    """The diameter of an added fruit, scene units: the median diameter, else the one entered in the panel; 0 without
+    either.
 
-    The panel has a field for each unit: a length measured meanwhile must not make another size of the same number.
+    The panel has a field for each unit, so that a later scale does not change the meaning of a number.
     """
     review, metres = bpy_scene.fruitlangs.review, metres_per_unit(bpy_scene)
     typed = review.diameter if metres is None else review.diameter_mm / (1000.0 * metres)
@@ -334,7 +335,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
 
 
 def next_doubtful(context: bpy.types.Context) -> bpy.types.Object:
-    """The least likely fruit not looked at; from one that is not, the next after it."""
+    """The fruit with the lowest probability that is not reviewed; from such a fruit, the next one."""
     open_ones = [item for item in owned_objects(context.scene, "fruit") if REVIEW not in item]
     ranked = sorted(open_ones, key=lambda item: (item.get("probability", 1.0), item.get("id", 0)))
     active = context.view_layer.objects.active
@@ -342,14 +343,14 @@ def next_doubtful(context: bpy.types.Context) -> bpy.types.Object:
 
 
 def get_active_fruit(review: Any) -> int:
-    """Index of the active object among the fruit; -1 where another one is active."""
+    """Index of the active object among the fruit; -1 if another one is active."""
     collection = fruit_collection(review.id_data)
     active = bpy.context.view_layer.objects.active if bpy.context.view_layer else None
     return -1 if collection is None or active is None else collection.objects.find(active.name)
 
 
 def set_active_fruit(review: Any, index: int) -> None:
-    """Select the fruit of that index alone."""
+    """Select only the fruit with that index."""
     collection = fruit_collection(review.id_data)
     if collection is None or bpy.context.mode != "OBJECT" or not 0 <= index < len(collection.objects):
         return

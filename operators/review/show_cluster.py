@@ -1,4 +1,4 @@
-"""Look at a cluster of the audit, for example one that was dropped."""
+"""Shows a cluster of the audit, for example a dropped one."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -39,14 +39,14 @@ class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
 
 
 def cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
-    """Where in the world the cluster of that number is; None where the audit gives no place."""
+    """The position of the cluster with that number in the world; None if the audit has none."""
     root = owned_object(bpy_scene, "root")
     centers = [place(entry) for entry in read_audit(bpy_scene) if entry.cluster == cluster]
     return None if root is None or not centers or centers[0] is None else root.matrix_world @ Vector(centers[0])
 
 
 def usual_size(bpy_scene: bpy.types.Scene) -> float:
-    """How large fruit are in the world; where there are none, a guess from how large the scene is."""
+    """The diameter of fruit in the world; without fruit, an estimate from the size of the scene."""
     root = owned_object(bpy_scene, "root")
     guess = 1.0 if root is None else 0.5 * root.empty_display_size
     return (usual_diameter(bpy_scene) or guess) * (metres_per_unit(bpy_scene) or 1.0)

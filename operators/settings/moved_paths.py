@@ -1,4 +1,4 @@
-"""Paths relative to the .blend stay true when it is saved into another folder; Blender does this for its own alone."""
+"""Keeps paths relative to the .blend valid when it is saved to another folder; Blender does this only for its own."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from bpy.app.handlers import persistent
 from .settings import path_names, relative_path, stage_classes
 
 CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "exported", "source", "work")
-"""The paths of `scene.fruitlangs` and of its result; those among the stages' settings say so themselves."""
+"""The path properties of `scene.fruitlangs` and of its result; those among the stages' settings are found
+separately."""
 
 
 @persistent
 def rebase_paths(file: str, _unused: Any = None) -> None:
-    """Before saving as `file`: say relative to its folder where things are."""
+    """Before saving as `file`: make paths relative to its folder."""
     if file and bpy.data.filepath:
         _rebase(Path(bpy.data.filepath).parent, Path(file).parent)
 
 
 @persistent
 def restore_paths(file: str, _unused: Any = None) -> None:
-    """After saving a copy, or in vain: the open file stays where it is."""
+    """After saving a copy or a failed save: restore the paths, because the open file did not move."""
     if file and bpy.data.filepath:
         _rebase(Path(file).parent, Path(bpy.data.filepath).parent)
 
 
 def _rebase(old: Path, new: Path) -> None:
-    """Say relative to the folder `new` what the panel's paths say relative to `old`."""
+    """Make the panel's paths relative to the folder `new` instead of `old`."""
     if old == new:
         return
     for bpy_scene in bpy.data.scenes:
@@ -52,7 +53,7 @@ HANDLERS = {"save_pre": rebase_paths, "save_post": restore_paths, "save_post_fai
 
 
 def register_handlers() -> None:
-    """Notice where the file is saved."""
+    """Follow where the file is saved."""
     for name, function in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
 

@@ -1,4 +1,4 @@
-"""What the extension's preferences say, where the scene's own settings leave it open."""
+"""The values of the extension's preferences for settings that the scene leaves at their defaults."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from ...engine.config import EmbedConfig
 
 CHECKPOINTS = ("clip", "sam")
-"""The settings of `EmbedConfig` that name a checkpoint; the preferences have a folder under the same names."""
+"""The settings of `EmbedConfig` that name a checkpoint; the preferences have folders with the same names."""
 
 
 def preferences() -> Any:
-    """The extension's preferences; None where it was registered by a script and not enabled."""
+    """The extension's preferences; None if it was registered by a script and not enabled."""
     addon = bpy.context.preferences.addons.get(EXTENSION)
     return None if addon is None else addon.preferences
 
 
 def with_preferred_folders(embed: EmbedConfig) -> EmbedConfig:
-    """The settings with the preferences' checkpoints in place of those that the scene left at their defaults."""
+    """The settings with the preferences' checkpoints for those that the scene left at their defaults."""
     preferred, defaults = preferences(), type(embed)()
     if preferred is None:
         return embed

@@ -1,7 +1,7 @@
-"""The region of interest: a box in the viewport, upright, that a count is held to.
+"""The region of interest: an upright box in the viewport that limits a count.
 
-The box is an object like any other, moved, turned about Z and scaled by the person; it is the truth, and the settings
-of counting are read from it.
+The box is an ordinary object that the user moves, rotates about Z and scales; it is the truth, and the settings of
+counting are read from it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CORNERS = ((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0))
 
 
 def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
-    """`config` held to this Blender scene's box, as an outline with heights in the scene's frame; as it is without a
+    """`config` limited to this Blender scene's box, as an outline with heights in the scene frame; unchanged without a
     box.
 
     Raises:
@@ -91,14 +91,14 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
 
 
 def stand_upright(box: bpy.types.Object, root: bpy.types.Object, middle: Vector, half: Vector) -> None:
-    """Put the box upright there, in the world, its sides in Blender's sidebar as they are seen."""
+    """Place the box upright in the world, with its side lengths in Blender's sidebar."""
     box.matrix_parent_inverse = root.matrix_basis.inverted()
     box.matrix_basis = Matrix.LocRotScale(middle, box.matrix_basis.to_quaternion(), half)
 
 
 def around(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[Vector, Vector]:
-    """Middle and half sides, in the world, of a box around the fruit there are, else around what cameras look at."""
-    # As set, not as evaluated: what was just made has no matrix_world yet.
+    """Centre and half sides, in the world, of a box around the fruit, else around what the cameras look at."""
+    # From the set values, not evaluated ones: a new object has no matrix_world yet.
     fruit = [root.matrix_basis @ item.matrix_basis.translation for item in owned_objects(bpy_scene, "fruit")]
     if len(fruit) > 1:
         low, high = (Vector(side(place[axis] for place in fruit) for axis in range(3)) for side in (min, max))

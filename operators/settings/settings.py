@@ -1,4 +1,4 @@
-"""The panel's settings as engine values: Blender properties from a config dataclass, and the way back.
+"""The panel's settings as engine values: Blender properties from a config dataclass, and the inverse.
 
 A setting is declared once, in `engine/config.py`; the string below its field is the tooltip here and the help text of
 the command line's flag.
@@ -29,21 +29,21 @@ if TYPE_CHECKING:
 # Blender 4.5 asks for it before it shows paths relative to the .blend; older ones do not need it.
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 SUBTYPES = {"file": "FILE_PATH", "folder": "DIR_PATH"}
-"""Of the property of a setting that is a path."""
+"""Option of the property of a setting that is a path."""
 PLY = ".ply"
-"""How the name of a file of Gaussians or coloured points ends."""
+"""Suffix of a file of Gaussians or coloured points."""
 MEASURES = {
     "scene": ("up",),
     "units": ("length", "points", "cameras", "object", "metres_per_unit"),
     "count": ("diameter", "box", "polygon", "heights", "tree_places"),
 }
-"""{stage: settings} that say something of one source's frame only."""
+"""{stage: settings} that are valid in the frame of one source only."""
 
 
 def config_properties(config_class: type, updates: Mapping[str, Callable[..., None]] = {}) -> dict[str, Any]:
-    """{field: Blender property} of a config dataclass, in its order; updates: {field: what an edit of it calls}.
+    """{field: Blender property} of a config dataclass, in its order; updates: {field: update callback}.
 
-    Where None is allowed, 0 stands for it, or an empty text; several texts are one, with commas, and a list of numbers
+    If None is allowed, 0 or an empty text represents it; several texts are one text with commas, and a list of numbers
     of any length is typed as text.
     """
     docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
@@ -54,7 +54,7 @@ def config_properties(config_class: type, updates: Mapping[str, Callable[..., No
 
 
 def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
-    """The config that a group made by `config_properties` holds.
+    """The config of a group made by `config_properties`.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -80,14 +80,14 @@ def path_names(config_class: type) -> list[str]:
 
 
 def _is_zero(value: Any) -> bool:
-    """Whether the property of an optional setting holds what means "not given"."""
+    """Whether the property of an optional setting has the value that means "not given"."""
     return not any(value) if isinstance(value, bpy.types.bpy_prop_array) else not value
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, bpy.types.bpy_prop_array):
         return tuple(map(_plain, value))
-    # A property holds float32; the shortest text of it is what was typed, so 0.2 stays 0.2 as on the command line.
+    # A property holds float32; its shortest text is what the user typed, so 0.2 stays 0.2 as on the command line.
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
 
@@ -96,12 +96,12 @@ def _optional(kind: Any) -> bool:
 
 
 def _given(kind: Any) -> Any:
-    """The kind of an optional setting that is given."""
+    """The type of an optional setting."""
     return next(choice for choice in typing.get_args(kind) if choice is not type(None)) if _optional(kind) else kind
 
 
 def _is_texts(kind: Any) -> bool:
-    """Whether a setting is several texts, given or not."""
+    """Whether a setting is a list of texts, optional or not."""
     given = _given(kind)
     return typing.get_origin(given) is tuple and set(typing.get_args(given)) == {str}
 
@@ -153,8 +153,8 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callab
 
 
 def read_config(settings: Any, source: Path | None = None) -> Config:
-    """Every stage's config from `scene.fruitlangs`, counting held to the scene's region box where it has one; nothing
-    is downloaded where Blender may not go online. For a run on `source` what was measured of another one is left out.
+    """The configs of all stages from `scene.fruitlangs`, with counting limited to the region box of the scene; nothing
+    is downloaded if Blender may not go online. For a run on another `source`, measurements of this one are left out.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -183,12 +183,12 @@ def _unmeasured(config: Config) -> Config:
 
 
 def online() -> bool:
-    """Whether the person at Blender allows it to go online."""
+    """Whether Blender allows online access."""
     return bpy.app.online_access
 
 
 def apply_preset(settings: Any, _context: Any = None) -> None:
-    """Set training's properties of `scene.fruitlangs` to those of its preset."""
+    """Set the training properties of `scene.fruitlangs` to those of its preset."""
     from ...engine.config import PRESETS
 
     for field in dataclasses.fields(PRESETS["standard"]):
@@ -196,7 +196,7 @@ def apply_preset(settings: Any, _context: Any = None) -> None:
 
 
 def stage_classes() -> dict[str, type]:
-    """{stage: config class} in the order of the chain."""
+    """{stage: config class} in the order of the stages."""
     from ...engine.config import Config
 
     kinds = typing.get_type_hints(Config)
@@ -209,7 +209,7 @@ def read_words(text: str) -> list[str]:
 
 
 def read_prompts(settings: Any) -> list[str]:
-    """The words to count.
+    """The prompts.
 
     Raises:
         VocabularyError: none was given.
@@ -235,7 +235,7 @@ def source_folder(settings: Any) -> Path:
 
 
 def imported_file(settings: Any) -> Path | None:
-    """The .ply that is counted in instead of training, absolute; None where none is given.
+    """The .ply that replaces training, absolute; None without one.
 
     Raises:
         SceneError: it is not there (any more).
@@ -249,8 +249,8 @@ def imported_file(settings: Any) -> Path | None:
 
 
 def result_folder(settings: Any) -> Path:
-    """Where results go: as set, else where an earlier run on this source put them, else a folder beside the .blend,
-    else, for a .blend never saved, beside the scene's."""
+    """The result folder: as set, else that of an earlier run on this source, else next to the .blend, else, for an
+    unsaved .blend, next to the scene's."""
     if settings.out:
         return _absolute(settings.out)
     source = _absolute(settings.source) if settings.source else Path("scene")
@@ -272,25 +272,25 @@ def true_source(source: Path) -> Path:
 
 
 def is_of_another(settings: Any, source: Path) -> bool:
-    """Whether what is shown, decided and measured belongs to another source; not where it does not say to which."""
+    """Whether the shown data, decisions and measurements belong to another source; False if their source is unknown."""
     known = known_path(settings.result.source)
     return known is not None and not is_same_source(known, settings.result.mark, source)
 
 
 def is_same_source(known: Path, mark: str, source: Path) -> bool:
-    """Whether the scene at `source` is what was at `known`: made from it, or its folder, which was moved, kept its name
-    and holds what its mark tells."""
+    """Whether the scene at `source` is the one at `known`: made from it, or its folder, which was moved, kept its name
+    and matches its mark."""
     true = true_source(source)
     return known == true or (known.name == true.name and not known.exists() and has_mark(true, mark))
 
 
 def known_path(text: str) -> Path | None:
-    """A path that `stored_path` kept, absolute; None where none was, or a .blend never saved does not tell it."""
+    """A path from `stored_path`, absolute; None if there is none, or if it is relative to an unsaved .blend."""
     return None if not text or (text.startswith("//") and not bpy.data.filepath) else _absolute(text)
 
 
 def stored_file(text: str) -> Path:
-    """A path that `stored_path` kept, absolute.
+    """A path from `stored_path`, absolute.
 
     Raises:
         SceneError: it is relative to a .blend never saved.
@@ -305,12 +305,12 @@ def _absolute(text: str) -> Path:
 
 
 def stored_path(path: Path) -> str:
-    """How a path is kept in the .blend: relative to it where it has a file and they share a drive."""
+    """A path as stored in the .blend: relative to it if it was saved and is on the same drive."""
     return relative_path(path, Path(bpy.data.filepath).parent) if bpy.data.filepath else str(path)
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """`path` as a .blend in `folder` says it; absolute on another drive."""
+    """`path` relative to a .blend in `folder`; absolute on another drive."""
     try:
         return bpy.path.relpath(str(path), start=str(folder))
     except ValueError:

@@ -1,6 +1,6 @@
-"""How a source whose folder was moved is known again, and told from another in a folder of the same name.
+"""Recognises a source whose folder was moved, and distinguishes it from another in a folder of the same name.
 
-Folders are called `photos` or `images` as a rule, so the name says little: a mark is one file of the source with a hash
+Folders are often called `photos` or `images`, so the name is not enough: a mark is one file of the source with a hash
 of its size and beginning, which no two photos share.
 """
 
@@ -13,11 +13,11 @@ from pathlib import Path
 BEGINNING = 1 << 20
 """Bytes that are hashed: more than a photo's header and enough of its pixels, little of a large cloud."""
 MODELS = ("transforms.json", "images.bin", "images.txt")
-"""What tells a model from others where its photos lie elsewhere."""
+"""Files that distinguish models whose photos are elsewhere."""
 
 
 def source_mark(source: Path) -> str:
-    """'images/IMG_1.jpg 5f3a…' of the source there; empty where it is gone or has nothing to tell it by."""
+    """'images/IMG_1.jpg 5f3a…' of the source; empty if it is missing or has no such file."""
     with suppress(OSError):
         file = _telling_file(source)
         if file is not None:
@@ -26,7 +26,7 @@ def source_mark(source: Path) -> str:
 
 
 def has_mark(source: Path, mark: str) -> bool:
-    """Whether the source there is the one that a mark was made of; False of an empty mark."""
+    """Whether the source is the one that a mark was made from; False for an empty mark."""
     name, _, content = mark.rpartition(" ")
     with suppress(OSError):
         return _hash(source / name) == content
@@ -34,13 +34,13 @@ def has_mark(source: Path, mark: str) -> bool:
 
 
 def _telling_file(source: Path) -> Path | None:
-    """The source itself where it is a file, else its first photo, else its model."""
+    """The source itself if it is a file, else its first photo, else its model."""
     from ...engine.scene.sfm.find_cameras import PHOTO_SUFFIXES, list_photos
 
     if source.is_file():
         return source
     photos = list_photos(source / "images") or list_photos(source)
-    if not photos:  # the photos of several cameras lie in folders of their own
+    if not photos:  # the photos of several cameras are in separate folders
         below = (source / "images").rglob("*")
         photos = sorted(file for file in below if file.suffix.lower() in PHOTO_SUFFIXES)
     models = (source / name for name in MODELS)
@@ -48,7 +48,7 @@ def _telling_file(source: Path) -> Path | None:
 
 
 def _hash(file: Path) -> str:
-    """Of a file's size and beginning."""
+    """Hash of the size and beginning of a file."""
     with file.open("rb") as opened:
         beginning = opened.read(BEGINNING)
     return hashlib.sha256(f"{file.stat().st_size} ".encode() + beginning).hexdigest()

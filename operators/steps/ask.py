@@ -1,8 +1,7 @@
-"""Ask the Gaussians for words: their probability follows the prompt as it is edited.
+"""Computes the probability of the prompt for all Gaussians while the prompt is edited.
 
-The answer is computed in a thread, from the features that the reconstruction left on disk, and written on the main
-thread. The mesh remembers which words its probabilities answer (`ASKED`), so that undo, redo and another file are
-noticed and asked anew.
+A thread computes the answer from the features in the result folder; the main thread writes it. The mesh stores the
+words of its probabilities (`ASKED`), so that undo, redo and another file are detected and the answer is computed again.
 """
 
 from __future__ import annotations
@@ -36,16 +35,16 @@ if TYPE_CHECKING:
     from ...engine.language.features.features import Features
 
 PAUSE = 0.15
-"""Seconds after the last edit before the question is asked."""
+"""Seconds after the last edit before the answer is computed."""
 LOOK_AGAIN = 0.05
-"""Seconds between two looks whether the answer is there."""
+"""Seconds between two checks for an answer."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of which features; of plain values, so that a thread may have it.
+    """The prompt and the features, as plain values for a thread.
 
-    scene: Blender's session uid; select: how Gaussians are selected, all else of counting as by default.
+    scene: Blender's session uid; select: how Gaussians are selected; everything else of counting has its defaults.
     """
 
     scene: int
@@ -57,12 +56,12 @@ class Question:
 
     @property
     def words(self) -> str:
-        """What the mesh remembers of it."""
+        """The text that the mesh stores about it."""
         return asked_words(self.prompts, self.negatives)
 
 
 class Worker(threading.Thread):
-    """A thread that answers one question; `answer` (N,) or `error` is there when it has ended."""
+    """A thread that answers one question; `answer` (N,) or `error` is set when it has ended."""
 
     def __init__(self, question: Question, means: NDArray[np.float32]) -> None:
         super().__init__(name="fruitlangs ask", daemon=True)
@@ -75,11 +74,11 @@ class Worker(threading.Thread):
         try:
             preload_libraries()
             self.answer = answer(self.question, self._means)
-        except BaseException as error:  # whatever it is, the main thread reports it
+        except BaseException as error:  # any error: the main thread reports it
             self.error = error
 
 
-# Threads cannot live in a .blend: the one at work, and the Blender scenes that wait for an answer.
+# Threads cannot be stored in a .blend: the running one, and the Blender scenes that wait for an answer.
 _worker: Worker | None = None
 _waiting: set[int] = set()
 
@@ -126,7 +125,7 @@ def _features(path: Path, _changed: int) -> Features:
 
 
 def question_of(bpy_scene: bpy.types.Scene) -> Question:
-    """What the panel asks of this Blender scene.
+    """The question of this Blender scene's panel.
 
     Raises:
         SceneError: nothing is reconstructed yet, or its Gaussians are being edited.
@@ -152,13 +151,13 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
 
 
 def words_changed(settings: Any, _context: Any = None) -> None:
-    """Called when the prompt or what it is not was edited: ask soon, and say at once what is wrong with a word."""
+    """Called when the prompt or the negatives were edited: answer soon, and report an unknown word at once."""
     if settings.id_data.library is None and in_window():
         ask_soon(settings.id_data)
 
 
 def ask_soon(bpy_scene: bpy.types.Scene) -> None:
-    """Ask when the person pauses; in a window only, where timers run."""
+    """Answer when the user pauses; only in a window, where timers run."""
     _waiting.add(bpy_scene.session_uid)
     if bpy.app.timers.is_registered(_attend):
         bpy.app.timers.unregister(_attend)
@@ -166,7 +165,7 @@ def ask_soon(bpy_scene: bpy.types.Scene) -> None:
 
 
 def stop_asking() -> None:
-    """Forget every question, and what answers need; called when the extension is disabled."""
+    """Forget all questions and what answers need; called when the extension is disabled."""
     _waiting.clear()
     _embedder.cache_clear()
     _features.cache_clear()
@@ -175,7 +174,7 @@ def stop_asking() -> None:
 
 
 def _attend() -> float | None:
-    """The timer: take an answer that is there, ask the next question; None when all is answered."""
+    """The timer: take a finished answer, start the next question; None when all are answered."""
     global _worker
     if _worker is not None:
         if _worker.is_alive():
@@ -190,7 +189,7 @@ def _attend() -> float | None:
 
 
 def _waiting_scenes() -> Iterator[bpy.types.Scene]:
-    """Every Blender scene that waits, each once."""
+    """Every waiting Blender scene, each once."""
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.session_uid in _waiting:
             _waiting.discard(bpy_scene.session_uid)
@@ -199,8 +198,8 @@ def _waiting_scenes() -> Iterator[bpy.types.Scene]:
 
 
 def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
-    """Begin to answer; None where there is nothing to ask, which is no error while a person still sets things up, and
-    where the words are answered already."""
+    """Start to answer; None if there is nothing to answer, which is no error while the user still enters settings, or
+    if the words are answered already."""
     item, settings = owned_object(bpy_scene, "gaussians"), bpy_scene.fruitlangs
     if item is None:
         return None
@@ -225,7 +224,7 @@ def _means(bpy_scene: bpy.types.Scene) -> NDArray[np.float32]:
 
 
 def _show(worker: Worker) -> None:
-    """Write an answer into the scene that asked, unless the words, the scene or its Gaussians are others by now."""
+    """Write an answer into its scene, unless the words, the scene or its Gaussians have changed."""
     bpy_scene = find_scene(worker.question.scene)
     if bpy_scene is None:
         return
@@ -244,7 +243,7 @@ def _show(worker: Worker) -> None:
 
 
 def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], words: str) -> None:
-    """Write probabilities (N,) of the words into the Gaussians and say how many fit."""
+    """Write probabilities (N,) of the words into the Gaussians and show how many match."""
     item = owned_object(bpy_scene, "gaussians")
     if item is None or len(item.data.vertices) != len(probability):
         return
@@ -257,7 +256,7 @@ def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], wo
 
 
 def show_answer_text(bpy_scene: bpy.types.Scene) -> None:
-    """Say in the panel how many Gaussians reach the threshold; nothing where none was asked yet."""
+    """Show in the panel how many Gaussians reach the threshold; nothing before any answer."""
     settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
     found = gaussian_attributes(bpy_scene, "probability")
     if item is None or found is None or not item.data.get(ASKED):
@@ -275,14 +274,15 @@ def threshold_changed(settings: Any, _context: Any = None) -> None:
 
 
 def _tell(bpy_scene: bpy.types.Scene, problem: str) -> None:
-    """Say in the panel why there is no answer; the highlight stays as it was."""
+    """Show in the panel why there is no answer; the highlight stays."""
     bpy_scene.fruitlangs.answer.problem = problem
     redraw_sidebars(bpy.context)
 
 
 @persistent
 def ask_where_words_differ(_file: Any = None, _unused: Any = None) -> None:
-    """After undo, redo and loading: ask every scene whose highlight answers other words than its panel shows."""
+    """After undo, redo and loading: answer again for every scene whose highlight belongs to other words than its
+    panel."""
     for bpy_scene in bpy.data.scenes:
         item = owned_object(bpy_scene, "gaussians")
         if item is None or not in_window():
@@ -298,7 +298,7 @@ HANDLERS = ("undo_post", "redo_post", "load_post")
 
 
 def register_handlers() -> None:
-    """Notice undo, redo and loading."""
+    """Watch undo, redo and loading."""
     for name in HANDLERS:
         getattr(bpy.app.handlers, name).append(ask_where_words_differ)
 
@@ -313,7 +313,7 @@ def unregister_handlers() -> None:
 
 
 def suggestions(_settings: Any, _context: Any, typed: str) -> list[str]:
-    """What a prompt may go on with: the vocabulary's things, and colours and ripeness before fruit."""
+    """Completions of a prompt: the nouns of the vocabulary, and colours and ripeness before fruit."""
     from ...engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, GENERAL
 
     before, _, last = typed.rpartition(",")
@@ -343,7 +343,7 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if in_window():  # loading what answers need would stop it
+        if in_window():  # loading the features would interrupt typing
             item = owned_object(context.scene, "gaussians")
             assert item is not None
             item.data[ASKED] = ""

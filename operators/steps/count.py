@@ -1,4 +1,4 @@
-"""Count the prompt's fruit in the chosen scene and show them."""
+"""Counts the prompt's fruit in the chosen scene and shows them."""
 
 from __future__ import annotations
 

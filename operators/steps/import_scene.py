@@ -1,4 +1,4 @@
-"""Open what a person has: photos with cameras or alone, another program's Gaussians, or an earlier result."""
+"""Opens photos with or without cameras, another program's Gaussians, or an earlier result."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -32,7 +32,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     title = "Import"
     _show: Callable[..., None]
 
-    # The dialog gives both: the folder that is open in it, and the file chosen there, if any.
+    # The dialog gives both: the open folder, and the file chosen in it, if any.
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"})
     filter_glob: bpy.props.StringProperty(default=f"*{PLY}", options={"SKIP_SAVE", "HIDDEN"})
@@ -50,12 +50,12 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
         return super().invoke(context, event)
 
     def must_ask(self, settings: Any) -> bool:
-        """Whether a person is still to choose what to import."""
+        """Whether the user still has to choose what to import."""
         return not self.chosen and (self.ask or not settings.source)
 
     @property
     def chosen(self) -> str:
-        """A .ply, or a folder, also where another file in it was chosen; empty before anything was."""
+        """A .ply, or a folder, also if another file in it was chosen; empty without a choice."""
         return self.filepath if self.filepath.lower().endswith(PLY) else self.directory or self.filepath
 
     def prepare(self, context: bpy.types.Context) -> Work:
@@ -111,7 +111,7 @@ def read_cloud(file: Path, out: Path, config: Config, progress: Progress) -> Any
 def read_posed(source: Path, cache: Path, config: Config, progress: Progress) -> Scene:
     """The photos at `source` with their cameras.
 
-    For photos alone cameras are found first; they are kept in `cache`, where a count finds them again.
+    For photos alone, cameras are estimated first and cached in `cache` for a later count.
     """
     from ...engine.scene.source import Source, photos_alone, pose_photos
 

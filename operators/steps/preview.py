@@ -1,4 +1,4 @@
-"""What training has made so far, drawn in the viewport without touching anything of the .blend."""
+"""Draws the current state of training in the viewport without changing the .blend."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from ...engine.splatting.gaussians import Gaussians
 
 SHOW_SECONDS = 4.0
-"""Between two pictures: drawing takes its time from the training."""
+"""Seconds between two pictures: drawing slows down training."""
 
 
 class Preview:
-    """Takes Gaussians in a thread, shows them on the main thread, in one Blender scene, upright as they will stand when
+    """Takes Gaussians in a thread and shows them on the main thread, in one Blender scene, upright as they will be when
     `source` is trained.
 
-    What is shown there may be of another source, or nothing: then the scene that is trained says how its root would
-    stand, and the viewports are turned to it.
+    The scene may show another source, or nothing: then the trained scene defines the root, and the viewports are turned
+    to it.
     """
 
     def __init__(self, bpy_scene: bpy.types.Scene, source: Path) -> None:
@@ -46,7 +46,7 @@ class Preview:
         self._last = time.monotonic()
 
     def watch(self, gaussians: Gaussians, scene: Scene) -> None:
-        """Keep a copy of the Gaussians; called by the training's thread."""
+        """Keep a copy of the Gaussians; called by the training thread."""
         splats = splats_in_training(
             array(gaussians.means),
             array(gaussians.scales),
@@ -58,7 +58,7 @@ class Preview:
         self._latest = splats, scene
 
     def show(self, context: bpy.types.Context) -> None:
-        """Draw what was kept last, if it is new and the last picture is old enough; on the main thread."""
+        """Draw the latest state, if it is new and the last picture is old enough; on the main thread."""
         if self._latest is None or self._latest[0] is self._shown or time.monotonic() - self._last < SHOW_SECONDS:
             return
         splats, scene = self._latest
@@ -76,13 +76,12 @@ class Preview:
             look_from_around(shown_screens(context, bpy_scene), places)
 
     def remove(self) -> None:
-        """Draw what the .blend holds again."""
+        """Draw the Gaussians of the .blend again."""
         splat_drawing.show_preview(self._scene, None)
 
 
 class SceneJob(JobOperator):
-    """Mix into an operator that works on the chosen scene and shows what it trains meanwhile; `prepare` sets
-    `_preview`."""
+    """Mix-in of operators that work on the chosen scene and show the state of training; `prepare` sets `_preview`."""
 
     _preview: Preview
 

@@ -1,4 +1,4 @@
-"""Make Gaussians of the chosen scene's photos, or read those of another program, and show them."""
+"""Trains Gaussians from the chosen scene's photos, or imports those of another program, and shows them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees of the engine's values: in the viewport, and in the text that the panel keeps in the .blend."""
+"""Shows engine values: in the viewport, and as text that the panel stores in the .blend."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 
 def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene) -> list[str]:
-    """The cameras and the sparse points of a scene that is not reconstructed yet; returns what went, in words.
+    """Show the cameras and sparse points of a scene without a reconstruction; returns what was removed, as texts.
 
-    Where fruit are shown their scale stays.
+    If fruit are shown, their scale stays.
     """
     settings = bpy_scene.fruitlangs
     notices = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
@@ -48,7 +48,7 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
     apply_appearance(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(settings.result, scene)
-    if notices:  # else what an earlier import or the shown count told still holds
+    if notices:  # otherwise the messages of an earlier import or of the shown count still apply
         settings.result.notices = "; ".join(notices)
     show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
@@ -58,10 +58,11 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
 def show_reconstruction(
     context: bpy.types.Context, bpy_scene: bpy.types.Scene, made: Reconstruction, stages: Stages
 ) -> list[str]:
-    """Gaussians and cameras of a reconstruction that was asked nothing yet; the panel's prompt is asked next.
-    Returns what went, in words.
+    """Show Gaussians and cameras of a reconstruction; the panel's prompt is answered next. Returns what was removed, as
+    texts.
 
-    A count of the same Gaussians at the same scale stays; one of others goes, its decisions hold at the next.
+    A count of the same Gaussians at the same scale stays; another one is removed, and its decisions apply to the next
+    count.
     """
     notices = _enter(bpy_scene, made.origin)
     owners = _owners(bpy_scene, made)
@@ -89,7 +90,7 @@ def show_reconstruction(
 
 
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
-    """Everything of a count."""
+    """Show everything about a count."""
     notices = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
     first = owned_object(bpy_scene, "root") is None
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
@@ -108,7 +109,7 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
 
 
 def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
-    """(N,) the fruit that each Gaussian shown is of; None where others were made, or their scale is another."""
+    """(N,) the fruit of each shown Gaussian; None if the Gaussians or their scale have changed."""
     found = gaussian_attributes(bpy_scene, "position", "fruit_id")
     if found is None or not np.array_equal(found[0], array(made.gaussians.means)):
         return None
@@ -116,12 +117,12 @@ def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | 
 
 
 def _enter(bpy_scene: bpy.types.Scene, origin: Mapping[str, Any]) -> list[str]:
-    """Make the Blender scene one of what a result was made from."""
+    """Mark the Blender scene as showing the source of a result."""
     return enter_source(bpy_scene, Path(origin["source"])) if "source" in origin else []
 
 
 def keep_result(settings: Any, result: Result) -> None:
-    """Keep in the .blend what the panel shows of a count."""
+    """Store in the .blend what the panel shows about a count."""
     fruit_count, shown = result.fruit_count, settings.result
     _keep_scene(shown, result.scene)
     _keep_gaussians(shown, len(result.gaussians), result.origin["training"], result.out / "features.safetensors")

@@ -1,4 +1,4 @@
-"""Which source the shown scene, its review and its measures belong to; those of another source are put away."""
+"""The source of the shown scene, its review and its measurements; those of another source are put away."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ OF_SOURCE = ("source", "mark", "work")
 
 
 def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
-    """Make this Blender scene one of `source`; what it shows and knows of another is put away, which is told in words.
+    """Make this Blender scene show `source`; data of another source are put away, which is returned as texts.
 
-    Decisions wait until their source is shown again; objects, count and measures go.
+    Decisions are kept until their source is shown again; objects, count and measurements are removed.
     """
     settings, notices = bpy_scene.fruitlangs, []
     if is_of_another(settings, source):
@@ -61,7 +61,7 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
 
 
 def forget_count(bpy_scene: bpy.types.Scene) -> None:
-    """Take the fruit and the answer away, and what the panel says of them; decisions stay in the log."""
+    """Remove the fruit and the answer with their texts in the panel; decisions stay in the log."""
     keep_corrections(bpy_scene)
     remove_objects(owned_objects(bpy_scene, "fruit"))
     settings = bpy_scene.fruitlangs
@@ -75,7 +75,7 @@ def forget_count(bpy_scene: bpy.types.Scene) -> None:
 
 
 def _forget_measures(bpy_scene: bpy.types.Scene) -> bool:
-    """Take back what was measured; False where nothing was."""
+    """Reset the measurements; False if there were none."""
     config, measured = bpy_scene.fruitlangs.config, GROUND in bpy_scene
     bpy_scene.pop(GROUND, None)
     for stage, names in MEASURES.items():
@@ -87,7 +87,7 @@ def _forget_measures(bpy_scene: bpy.types.Scene) -> bool:
 
 
 def _move_log(old: Any, new: Any) -> None:
-    """Move the entries of one log to the end of another."""
+    """Append the entries of one log to another."""
     for entry in old:
         copy = new.add()
         copy.action, copy.time, copy.reason = entry.action, entry.time, entry.reason

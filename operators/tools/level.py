@@ -1,4 +1,4 @@
-"""Ground and up by picking: three points on the ground make it level."""
+"""Sets ground and up from three picked points on the ground."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -17,11 +17,11 @@ from ..viewport.viewport import look_at_scene, shown_screens
 from .pick_tool import PickTool
 
 LEAST_SINE = 0.02
-"""Of the angle between two sides of the picked triangle, below which it tells no plane."""
+"""Least sine of the angle between two sides of the picked triangle that defines a plane."""
 
 
 def plane_up(points: NDArray[np.float64], above: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """(3,) unit normal of the plane through points (3, 3), on the side where `above` (3,) lies; None of a line."""
+    """(3,) unit normal of the plane through points (3, 3), on the side of `above` (3,); None for a line."""
     first, second = points[1] - points[0], points[2] - points[0]
     normal = np.cross(first, second)
     size = np.linalg.norm(first) * np.linalg.norm(second)
@@ -78,7 +78,7 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
 
 
 def level(root: bpy.types.Object, up: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
-    """Turn the root so that `up` (3,) points to +Z and the place `ground` (3,) of the scene lies at height 0."""
+    """Rotate the root so that `up` (3,) points to +Z and the point `ground` (3,) of the scene is at height 0."""
     turned = root.matrix_basis.to_3x3() @ Vector(up.tolist())
     root.matrix_basis = turned.rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4() @ root.matrix_basis
     height = (root.matrix_basis @ Vector(ground.tolist())).z

@@ -1,4 +1,4 @@
-"""Points picked on the tree by clicks: what the tools that measure, level and add have in common."""
+"""Picks points on the tree by clicks: the common part of the tools that measure, level and add."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ..viewport.ray_hits import pick_point, pick_surface
 from ..viewport.viewport import Drawing, redraw_viewports
 
 REACH_PIXELS = 12
-"""How near to a sparse point a click must be to take it."""
+"""Distance in pixels between a click and a sparse point that it picks."""
 MARK_COLOR, MARK_SIZE = (1.0, 0.85, 0.1, 1.0), 9.0
 MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFORM_COLOR"
-"""Metal and Vulkan draw points by a shader of their own for them alone, which Blender has from 4.5 on."""
+"""Metal and Vulkan draw points with a special shader, which Blender has from 4.5 on."""
 
 
 class Target3D:
-    """What can be clicked on in a Blender scene, in the scene's frame: the Gaussians, or the sparse points before
-    there are any."""
+    """The pickable data of a Blender scene, in the scene frame: the Gaussians, or the sparse points before there are
+    any."""
 
     def __init__(self, bpy_scene: bpy.types.Scene) -> None:
         root = owned_object(bpy_scene, "root")
@@ -41,7 +41,7 @@ class Target3D:
         self._rest = [get_attribute(item.data, name) for name in names]
 
     def hit(self, region: Any, view: Any, place: Sequence[float]) -> NDArray[np.float64] | None:
-        """(3,) what a click at `place`, pixels of the region, points at; None where there is nothing."""
+        """(3,) the point under a click at `place`, pixels of the region; None if there is none."""
         back = self.to_world.inverted()
         self.direction = np.zeros(3)
         start = view3d_utils.region_2d_to_origin_3d(region, view, place)
@@ -60,15 +60,15 @@ class Target3D:
 
 
 class PickTool:
-    """Mix into an operator that a person gives points by clicks.
+    """Mix-in of operators for which the user clicks on points.
 
-    The view can be turned and zoomed meanwhile; Backspace takes the last point back, Esc or the right button ends it,
-    and so does another tool, a job, another Blender scene in the window, or the loss of its viewport to another
-    editor, workspace or area.
+    The view can be rotated and zoomed in the meantime. Backspace removes the last point; Esc or the right button ends
+    it, and so does another tool, a job, another Blender scene in the window, or a change of the editor, workspace or
+    area.
     """
 
     asks: Sequence[str] = ()
-    """What the person is asked to click on, one text a point."""
+    """Instructions for the user, one text per point."""
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
@@ -83,7 +83,7 @@ class PickTool:
         return True
 
     def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
-        """All points were clicked, (P, 3) in the scene's frame."""
+        """Called when all points were clicked, (P, 3) in the scene frame."""
         raise NotImplementedError
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -140,7 +140,7 @@ class PickTool:
         self._leave()
 
     def _area(self: Any, context: bpy.types.Context) -> bpy.types.Area | None:
-        """The viewport that it was started in; None where that is closed, out of sight or another editor by now."""
+        """The viewport that it was started in; None if it was closed, hidden or changed to another editor."""
         found = (area for area in context.screen.areas if area.as_pointer() == self._area_pointer)
         return next((area for area in found if area.type == "VIEW_3D"), None)
 
@@ -151,17 +151,17 @@ class PickTool:
         redraw_viewports()
 
     def _leave(self) -> None:
-        """Wait no longer; nothing where another tool waits by now."""
+        """Stop waiting; nothing if another tool waits now."""
         if is_waiting(self):
             end_waiting()
 
     def stop_showing(self: Any) -> None:
-        """Take away what it showed: it waits no longer."""
+        """Remove what it showed."""
         self._marks.stop()
         show_status(bpy.context, None)
 
     def _draw(self: Any) -> None:
-        """The points so far, over everything."""
+        """Draw the points so far, in front of everything."""
         import gpu
         from gpu_extras.batch import batch_for_shader
 
@@ -184,7 +184,7 @@ class PickTool:
 
 
 def window_region(area: bpy.types.Area, event: bpy.types.Event) -> Any:
-    """The part of a viewport under the mouse where the tree is drawn, which its sidebar may overlap."""
+    """The region of a viewport under the mouse that shows the tree, which its sidebar may overlap."""
     inside = [
         region
         for region in area.regions

@@ -1,4 +1,4 @@
-"""The scale tool: two points on something of known length make metres of scene units."""
+"""The scale tool: two points on an object of known length convert scene units to metres."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
@@ -21,19 +21,20 @@ from ..settings.settings import read_config
 from .pick_tool import PickTool
 
 METRES = "metres_per_unit"
-"""Custom property of the root: metres in a scene unit, 0 where they are not known."""
+"""Custom property of the root: metres per scene unit, 0 if unknown."""
 
 
 def scale_text(bpy_scene: bpy.types.Scene) -> str:
-    """'1 scene unit is 0.998 m'; empty where the scale is not known."""
+    """'1 scene unit is 0.998 m'; empty if the scale is unknown."""
     root = owned_object(bpy_scene, "root")
     return f"1 scene unit is {three_digits(root[METRES])} m" if root is not None and root.get(METRES) else ""
 
 
 def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
-    """Show everything of this Blender scene at that scale: the root, the fruit's lengths, cameras' clipping, the panel.
+    """Apply the scale to everything in this Blender scene: the root, the lengths of fruit, the clipping of cameras, the
+    panel.
 
-    The next count finds the same by the settings.
+    The next count gets it from the settings.
     """
     root = owned_object(bpy_scene, "root")
     if root is None:
@@ -57,7 +58,7 @@ def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
 
 
 def set_length(settings: Any, points: NDArray[np.float64], length: float) -> None:
-    """Make a length in metres between two points (2, 3) the one measure of the settings."""
+    """Make a length in metres between two points (2, 3) the only measurement in the settings."""
     units = settings.config.units
     for name in ("cameras", "object"):
         units.property_unset(name)

@@ -1,1 +1,1 @@
-"""What other operators need of a 3D viewport: appearance, Geometry Nodes, splats as arrays, ray hits."""
+"""Functions for 3D viewports: appearance, Geometry Nodes, splats as arrays, ray hits."""

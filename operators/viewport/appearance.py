@@ -1,7 +1,7 @@
-"""How Gaussians and sparse points look: one set of choices a Blender scene, for the splats and for the Geometry Nodes.
+"""Appearance of Gaussians and sparse points: one set of options per Blender scene, for splats and Geometry Nodes.
 
-While the extension is loaded in a window, the look decides what the viewport shows; a file on disk shows ellipsoids, so
-that it can be looked at without the extension. Renders always show ellipsoids.
+While the extension is loaded in a window, the options decide what the viewport shows; a file on disk shows ellipsoids,
+so that it can be viewed without the extension. Renders always show ellipsoids.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ Style = Literal["SPLATS", "ELLIPSOIDS", "NONE"]
 
 @dataclass(frozen=True, kw_only=True)
 class Appearance:
-    """style: how viewports show Gaussians; highlight: whether those that fit the prompt are lit and others dimmed;
-    threshold: probability from which one fits; dimming: share of its brightness that another loses."""
+    """style: how viewports show Gaussians; highlight: whether those that match the prompt are lit and others dimmed;
+    threshold: least probability of a match; dimming: how much to darken the others."""
 
     style: Style = "SPLATS"
     highlight: bool = True
@@ -31,7 +31,7 @@ class Appearance:
 
 
 def appearance_of(bpy_scene: bpy.types.Scene) -> Appearance:
-    """What the panel says of this Blender scene; the defaults where the extension is not registered."""
+    """The options of this Blender scene's panel; the defaults if the extension is not registered."""
     settings = getattr(bpy_scene, "fruitlangs", None)
     if settings is None:
         return Appearance()
@@ -45,7 +45,7 @@ def appearance_of(bpy_scene: bpy.types.Scene) -> Appearance:
 
 
 def apply_appearance(bpy_scene: bpy.types.Scene) -> None:
-    """Give this Blender scene's modifiers its look; those of an older version get the present nodes."""
+    """Apply the options to this Blender scene's modifiers; those of an older version get the current nodes."""
     look = appearance_of(bpy_scene)
     as_splats = look.style == "SPLATS" and in_window()
     for item in owned_objects(bpy_scene, "points"):
@@ -65,26 +65,26 @@ def apply_appearance(bpy_scene: bpy.types.Scene) -> None:
 
 
 def set_threshold(bpy_scene: bpy.types.Scene, threshold: float) -> None:
-    """Light Gaussians from this probability on, in a file that is written without the extension's panel."""
+    """Set the threshold of the highlight in a file that is written without the extension's panel."""
     for item in owned_objects(bpy_scene, "gaussians"):
         for modifier in shown_by(item):
             _set_inputs(item, modifier, {"Threshold": threshold})
 
 
 def is_answered(mesh: bpy.types.Mesh) -> bool:
-    """Whether the Gaussians of this mesh hold probabilities of a prompt."""
+    """Whether the Gaussians of this mesh have probabilities of a prompt."""
     return not mesh.is_editmode and "probability" in mesh.attributes and bool(get_attribute(mesh, "probability").any())
 
 
 def appearance_changed(settings: Any, _context: Any = None) -> None:
-    """Called when the look or the threshold was edited."""
+    """Called when the options or the threshold were edited."""
     if settings.id_data.library is None:
         apply_appearance(settings.id_data)
         redraw_viewports()
 
 
 def _set_inputs(item: bpy.types.Object, modifier: Any, values: dict[str, Any]) -> None:
-    """Set what differs; what is set has the object evaluated anew."""
+    """Set the inputs that differ; setting an input evaluates the object again."""
     changed = {name: value for name, value in values.items() if get_input(modifier, name) != value}
     for name, value in changed.items():
         set_input(modifier, name, value)
@@ -94,7 +94,7 @@ def _set_inputs(item: bpy.types.Object, modifier: Any, values: dict[str, Any]) -
 
 @persistent
 def apply_appearances(_file: Any = None, _unused: Any = None) -> None:
-    """After loading, saving, undo and redo: the look decides what viewports show."""
+    """After loading, saving, undo and redo: apply the options to what viewports show."""
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
             apply_appearance(bpy_scene)
@@ -102,7 +102,7 @@ def apply_appearances(_file: Any = None, _unused: Any = None) -> None:
 
 @persistent
 def show_ellipsoids(_file: Any = None, _unused: Any = None) -> None:
-    """Before saving, and when the extension goes: without it nothing else would show Gaussians and points."""
+    """Before saving, and when the extension is disabled: without it only ellipsoids can be shown."""
     for bpy_scene in bpy.data.scenes:
         if appearance_of(bpy_scene).style != "SPLATS" or not in_window():
             continue
@@ -122,15 +122,15 @@ HANDLERS = {
 
 
 def register_handlers() -> None:
-    """Let the look decide what viewports show, but for files on disk."""
+    """Let the options decide what viewports show, except in files on disk."""
     for name, function in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
-    if in_window():  # while an extension is registered nothing of the .blend may be changed
+    if in_window():  # the .blend must not change while an extension is registered
         bpy.app.timers.register(apply_appearances, first_interval=0.0)
 
 
 def unregister_handlers() -> None:
-    """Take back what `register_handlers` added; the viewports show ellipsoids again."""
+    """Remove what `register_handlers` added; the viewports show ellipsoids again."""
     if bpy.app.timers.is_registered(apply_appearances):
         bpy.app.timers.unregister(apply_appearances)
     for name, function in HANDLERS.items():

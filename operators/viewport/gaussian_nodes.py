@@ -1,6 +1,6 @@
 """The Geometry Nodes group and the materials that show Gaussians and sparse points.
 
-Kept apart from the writers because a node tree is long to spell: every function here builds one small piece.
+Separate from the writers because a node tree takes many lines: every function here builds one small piece.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ import bpy
 from ..blender_data import OWNER, linear_from_srgb
 
 VERSION = 3
-"""Raise when a node tree or material changes: those in older files are then left alone and new ones made."""
+"""Increase when a node tree or material changes: those in older files are then left alone and new ones created."""
 
 GAUSSIAN_NODES, POINT_NODES = "gaussian nodes", "point nodes"
 
 ELLIPSOID_LIMIT = 100_000
-"""Above this many Gaussians points are drawn; instances get too slow."""
+"""Above this number of Gaussians points are drawn; instances become too slow."""
 
 PROBABILITY_RAMP = (
-    # position, sRGB, cover: how far the ramp's colour replaces the Gaussian's own dimmed one.
+    # position, sRGB, coverage: how far the colour of the ramp replaces the Gaussian's own dimmed one.
     (0.00, (0.000, 0.135, 0.305), 0.00),
     (0.30, (0.255, 0.305, 0.425), 0.25),
     (0.50, (0.485, 0.480, 0.475), 0.75),
     (0.75, (0.735, 0.690, 0.400), 1.00),
     (1.00, (1.000, 0.910, 0.145), 1.00),
 )
-"""Cividis (Nuñez et al. 2018): its lightness rises evenly, so it reads the same with any colour vision."""
+"""Cividis (Nuñez et al. 2018): its lightness rises evenly, so it is readable with any colour vision."""
 
 RAMP_START = 0.5
-"""Where on the ramp a Gaussian at the threshold is; one that is certain is at its end. Below it none has its colour."""
+"""Position of the threshold on the ramp; certainty is at its end. Gaussians below the threshold are not coloured."""
 
 THRESHOLD, DIMMING = 0.5, 0.65
-"""Where the look does not say: probability from which a Gaussian fits, share of its brightness that another loses."""
+"""Defaults: least probability of a match, and how much to darken the others."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Piece:
 
 
 def _once(name: str, role: str, blocks: Any, make: Callable[[], Any]) -> Any:
-    """Our data block of that role and version, made where this file has none."""
+    """Our data block with that role and version, created if this file has none."""
     mark = f"{role} {VERSION}"
     for block in blocks:
         if block.get(OWNER) == mark and block.library is None:
@@ -98,13 +98,13 @@ def shown_by(item: bpy.types.Object) -> list[Any]:
 
 
 def probability_material(attribute_type: str) -> bpy.types.Material:
-    """Probability as light; `attribute_type`: INSTANCER for instances, GEOMETRY for points."""
+    """Probability as emission; `attribute_type`: INSTANCER for instances, GEOMETRY for points."""
     name = f"Gaussian probability ({attribute_type.lower()})"
     return _once(name, name, bpy.data.materials, lambda: _make_probability_material(attribute_type))
 
 
 def color_material() -> bpy.types.Material:
-    """`radiance:base` of points as light."""
+    """`radiance:base` of points as emission."""
     return _once("Sparse point colour", "point colour", bpy.data.materials, _make_color_material)
 
 
@@ -135,7 +135,7 @@ def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
 
 
 def renew_nodes(modifier: bpy.types.NodesModifier) -> None:
-    """Give one of the `shown_by` modifiers whose nodes are of an older version the present ones; inputs stay."""
+    """Update the nodes of one of the `shown_by` modifiers if they are of an older version; inputs stay."""
     old = modifier.node_group
     group = point_node_group() if str(old[OWNER]).startswith(POINT_NODES) else gaussian_node_group()
     if old == group:
@@ -200,7 +200,7 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
         "GeometryNodeSetMaterial", 7, 0, {"Geometry": points, "Material": probability_material("GEOMETRY")}
     ).outputs[0]
     size = piece.node("GeometryNodeAttributeDomainSize", 5, -1, {"Geometry": points}, component="POINTCLOUD")
-    # As floats: where a comparison of whole numbers has its sockets differs between Blender's versions.
+    # As floats: the sockets of integer comparison differ between Blender's versions.
     counts: dict[str | int, Any] = {0: size.outputs["Point Count"], 1: given["Ellipsoids up to"]}
     many = piece.node("FunctionNodeCompare", 6, -1, counts, operation="GREATER_THAN").outputs[0]
     chosen = piece.node(
@@ -217,7 +217,7 @@ def _viewport_input(group: Any) -> None:
 def _where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:
     """The geometry, or none in viewports where "In Viewport" is off.
 
-    Not by the modifier's own display: the bare mesh would then show as black dots.
+    The modifier's own display setting is not used: the bare mesh would then appear as black dots.
     """
     viewport = piece.node("GeometryNodeIsViewport", column, 2).outputs[0]
     hidden = piece.node(
@@ -229,9 +229,9 @@ def _where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:
 
 
 def _highlighted(piece: Piece, points: Any, given: Any) -> Any:
-    """Points with the attributes `ramp` (place on `PROBABILITY_RAMP`, 0 for none) and `brightness` of the material.
+    """Points with the attributes `ramp` (position on `PROBABILITY_RAMP`, 0 for none) and `brightness` of the material.
 
-    The twin of the highlight in `splat_shader`.
+    Computes the same as the highlight in `splat_shader`.
     """
     probability = piece.attribute("probability", "FLOAT", 3, 8)
     fits = piece.at_least(probability, given["Threshold"], 4, 8)
@@ -256,7 +256,7 @@ def _highlighted(piece: Piece, points: Any, given: Any) -> Any:
 
 
 def _ellipsoids(piece: Piece, points: Any, axes: Any) -> Any:
-    """A small smooth sphere instanced on every point, turned and stretched."""
+    """A small smooth sphere instanced on every point, rotated and scaled."""
     ball = piece.node("GeometryNodeMeshIcoSphere", 4, 3, {"Radius": 1.0, "Subdivisions": 2}).outputs[0]
     smooth = piece.node("GeometryNodeSetShadeSmooth", 5, 3, {"Geometry": ball}).outputs[0]
     lit = piece.node(
@@ -281,7 +281,7 @@ def _make_point_group() -> bpy.types.GeometryNodeTree:
 
 
 def _new_light_material() -> tuple[bpy.types.Material, Piece, Any]:
-    """A material of emission only: what a Gaussian shows is light that the photos already hold."""
+    """A material of emission only: the photos already contain the light."""
     material = bpy.data.materials.new("FruitLangs")
     material.use_nodes = True
     material.node_tree.nodes.clear()

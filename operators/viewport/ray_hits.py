@@ -1,4 +1,5 @@
-"""What a ray hits in a reconstruction: the surface that stops half of the light, or the nearest sparse point."""
+"""The point where a ray hits a reconstruction: the surface that stops half of the light, or the nearest sparse
+point."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ FloatArray = NDArray[np.floating]
 SIGMAS = 3.0
 """Standard deviations within which a Gaussian can stop light."""
 LEAST_ALPHA = 1.0 / 255.0
-"""Below this a Gaussian stops nothing, as in drawing."""
+"""Least opacity of a Gaussian that stops light, as in drawing."""
 
 
 def pick_surface(
@@ -23,11 +24,11 @@ def pick_surface(
     quats: FloatArray,
     opacities: FloatArray,
 ) -> NDArray[np.float64] | None:
-    """(3,) where Gaussians have stopped half of the light of a ray; None where they do not.
+    """(3,) the point where Gaussians have stopped half of the light of a ray; None if they do not.
 
-    Each Gaussian stops light where the ray is deepest in it (as in ray-traced splatting, Moenne-Loccoz et al. 2024),
-    so what is hit is the same depth that the engine's surfaces are seen at. origin, unit direction: (3,); means (N, 3)
-    and scales (N, 3) in the same frame; quats: (N, 4), w first; opacities: (N,).
+    Each Gaussian stops light where the ray is deepest in it (as in ray-traced splatting, Moenne-Loccoz et al. 2024), so
+    the depth is that of the engine's surfaces. origin, unit direction: (3,); means (N, 3) and scales (N, 3) in the same
+    frame; quats: (N, 4), w first; opacities: (N,).
     """
     offsets = means - origin.astype(means.dtype)
     along = offsets @ direction.astype(means.dtype)
@@ -53,10 +54,10 @@ def pick_surface(
 def pick_point(
     origin: NDArray[np.float64], direction: NDArray[np.float64], points: FloatArray, *, slope: float, reach: float
 ) -> NDArray[np.float64] | None:
-    """(3,) the first of points (P, 3) that a ray comes near to; None where it comes near to none.
+    """(3,) the first of points (P, 3) that a ray comes near to; None if there is none.
 
-    Near is no farther off than `slope` times the point's depth (what pixels are in a perspective view) or `reach` (in
-    an orthographic one).
+    Near means within `slope` times the point's depth (pixels in a perspective view) or `reach` (in an orthographic
+    one).
     """
     offsets = points - origin
     along = offsets @ direction

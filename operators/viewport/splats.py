@@ -1,4 +1,4 @@
-"""Splats: what the viewport draws of Gaussians and sparse points, as plain arrays, from a mesh or from training."""
+"""Splats: what the viewport draws for Gaussians and sparse points, as plain arrays, from a mesh or from training."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ FloatArray = NDArray[np.float32]
 ANTIALIASED = "fruitlangs_antialiased"
 """Custom property of the Gaussians' mesh: they were trained to fade below a pixel's size (`Gaussians.antialiased`)."""
 ATTRIBUTES = ("position", "scale", "quaternion", "radiance:base", "opacity", "probability")
-"""What a mesh must have to be drawn as splats."""
+"""Attributes that a mesh needs to be drawn as splats."""
 POINT_ATTRIBUTES = ("position", "radiance:base")
-"""… and one of sparse points."""
+"""… and those of sparse points."""
 POINT_SIGMA, POINT_OPACITY = 0.5, 0.95
-"""Of a sparse point's splat: standard deviation in radii of the point, so that it looks about as wide; opacity."""
+"""The splat of a sparse point: standard deviation in radii of the point, so that it looks as wide; opacity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Splats:
 
 
 def splats_of_mesh(mesh: bpy.types.Mesh) -> Splats | None:
-    """The splats of a Gaussian object's mesh; None while it is edited, or where an attribute is missing."""
+    """The splats of a Gaussian object's mesh; None while it is edited, or if an attribute is missing."""
     if mesh.is_editmode or any(name not in mesh.attributes for name in ATTRIBUTES):
         return None
     probability = get_attribute(mesh, "probability")
@@ -59,7 +59,7 @@ def splats_of_mesh(mesh: bpy.types.Mesh) -> Splats | None:
 
 
 def splats_of_points(mesh: bpy.types.Mesh, radius: float) -> Splats | None:
-    """Round splats of the sparse points of a mesh, of a radius in its frame; None as with `splats_of_mesh`."""
+    """Round splats of the sparse points of a mesh, with a radius in its frame; None as in `splats_of_mesh`."""
     if mesh.is_editmode or any(name not in mesh.attributes for name in POINT_ATTRIBUTES):
         return None
     means = get_attribute(mesh, "position")
@@ -74,7 +74,7 @@ def splats_of_points(mesh: bpy.types.Mesh, radius: float) -> Splats | None:
 
 
 def splats_in_training(means: Any, scales: Any, quats: Any, srgb: Any, opacities: Any, antialiased: bool) -> Splats:
-    """The splats of what training has made so far; copies, for training goes on changing its own."""
+    """The splats of the current state of training; copies, because training continues to change its own."""
     return Splats(
         means=np.array(means, np.float32),
         covariances=packed_covariances(np.asarray(scales, np.float32), np.asarray(quats, np.float32)),

@@ -1,4 +1,4 @@
-"""What a 3D viewport needs so that results can be seen in it."""
+"""Settings of 3D viewports that make results visible."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from ..blender_data import owned_object, owned_objects
 class Drawing:
     """A function that is called whenever a 3D viewport is drawn, from `start` to `stop`; never in background mode.
 
-    stage: POST_VIEW for what is drawn in the world, POST_PIXEL for the region's pixels. What is drawn cannot live in a
-    .blend.
+    stage: POST_VIEW for drawing in the world, POST_PIXEL for the region's pixels.
     """
 
     def __init__(self, draw: Callable[[], None], stage: Literal["POST_VIEW", "POST_PIXEL"]) -> None:
@@ -35,21 +34,20 @@ class Drawing:
 
 
 def in_window() -> bool:
-    """Whether there are viewports, as there are not in background mode."""
+    """Whether there are viewports: False in background mode."""
     return not bpy.app.background
 
 
 def shown_screens(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> list[bpy.types.Screen]:
-    """The screen a person looks at this Blender scene on; none in background mode, and while another scene is shown."""
+    """The screen that shows this Blender scene; empty in background mode, and while another scene is shown."""
     looked_at = in_window() and context.screen is not None and context.scene == bpy_scene
     return [context.screen] if looked_at else []
 
 
 def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
-    """Let viewports show Gaussians in colour: splats do in every shading mode, ellipsoids and points in Material alone.
+    """Make viewports show Gaussians in colour: splats do in every shading mode, ellipsoids and points only in Material.
 
-    Solid shows fruit in their own colour too, which is their object's. The dashed lines from every camera and fruit to
-    the root are switched off.
+    Solid shows fruit in their object colour. The dashed lines from cameras and fruit to the root are switched off.
     """
     for space in _viewports(screens):
         if not splats and space.shading.type in {"SOLID", "WIREFRAME"}:
@@ -60,7 +58,7 @@ def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
 
 
 def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scene) -> None:
-    """Turn viewports to what the photos' cameras look at, from as far as they stand."""
+    """Turn viewports to what the photos' cameras look at, from their distance."""
     root = owned_object(bpy_scene, "root")
     if root is not None:
         cameras = owned_objects(bpy_scene, "camera")
@@ -68,7 +66,7 @@ def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scen
 
 
 def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vector]) -> None:
-    """Turn viewports to what lies between these places of cameras in the world, from as far as they stand."""
+    """Turn viewports to what lies between these camera positions in the world, from their distance."""
     if not places:
         return
     middle = sum(places, Vector()) / len(places)
@@ -83,7 +81,7 @@ def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vecto
 
 
 def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: float) -> None:
-    """Move viewports to a place in the world, no farther away than `distance`; they keep their direction."""
+    """Move viewports to a point in the world, no farther away than `distance`; they keep their direction."""
     for space in _viewports(screens):
         view = space.region_3d
         if view.view_perspective == "CAMERA":
@@ -93,7 +91,7 @@ def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: 
 
 
 def redraw_viewports() -> None:
-    """Redraw every 3D viewport, sidebar included; for what changed without an operator."""
+    """Redraw every 3D viewport, sidebar included; for changes that no operator made."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
