@@ -1,1 +1,1 @@
-"""Measurements of speed, and what the project is measured against. Not part of the installed package."""
+"""Measurements of speed, and baselines. Not part of the installed package."""

@@ -1,4 +1,4 @@
-"""Seconds and memory of every stage from photos to probabilities, by the embedded encoder and by masks with CLIP."""
+"""Time and memory of every stage from photos to probabilities, with the embedded encoder and with masks and CLIP."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ PROMPT, NEGATIVES = "apple", ("leaf", "green pear", "branch")
 def measure_language(
     source: Path, ply: Path, configs: Sequence[EmbedConfig], *, views: int = 0, progress: Progress = silent
 ) -> list[Stage]:
-    """Give the Gaussians of a .ply features from the photos of their scene, by each of the settings, and ask.
+    """Give the Gaussians of a .ply features from the photos of their scene, with each of the settings, and query them.
 
-    views: how many photos are used; 0: all.
+    views: number of photos; 0: all.
 
     Raises:
         FruitLangsError: the scene, the Gaussians or a checkpoint cannot be read.
@@ -83,7 +83,7 @@ def _mixed(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embed
 
 
 class _Timed:
-    """An object some of whose methods are stages."""
+    """An object with some methods timed as stages."""
 
     def __init__(self, inner: object, watch: Stopwatch, stages: dict[str, str]) -> None:
         self._inner, self._watch, self._stages = inner, watch, stages
@@ -101,7 +101,7 @@ class _Timed:
 
 
 def _some(scene: Scene, views: int) -> Scene:
-    """The scene with so many of its photos, spread over all; 0: all."""
+    """The scene with this many of its photos, spread over all; 0: all."""
     if not 0 < views < len(scene.images):
         return scene
     chosen = [round(place * (len(scene.images) - 1) / max(views - 1, 1)) for place in range(views)]

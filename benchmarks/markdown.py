@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def markdown(lines: Sequence[Sequence[str]], *, named: bool = True) -> str:
-    """A table of numbers, its first line the head. named: the first column is words."""
+    """A table of numbers, its first line the head. named: the first column contains words."""
     head, *body = lines
     rule = ["---" if named else "---:"] + ["---:"] * (len(head) - 1)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *body))

@@ -1,4 +1,4 @@
-"""Scenes to measure: folders that are there, or presets of the orchard generator that are made when first asked for."""
+"""Scenes to measure: existing folders, or presets of the orchard generator, which are generated on demand."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _MAKER = Path(__file__).resolve().parents[1] / "scripts" / "make_orchard.py"
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What a generated scene says of itself; empty and None for other scenes."""
+    """The origin of a generated scene; empty and None for other scenes."""
 
     species: str = ""
     seed: int | None = None
 
 
 def read_origin(folder: Path) -> Origin:
-    """What the scene's orchard.json says; empty where there is none.
+    """The scene's orchard.json; empty without one.
 
     Raises:
         FormatError: it is damaged, or the scene is half-made.
@@ -47,9 +47,9 @@ def read_origin(folder: Path) -> Origin:
 
 
 def scene_folder(name: str, made: Path, *, report: Callable[[str], None] = lambda _: None) -> Path:
-    """The folder of a scene: `name` itself, or for PRESET:SEED the scene that the generator makes in `made`.
+    """The folder of a scene: `name` itself, or for PRESET:SEED the scene that is generated in `made`.
 
-    Making goes on where an earlier run stopped. Blender's module runs in a process of its own.
+    An interrupted generation is continued. Blender's module runs in a separate process.
 
     Raises:
         SceneError: there is neither such a folder nor such a preset, or the scene could not be made.
@@ -88,10 +88,10 @@ def measure_each(
     report: Callable[[str], None],
     progress: Progress,
 ) -> list[str]:
-    """Call `work` with the folder of each scene (see `scene_folder`); a scene that fails does not keep the others back.
+    """Call `work` with the folder of each scene (see `scene_folder`); the failure of a scene does not stop the others.
 
-    Presets are made in `out`/scenes; `out`/NAME is each scene's own, so no two may have one name. Returns a line a
-    scene that failed.
+    Presets are generated in `out`/scenes; `out`/NAME is the folder of each scene, so names must be unique. Returns one
+    line per failed scene.
     """
     failed, taken = [], {"scenes"}
     for number, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Seconds and peak memory of what is done, by stage."""
+"""Time and peak memory by stage."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import psutil
 
 T = TypeVar("T")
 SAMPLING = 0.02
-"""Seconds between two looks at the memory."""
+"""Seconds between two measurements of the memory."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """road: what the stages are of; seconds: in all; peak: the most memory, bytes, that the process held meanwhile;
-    times: how often it ran."""
+    """pipeline: of the stages; seconds: in total; peak: most memory of the process in that time, bytes; times: number
+    of runs."""
 
     pipeline: str
     name: str
@@ -30,7 +30,7 @@ class Stage:
 
 @dataclass
 class Stopwatch:
-    """Seconds and peak memory by stage; a stage inside another one stops the outer one's clock."""
+    """Time and peak memory by stage; a stage inside another one stops the outer one's clock."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     peaks: dict[str, int] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class Stopwatch:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Look at the memory meanwhile."""
+        """Measure the memory while the block runs."""
         process, done = psutil.Process(), threading.Event()
 
         def look() -> None:
@@ -58,7 +58,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time what is done meanwhile."""
+        """Time the block."""
         self._tick()
         self._open.append(name)
         self.times[name] = self.times.get(name, 0) + 1
@@ -70,7 +70,7 @@ class Stopwatch:
             self._open.pop()
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Time how long each of them takes to come."""
+        """Time how long each item takes."""
         iterator = iter(items)
         while True:
             with self.stage(name):

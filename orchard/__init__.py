@@ -1,1 +1,1 @@
-"""Synthetic orchards: a fruit tree built and rendered in Blender, with the truth about every fruit."""
+"""Synthetic orchards: a fruit tree generated and rendered in Blender, with the ground truth of every fruit."""

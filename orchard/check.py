@@ -1,4 +1,4 @@
-"""Settings that cannot work, named before minutes are spent on them."""
+"""Checks of settings before a long run."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "points": (1, math.inf),
     "light_variety": (0, 1),
 }
-"""The least and greatest value that each setting can have."""
+"""Range of each setting."""
 CHOICES = {"species": tuple(SPECIES), "form": FORMS, "path": PATHS, "aim": AIMS}
-"""The words that each setting can be."""
+"""Choices of each setting."""
 MOST_FRUIT = 32000
 
 
 def check(config: OrchardConfig) -> None:
-    """Raise OrchardError naming the first setting that makes no sense."""
+    """Raise OrchardError naming the first invalid setting."""
     for name, words in CHOICES.items():
         if getattr(config, name) not in words:
             raise OrchardError(f"{name} {getattr(config, name)!r} is not known: use one of {', '.join(words)}")
@@ -74,9 +74,9 @@ def _check_together(config: OrchardConfig) -> None:
 
 
 def check_types(values: dict[str, object], where: str) -> None:
-    """Raise OrchardError naming the first key that is no setting, or whose value is of another kind.
+    """Raise OrchardError naming the first unknown key, or the first value of a wrong type.
 
-    `where` is named in the error. A whole number does for a setting with a fraction.
+    `where` is named in the error. A whole number is valid for a setting with a fraction.
     """
     kinds = get_type_hints(OrchardConfig)
     words = {int: "a whole number", float: "a number", str: "a text in quotes", bool: "true or false"}

@@ -1,4 +1,4 @@
-"""What a synthetic orchard is made of, as one value."""
+"""The settings of a synthetic orchard."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import json
 from dataclasses import asdict, dataclass
 
 GENERATOR_VERSION = "4"
-"""Raised whenever the same configuration would give another scene."""
+"""Increased whenever the same configuration would give another scene."""
 
 FIRST_TRAINING_SEED = 1000
-"""Seeds from here on are kept for training the encoder."""
+"""Seeds from here on are reserved for training the encoder."""
 
 FORMS = ("spindle", "wall", "vase", "bush")
 """Training systems of the tree."""
 PATHS = ("ring", "wave", "half-ring", "row")
-"""Ways the camera goes."""
+"""Camera paths."""
 AIMS = ("auto", "tree", "part")
-"""What the camera looks at."""
+"""Targets of the camera."""
 
 
 @dataclass(frozen=True, kw_only=True)

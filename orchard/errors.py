@@ -1,4 +1,4 @@
-"""What a user of the generator can get wrong."""
+"""Errors that a user of the generator can cause."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from ..engine.errors import FruitLangsError
 
 
 class OrchardError(FruitLangsError):
-    """An orchard cannot be planted, rendered or written."""
+    """An orchard cannot be generated, rendered or written."""

@@ -1,4 +1,4 @@
-"""A whole orchard drawn from its seed, as plain values."""
+"""A whole orchard generated from its seed, as plain values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .surroundings.things import SceneObject, place_objects
 
 FloatArray = NDArray[np.float64]
 SPACING = {"spindle": 1.75, "wall": 2.1, "vase": 2.3, "bush": 2.2}
-"""From trunk to trunk of a row, for a tree of 2.3 m."""
+"""Distance between trunks of a row, for a tree of 2.3 m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Orchard:
     fruits: tuple[PlacedFruit, ...]
     """Of the row's trees, hanging and fallen, then of the neighbours; ids count from 1."""
     fruit_meshes: tuple[Mesh, ...]
-    """One a fruit of the row."""
+    """One per fruit of the row."""
     ground: Ground
     place: Place
     tags: tuple[Mesh, ...]
@@ -58,13 +58,14 @@ class Orchard:
 
     @property
     def world_meshes(self) -> list[Mesh]:
-        """One a fruit, in the world."""
+        """One per fruit, in the world."""
         far = [mesh for n in self.neighbours for mesh in n.world_meshes(self.prototypes[n.prototype])]
         return [*self.fruit_meshes, *far]
 
 
 def plant(config: OrchardConfig) -> Orchard:
-    """Draw the whole orchard from the seed. Each part has its own stream, so none disturbs another."""
+    """Generate the whole orchard from the seed. Each part has its own random stream, so parts do not affect each
+    other."""
     species = species_of(config)
     streams = [np.random.default_rng([config.seed, part]) for part in (*range(9), 11)]
     names = [v.name for v in species.variants]
@@ -127,7 +128,7 @@ def _bear(
     ground: Ground,
     part: Part | None,
 ) -> list[PlacedFruit]:
-    """The fruit of every tree of the row: first all that hang, then all that fell."""
+    """The fruit of every tree of the row: first all hanging ones, then all fallen ones."""
     crop = Crop([branch for tree in trees for branch in tree])
     habit = Habit(clump=config.clump, spread=config.spread)
     if part is not None:
@@ -148,7 +149,7 @@ def _foliage(
     x: float,
     fruits: Sequence[PlacedFruit],
 ) -> Leaves:
-    """The tree's leaves, none through a fruit."""
+    """The leaves of the tree, none through a fruit."""
     leaves = place_leaves(rng, _moved(tree, -x), species, int(config.leaves * 1.25)).moved(np.array([x, 0.0, 0.0]))
     centers = np.array([f.body.center for f in fruits]).reshape(-1, 3)
     free = leaves_outside(leaves, centers, np.array([f.diameter for f in fruits]))
@@ -165,7 +166,7 @@ def _together(leaves: Sequence[Leaves]) -> Leaves:
 
 
 def _crown(leaves: Sequence[Leaves], trees: Sequence[Sequence[Branch]]) -> FloatArray:
-    """(2, 3) low and high corner around the crowns, without each one's outermost twentieth."""
+    """(2, 3) low and high corner around the crowns, without the outermost twentieth of each."""
     bare = [np.vstack([b.points for b in tree if b.generation >= 2]) for tree in trees]
     places = [e.bases if len(e.bases) >= 100 else wood for e, wood in zip(leaves, bare, strict=True)]
     corners = np.array([np.percentile(p, [2.5, 97.5], axis=0) for p in places])

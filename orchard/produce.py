@@ -37,11 +37,10 @@ LAYOUTS = ("colmap", "nerfstudio")
 def produce(
     config: OrchardConfig, out: Path, *, classes: bool, preview: int = 0, layout: str = "colmap", report: Report
 ) -> None:
-    """Plant, render and describe one orchard into `out`.
+    """Generate, render and describe one orchard into `out`.
 
-    Pictures that an earlier run of the same configuration left are kept. With `preview`, only so many views, spread
-    along the walk, are made. `classes` adds classes/ and classes.json, and the layout nerfstudio its own
-    files.
+    Pictures of an earlier run with the same configuration are kept. With `preview`, only this many views, spread along
+    the path, are made. `classes` adds classes/ and classes.json, and the layout nerfstudio its own files.
 
     Raises:
         OrchardError: `out` holds something else, or is no folder that can be written.
@@ -73,13 +72,13 @@ def _make(config: OrchardConfig, out: Path, *, classes: bool, preview: int, repo
 
 
 def _complete(out: Path, *, classes: bool) -> bool:
-    """Whether an earlier run of this configuration ended."""
+    """Whether an earlier run of this configuration finished."""
     done = bool(_mark(out).get("complete"))
     return done and (not classes or (out / "classes.json").exists())
 
 
 def _mark(out: Path) -> dict[str, Any]:
-    """What orchard.json tells: the configuration that the folder belongs to, and whether its scene is complete."""
+    """The content of orchard.json: the configuration of the folder, and whether its scene is complete."""
     try:
         return dict(json.loads((out / "orchard.json").read_text(encoding="utf-8")))
     except (ValueError, TypeError) as error:
@@ -87,7 +86,7 @@ def _mark(out: Path) -> dict[str, Any]:
 
 
 def _claim(config: OrchardConfig, out: Path) -> None:
-    """Make the folder this configuration's own."""
+    """Mark the folder as that of this configuration."""
     try:
         if (out / "orchard.json").exists():
             if _mark(out).get("digest") != config.digest():
@@ -105,7 +104,7 @@ def _claim(config: OrchardConfig, out: Path) -> None:
 
 
 def viewpoints(orchard: Orchard) -> list[Viewpoint]:
-    """The scene's cameras, drawn from its seed."""
+    """The cameras of the scene, generated from its seed."""
     rng = np.random.default_rng([orchard.config.seed, 20])
     if not orchard.config.close_ups:
         return camera_places(rng, orchard.config, orchard.species, orchard.place)
@@ -148,13 +147,13 @@ def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes:
 
 
 def millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """(H, W) depth in metres as whole millimetres; 0 for nothing, and for what is too far for 16 bits (65.5 m)."""
+    """(H, W) depth in metres as whole millimetres; 0 for nothing, and beyond the range of 16 bits (65.5 m)."""
     rounded = np.rint(depth * 1000.0)
     return np.where(rounded <= 65535, rounded, 0).astype(np.uint16)
 
 
 def _shake(config: OrchardConfig, number: int) -> NDArray[np.float64] | None:
-    """How the camera shakes in the view of this number."""
+    """The camera shake in the view with this number."""
     rng = np.random.default_rng([config.seed, 22, number])
     return shake_of(rng, config.motion_blur) if config.motion_blur > 0 else None
 
@@ -164,7 +163,7 @@ def _cached(out: Path, view: Viewpoint) -> Path:
 
 
 def _describe(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[Passes], out: Path) -> None:
-    """Write the COLMAP model; it knows pictures and depths, nothing of fruit."""
+    """Write the COLMAP model from pictures and depths."""
     config = orchard.config
     rng = np.random.default_rng([config.seed, 30])
     pictures: list[NDArray[np.uint8]] = [picture_pixels(out / "images" / v.name) for v in views]

@@ -1,4 +1,4 @@
-"""Scenes as TOML files: the settings of an `OrchardConfig`, one a line, and perhaps the scene that they start from."""
+"""Scenes as TOML files: the settings of an `OrchardConfig`, one per line, and optionally the scene that they extend."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .config import OrchardConfig
 from .errors import OrchardError
 
 PRESETS = Path(__file__).resolve().parents[1] / "benchmarks" / "scenes"
-"""The scenes that come with the project; their bare names do."""
+"""The scenes of the project; they can be given by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,18 +20,18 @@ class SceneFile:
 
     name: str
     about: str
-    """What the scene is for, in one line; the file's own `about`."""
+    """The purpose of the scene, in one line; the file's own `about`."""
     values: dict[str, object]
-    """Settings by name; those that are missing keep their defaults."""
+    """Settings by name; missing ones keep their defaults."""
 
     @property
     def config(self) -> OrchardConfig:
-        """The scene's settings. Their values are not yet checked against each other."""
+        """The settings of the scene, not yet checked against each other."""
         return OrchardConfig(**{k: v for k, v in self.values.items()})  # type: ignore[arg-type]
 
 
 def find_scene(name: str, beside: Path | None = None) -> Path:
-    """The file that a name or path means: a path first, beside another scene file if given, then a preset.
+    """The file of a name or path: first as a path, also relative to another scene file, then as a preset.
 
     Raises:
         OrchardError: there is no such file and no such preset.
@@ -45,7 +45,7 @@ def find_scene(name: str, beside: Path | None = None) -> Path:
 
 
 def read_scene(path: Path, extended: tuple[Path, ...] = ()) -> SceneFile:
-    """Read a scene file; `extended` are the files that led here.
+    """Read a scene file; `extended` are the files that extend it.
 
     Raises:
         OrchardError: the file cannot be read, is no TOML, names an unknown setting or one of the wrong kind, or extends
@@ -71,5 +71,5 @@ def read_scene(path: Path, extended: tuple[Path, ...] = ()) -> SceneFile:
 
 
 def presets() -> list[SceneFile]:
-    """Every scene that comes with the project, by name."""
+    """Every scene of the project, by name."""
     return [read_scene(path) for path in sorted(PRESETS.glob("*.toml"))]

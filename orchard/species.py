@@ -1,4 +1,4 @@
-"""The fruit that the generator knows: shape, size, colours, how it hangs, and the leaves around it."""
+"""The fruit of the generator: shape, size, colours, growth, and leaves."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Species:
     stalk: tuple[float, float]
     """Shortest and longest stalk."""
     clump_sizes: tuple[float, ...]
-    """Chances of clumps of 1, 2, 3 … fruit."""
+    """Probabilities of clumps of 1, 2, 3 … fruit."""
     variants: tuple[Variant, ...]
     leaf_length: float
     leaf_width: float
@@ -53,11 +53,11 @@ class Species:
     """Darkest and lightest leaf."""
     tree_height: float = 2.1
     roughness: float = 0.38
-    """Of the skin."""
+    """Of the surface."""
     fuzz: float = 0.0
-    """Strength of the sheen of a hairy skin."""
+    """Strength of the sheen of a hairy surface."""
     lenticels: float = 0.0
-    """Strength of the pale dots of the skin."""
+    """Strength of the pale dots of the surface."""
     pores: float = 0.0
     """Strength of the dimples of a peel."""
     bloom: float = 0.0

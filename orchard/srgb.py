@@ -14,5 +14,5 @@ def to_linear(srgb: FloatArray) -> FloatArray:
 
 
 def from_linear(light: FloatArray) -> FloatArray:
-    """What `to_linear` turns into these values."""
+    """The inverse of `to_linear`."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)

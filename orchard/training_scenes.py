@@ -1,4 +1,4 @@
-"""The scenes that the encoder is trained on: drawn by seed, small, as varied as the generator can be."""
+"""The scenes that the encoder is trained on: random by seed, small, as varied as possible."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from .config import FIRST_TRAINING_SEED, FORMS, OrchardConfig
 from .species import SPECIES
 
 WALK_EVERY = 15
-"""Every so many scenes, one is a whole walk around a tree, kept to calibrate on what many views of it give."""
+"""Every n-th scene is a whole tree, reserved for calibration on many views."""
 AROUND = 0.4
-"""Share of the other scenes that are seen from around the tree; the rest are close-ups."""
+"""Share of the other scenes with views from around the tree; the rest are close-ups."""
 WALK_VIEWS = 36
-"""Pictures of such a walk."""
+"""Pictures of such a tree."""
 SPINDLES = 0.55
-"""Share of training scenes with the commonest form; the other forms share the rest."""
+"""Share of training scenes with the most common form; the other forms share the rest."""
 ROUNDS, HELD_OUT_ROUND = 11, 9
-"""Of so many rounds through all species, this one is held out (the first round is 0). No variety misses its turn: no
+"""Of this many rounds through all species, one is held out (the first round is 0). Every variety has its turn: no
 species has eleven."""
 
 
 def is_held_out(seed: int) -> bool:
-    """Whether this seed's scene is to measure on, and never to learn from, in whatever set of scenes it lies."""
+    """Whether this seed's scene is reserved for measurement, in any set of scenes."""
     return (seed - FIRST_TRAINING_SEED) // len(SPECIES) % ROUNDS == HELD_OUT_ROUND
 
 
 def training_config(seed: int) -> OrchardConfig:
-    """A small scene for training the encoder: species and varieties take turns, the rest is drawn by seed."""
+    """A small scene for training the encoder: species and varieties take turns, the rest is random by seed."""
     rng = np.random.default_rng([seed, 99])
     number = seed - FIRST_TRAINING_SEED
     species = list(SPECIES.values())[number % len(SPECIES)]
     variant = species.variants[number // len(SPECIES) % len(species.variants)]
-    # Leaves to cover the crown of this tree as 3600 leaves of the apple cover its own.
+    # The number of leaves that covers the crown of this tree as 3600 leaves cover that of the apple.
     cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
     fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))
     leaves = int(rng.integers(1600, 4200) * cover)

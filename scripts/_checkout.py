@@ -1,6 +1,6 @@
-"""Import this first: it makes the checkout importable as `fruitlangs`, whatever its folder is called.
+"""Makes the checkout importable as `fruitlangs`, whatever its folder is called; import this first.
 
-An installed package or a loaded Blender extension of the same name is not touched; the checkout wins for this process.
+An installed package or a loaded Blender extension of the same name is not changed; the checkout wins in this process.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _load() -> None:
 
 _load()
 
-if sys.modules.get("bpy") is not None:  # Blender runs the script: let it find what install_dependencies.py installed
+if sys.modules.get("bpy") is not None:  # Blender runs the script: let it find packages from install_dependencies.py
     from fruitlangs.operators.package_folder import use_packages
 
     use_packages()

@@ -1,4 +1,4 @@
-"""What every script shares at the command line: arguments, progress, exit codes."""
+"""What all scripts share on the command line: arguments, progress, exit codes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fruitlangs.engine.progress import Progress, silent
 
 
 def import_tyro() -> ModuleType:
-    """tyro, or exit 1 with the command that installs what a terminal needs into this Python."""
+    """tyro, or exit 1 with the command that installs it."""
     try:
         import tqdm  # noqa: F401
         import tyro
@@ -36,7 +36,8 @@ def arguments_of(script: str) -> list[str]:
 
 
 def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[str]:
-    """Arguments in which a stage's flags may stand without its name: --encoder clip is --embed.encoder clip."""
+    """Arguments with the stage added to flags of a stage that may be given without it: --encoder clip is
+    --embed.encoder clip."""
     names = {field.name.replace("_", "-") for field in dataclasses.fields(config_class) if field.name != "seed"}
     spelled = []
     for argument in given:
@@ -49,7 +50,7 @@ def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[st
 
 
 def preset_of(given: Sequence[str]) -> Preset:
-    """The --preset among the arguments, which goes first: flags of training change it. What is wrong tyro says."""
+    """The --preset among the arguments, read first because training flags change it. tyro reports what is wrong."""
     first = argparse.ArgumentParser(add_help=False, exit_on_error=False)
     first.add_argument("--preset", choices=list(PRESETS), default="standard")
     try:
@@ -61,7 +62,7 @@ def preset_of(given: Sequence[str]) -> Preset:
 
 def run(main: Callable[[], None]) -> None:
     """Call `main` and exit: 0 done, 1 with one line on a `FruitLangsError`, 130 on Ctrl-C or a cancel."""
-    # Blender installs its own handlers; a person's Ctrl-C and a cluster's SIGTERM both mean: stop cleanly.
+    # Blender installs its own handlers; Ctrl-C and a cluster's SIGTERM both mean: stop cleanly.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: signal.default_int_handler(signal.SIGINT, None))
     try:
@@ -73,7 +74,7 @@ def run(main: Callable[[], None]) -> None:
 
 
 def _leave(line: str, code: int) -> NoReturn:
-    """Exit with one line on stderr, in place of a progress bar that stands there."""
+    """Exit with one line on stderr, in place of a progress bar."""
     clear = "\r\x1b[K" if sys.stderr.isatty() else ""
     print(f"{clear}{line}", file=sys.stderr, flush=True)
     sys.exit(code)
@@ -90,7 +91,7 @@ def table(rows: list[tuple[str, ...]]) -> str:
 
 
 def report(message: str) -> None:
-    """Tell how far it is: one line a step, on stderr."""
+    """Report progress: one line per step, on stderr."""
     print(message, file=sys.stderr, flush=True)
 
 

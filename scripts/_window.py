@@ -1,4 +1,4 @@
-"""What every script shares that lives in a Blender window: arguments, time for the window, the sidebar, the end."""
+"""What all scripts in a Blender window share: arguments, time for the window, the sidebar, the end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def arguments_of() -> list[str]:
 
 
 def play(actions: Generator[float, None, int | None]) -> None:
-    """Let `actions` live in the window, which gets so many seconds after each yield, then leave Blender.
+    """Run `actions` in the window, which gets the yielded number of seconds after each step, then quit Blender.
 
     The exit code is what `actions` returns, or 1 after an exception, which is printed.
     """
@@ -35,7 +35,7 @@ def play(actions: Generator[float, None, int | None]) -> None:
             traceback.print_exc()
             code = 1
         sys.stdout.flush()
-        os._exit(code)  # no question whether to save
+        os._exit(code)  # do not ask whether to save
 
     bpy.app.timers.register(tick, first_interval=1.5, persistent=True)
 
@@ -51,13 +51,13 @@ def region_of(area: bpy.types.Area, kind: str) -> bpy.types.Region:
 
 
 def open_panel() -> Iterator[float]:
-    """Start this checkout's add-on in an empty file and open its tab in the sidebar."""
+    """Register this checkout's add-on in an empty file and open its tab in the sidebar."""
     fruitlangs.register()
     bpy.data.batch_remove(list(bpy.data.objects))
     _, area = viewport()
     area.spaces.active.show_region_ui = True
     sidebar = region_of(area, "UI")
-    for _ in range(TRIES):  # it takes no tab before it was drawn for the first time
+    for _ in range(TRIES):  # it accepts no tab before it was drawn for the first time
         yield 0.5
         sidebar.active_panel_category = "Fruit"
         yield 0.5

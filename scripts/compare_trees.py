@@ -55,7 +55,7 @@ def main(given: Sequence[str] | None = None) -> None:
 def compare_row(
     folder: Path, truth_file: Path, trees_file: Path | None, label: str | None
 ) -> tuple[TreeComparison, TreeComparison]:
-    """The counted fruit of a result folder against visible fruit and against all fruit, by tree."""
+    """The counted fruit of a result folder compared with visible fruit and with all fruit, by tree."""
     document = read_results(folder, verify=False)
     wanted = true_labels([label] if label else document["provenance"]["prompts"])
     truth = read_truth(truth_file, wanted)
@@ -72,7 +72,7 @@ def compare_row(
 
 
 def own_trees(document: Mapping[str, Any], places: TreePlaces) -> NDArray[np.int64]:
-    """(P,) true number of the tree that a result gives each of its fruit: that of the true tree where it found it."""
+    """(P,) true number of the tree of each fruit: that of the true tree at the position of the result's tree."""
     stand = assign_to_trees(_rows(tree["position"] for tree in document["trees"]), places)
     numbers = {tree["number"]: int(true) for tree, true in zip(document["trees"], stand, strict=True)}
     return np.array([numbers.get(fruit["tree"], NO_TREE) for fruit in document["fruits"]], dtype=np.int64)
@@ -83,7 +83,7 @@ def _rows(places: Iterable[Sequence[float]]) -> NDArray[np.float64]:
 
 
 def comparison_table(visible: TreeComparison, total: TreeComparison) -> str:
-    """A row a tree, the sum, and one line of figures for each of the two truths."""
+    """One row per tree, the sum, and one line of figures for each of the two truths."""
     rows = [
         (str(tree), str(seen), str(every), str(counted), f"{counted - seen:+d}")
         for tree, seen, every, counted in zip(visible.trees, visible.true, total.true, visible.counted, strict=True)

@@ -67,7 +67,7 @@ class Arguments:
     stages: Annotated[tuple[Stage, ...], tyro.conf.arg(aliases=("--rungs",))] = get_args(Stage)
     """With --out: the ablation stages to count. --rungs is the earlier name."""
     publish: Path | None = None
-    """Folder that gets results.csv and RESULTS.md too, with the date and the commit."""
+    """Folder that also gets results.csv and RESULTS.md, with the date and the commit."""
     preset: Preset = "standard"
     """Settings of training to start from."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -101,7 +101,7 @@ def main(given: Sequence[str] | None = None) -> None:
 
 
 def ladder(arguments: Arguments) -> None:
-    """Climb every scene and write the pages after each, so that an interrupt leaves what was measured."""
+    """Count every scene and write the pages after each, so that an interrupt keeps what was measured."""
     assert arguments.out is not None
     config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
     out, progress, rows = arguments.out, terminal_progress(), list[StageResult]()
@@ -133,7 +133,7 @@ def ladder(arguments: Arguments) -> None:
 
 
 def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str, ...]]:
-    """One row of cells a matching radius for a result folder."""
+    """One row of cells per matching radius for a result folder."""
     document = read_results(folder, verify=False)
     fruits = document["fruits"]
     truth = read_truth(truth_file, true_labels([label] if label else document["provenance"]["prompts"]))

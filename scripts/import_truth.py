@@ -27,7 +27,7 @@ LAYOUTS = (fruitnerf.LAYOUT, pfuji.LAYOUT, fuji.LAYOUT)
 
 
 def main(given: Sequence[str] | None = None) -> None:
-    """Write the files and say what is in them.
+    """Write the files and summarise them.
 
     Raises:
         FruitLangsError: the data set cannot be read or the files cannot be written.
@@ -72,7 +72,7 @@ def _refuse_other_flags(arguments: argparse.Namespace) -> None:
 
 
 def _read(arguments: argparse.Namespace) -> tuple[ImportedTruth, ColoredCloud | None]:
-    """The truth of the folder, and its cloud where one is asked for."""
+    """The truth of the folder, and its cloud if requested."""
     if arguments.layout == fruitnerf.LAYOUT:
         truth = fruitnerf.read_fruitnerf_truth(arguments.folder, label=arguments.label, fruits=arguments.fruits)
         return truth, None

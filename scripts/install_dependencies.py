@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def extension_or_checkout() -> ModuleType:
-    """`operators.packages.dependencies` of the extension that this Blender has enabled, else of this checkout."""
+    """`operators.packages.dependencies` of the enabled extension, else of this checkout."""
     for name, module in list(sys.modules.items()):
         if name.startswith("bl_ext.") and name.endswith(".fruitlangs.operators.packages.dependencies"):
             return module

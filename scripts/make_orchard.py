@@ -37,35 +37,35 @@ else:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Build synthetic fruit trees in Blender and render a walk around them."""
+    """Generate synthetic fruit trees in Blender and render photos around them."""
 
     out: Path
     """Folder to write; with --scenes the folder of many scenes."""
 
     scene: str = ""
-    """A scene file (TOML) or the name of a preset; flags beside it override its settings."""
+    """A scene file (TOML) or the name of a preset; flags override its settings."""
 
     list: bool = False
-    """Print the presets, one a line, and end."""
+    """Print the presets, one per line, and end."""
 
     layout: Literal["colmap", "nerfstudio"] = "colmap"
     """nerfstudio: also transforms.json, semantics/ (255 on fruit) and sparse_pc.ply, as FruitNeRF reads them."""
 
     classes: bool = False
-    """Also write classes/ and classes.json: what every pixel shows, for training an image encoder."""
+    """Also write classes/ and classes.json, the class of every pixel, for training an image encoder."""
 
     preview: int = 0
-    """Render only so many views of the walk; 0: all."""
+    """Render only this many views of the camera path; 0: all."""
 
     scenes: str = ""
     """FIRST:LAST, the seeds of a training set, from 1000 up: small scenes, three in five close-ups and two in five
-    walks; their other settings are drawn by seed."""
+    whole trees; their other settings are random by seed."""
 
     config: Annotated[OrchardConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=OrchardConfig)
 
 
 def scene_config(arguments: list[str]) -> OrchardConfig:
-    """The settings that the flags start from: those of --scene, else the defaults."""
+    """The default settings: those of --scene, else the defaults."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--scene", nargs="?", default="")
     scene = parser.parse_known_args(arguments)[0].scene
@@ -73,7 +73,7 @@ def scene_config(arguments: list[str]) -> OrchardConfig:
 
 
 def print_presets() -> None:
-    """One line a preset on stdout."""
+    """One line per preset on stdout."""
     scenes = presets()
     width = max((len(scene.name) for scene in scenes), default=0)
     for scene in scenes:
@@ -81,7 +81,7 @@ def print_presets() -> None:
 
 
 def seeds_of(scenes: str) -> range:
-    """The seeds that FIRST:LAST names, both included."""
+    """The seeds of FIRST:LAST, both included."""
     first, _, last = scenes.partition(":")
     if not (first.isdecimal() and last.isdecimal()) or not FIRST_TRAINING_SEED <= int(first) <= int(last):
         low = FIRST_TRAINING_SEED
@@ -90,7 +90,7 @@ def seeds_of(scenes: str) -> range:
 
 
 def make(command: Command) -> None:
-    """Make the scene, or every scene of the training set."""
+    """Generate the scene, or every scene of the training set."""
     if command.scene and command.scenes:
         raise OrchardError("--scenes draws its own scenes: leave out --scene")
     configs = list(map(training_config, seeds_of(command.scenes))) if command.scenes else [command.config]

@@ -17,7 +17,7 @@ from typing import Any
 
 import _checkout  # noqa: F401
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple a step's cost on a busy machine
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning threads triple the time of a step on a busy machine
 
 import torch
 
@@ -52,20 +52,19 @@ class Options(Course):
     """What to train on and for how long."""
 
     renders: Path | None = None
-    """Folder of rendered training scenes and walks."""
+    """Folder of rendered training scenes and trees."""
     photos: Path
     """Folder of photo sets with annotations.csv."""
     start: Path | None = None
-    """Weights of an earlier run to go on from, of this or an earlier vocabulary and of this size or a smaller one;
-    without it all starts at random."""
+    """Weights of an earlier run to continue from, of this or an earlier vocabulary and of this size or a smaller one;
+    random without it."""
     out: Path
-    """Weights to write; OUT with suffix .json and MODEL_CARD.md are written beside it."""
+    """Weights to write; OUT with suffix .json and MODEL_CARD.md are written next to it."""
 
 
 @dataclass(frozen=True)
 class Past:
-    """What made weights: the runs, one after the other, and the seeds of all scenes they learnt from or were calibrated
-    on."""
+    """The origin of weights: the runs, and the seeds of all scenes that they were trained or calibrated on."""
 
     runs: list[dict[str, Any]]
     seeds: list[int]
@@ -73,7 +72,7 @@ class Past:
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """All that is learnt from, measured on and calibrated on."""
+    """All pictures for training, measurement and calibration."""
 
     material: Material
     val_photos: Sequence[Picture]
@@ -96,7 +95,7 @@ def main(options: Options) -> None:
 
 
 def read_pictures(options: Options) -> Pictures:
-    """Read the photos and the renders, and cut the fruit out of those that are trained on."""
+    """Read the photos and the renders, and cut out the fruit of those for training."""
     photos, renders = read_photos(options.photos, "train"), read_renders(options.renders) if options.renders else []
     lifted = rendered_scenes(options.renders) if options.renders else []
     learnt, held_out = split_scenes(renders)
@@ -109,7 +108,7 @@ def read_pictures(options: Options) -> Pictures:
 
 
 def made_by(past: Past, pictures: Pictures, options: Options, steps: int) -> Past:
-    """What made the weights, with this run when it took steps."""
+    """The origin of the weights, with this run if it took steps."""
     this_run = {
         "steps": steps,
         "processes": options.processes,
@@ -124,9 +123,9 @@ def made_by(past: Past, pictures: Pictures, options: Options, steps: int) -> Pas
 
 
 def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
-    """Calibrate the network, measure it on what it has not seen, and write weights, figures and card.
+    """Calibrate the network, measure it on held-out pictures, and write weights, figures and card.
 
-    Until all of it is done the weights stand in a file of their own, `OUT.draft.safetensors`.
+    Until then the weights are in a separate file, `OUT.draft.safetensors`.
     """
     draft = out.with_suffix(".draft.safetensors")
 
@@ -165,7 +164,7 @@ def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
 
 
 def resume(network: Network, start: Path) -> Past:
-    """Load earlier weights into `network`, which may be larger and know more words. Returns what made them.
+    """Load earlier weights into `network`, which may be larger and know more words. Returns their origin.
 
     Raises:
         EncoderError: they cannot be read, are of a larger network, or do not record what made them.
@@ -184,7 +183,7 @@ def resume(network: Network, start: Path) -> Past:
 
 
 def split_scenes(pictures: Sequence[Picture]) -> tuple[list[Picture], list[Picture]]:
-    """Pictures to learn from, and those of the scenes whose seeds hold them out (see `orchard.training`)."""
+    """Pictures for training, and those of the scenes whose seeds are held out (see `orchard.training_scenes`)."""
     sides: tuple[list[Picture], list[Picture]] = ([], [])
     for picture in pictures:
         sides[picture.seed is not None and is_held_out(picture.seed)].append(picture)
@@ -192,7 +191,7 @@ def split_scenes(pictures: Sequence[Picture]) -> tuple[list[Picture], list[Pictu
 
 
 def check_unseen(held_out: Sequence[Picture], past: Past) -> None:
-    """Refuse to measure on what earlier runs learnt from: that would flatter.
+    """Refuse to measure on scenes that earlier runs were trained on.
 
     Raises:
         ConfigError: naming the scenes.

@@ -1,4 +1,4 @@
-"""Plain ways to count, for comparison: what fields use, on the same points and the same estimated size as ours."""
+"""Baselines of counting, on the same points and the same estimated size as our method."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ NONE: Found = (np.zeros((0, 3)), np.zeros(0))
 LINK, LEAST = 0.15, 8
 """DBSCAN's ε, in diameters, and min_samples."""
 LEAST_MASS = 0.15
-"""A cluster with less than this share of a fruit's points is dropped."""
+"""A cluster with less than this share of the points of a fruit is dropped."""
 VOTE_SHARE = 0.02
-"""A centre in plain voting has this share of the votes of the densest tenth: with the product's it does worse."""
+"""Least votes of a centre in plain voting, relative to the densest tenth: with the product's value it is worse."""
 PRIOR_SD = 0.2
 """Deviation of log diameter between fruit in plain voting."""
 WEAKEST = 0.15
@@ -41,8 +41,8 @@ WEAKEST = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What every method starts from: N Gaussians with probability (N,) of being fruit, the cameras and how they see
-    them, and of the skin of all that is taken for fruit points and the size, None where nothing looks round.
+    """The input of every method: N Gaussians with probability (N,) of being fruit, cameras and visibility, and surface
+    points with the size; None if no part of the scene is round.
     """
 
     gaussians: Gaussians
@@ -81,7 +81,7 @@ def ours(surface: Surface) -> Found:
 
 
 def by_method(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
-    """A published road of the product's, given the same size; it samples points of its own (the paper's eq. 12)."""
+    """A published method of the product, given the same size; it samples its own points (the paper's eq. 12)."""
     if surface.sample is None:
         return NONE
     counted = count_fruit(
@@ -96,7 +96,8 @@ def by_method(method: Literal["template", "fruitnerf"], surface: Surface) -> Fou
 
 
 def by_mass(surface: Surface) -> Found:
-    """DBSCAN; a cluster holds as many fruit as it has points in those of a usual cluster, parted by k-means."""
+    """DBSCAN; the number of fruit in a cluster is its number of points relative to a typical cluster, split by
+    k-means."""
     if surface.sample is None:
         return NONE
     points, diameter = surface.sample[0], surface.sample[1].diameter
@@ -117,7 +118,8 @@ def by_mass(surface: Surface) -> Found:
 
 
 def by_votes(surface: Surface) -> Found:
-    """Votes for centres along the normals, sphere fits, non-maximum suppression; nothing is rejected for its form."""
+    """Votes for centres along the normals, sphere fits, non-maximum suppression; no candidate is rejected for its
+    shape."""
     if surface.sample is None:
         return NONE
     points, size = surface.sample

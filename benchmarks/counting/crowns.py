@@ -1,4 +1,4 @@
-"""Crowns to compare methods on: simulated ones, and those of generated scenes, with true masks."""
+"""Crowns to compare methods on: simulated ones, and those of generated scenes with true masks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Methods = Mapping[str, Callable[[Surface], Found]]
 
 @dataclass(frozen=True, kw_only=True)
 class Crown:
-    """setting: its name, for a scene its species; key: of the code and all that `grown` makes surface and truth of."""
+    """setting: its name, for a scene its species; key: of the code and of everything that `grown` uses."""
 
     setting: str
     seed: int
@@ -41,7 +41,7 @@ class Crown:
 
 
 def simulated_crowns(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Crown]:
-    """A crown of every setting for each seed."""
+    """One crown per setting and seed."""
     keys = {name: code_key(setting) for name, setting in settings.items()}
     for seed in seeds:
         for name, setting in settings.items():
@@ -49,8 +49,8 @@ def simulated_crowns(settings: Mapping[str, Setting], seeds: Sequence[int]) -> I
 
 
 def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
-    """The crown of a generated scene as it is given on one of the rungs with true masks; what is trained for it is kept
-    in `out`, as the ladder's is (see `climb`).
+    """The crown of a generated scene in one of the ablation stages with true masks; trained Gaussians are cached in
+    `out` (see `climb`).
 
     Raises:
         FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or does not say what it is.

@@ -12,12 +12,12 @@ from ..markdown import markdown
 from .trials import Trial
 
 NONE = "–"
-"""Stands where there is nothing to measure."""
+"""Placeholder if there is nothing to measure."""
 _PER_FRUIT = ("doubles", "merges")
 
 
 def counting_page(trials: Sequence[Trial]) -> str:
-    """Markdown: all tables, each with what it shows."""
+    """Markdown: all tables, each with its title."""
     parts = [
         "F1 at half a diameter, mean over crowns:",
         counting_table(trials),
@@ -87,7 +87,7 @@ def visibility_table(trials: Sequence[Trial]) -> str:
 
 
 def pairs_table(trials: Sequence[Trial]) -> str:
-    """Markdown: of the pairs that are seen at 60 %, the share whose fruit are each counted exactly once."""
+    """Markdown: of the pairs that are visible to about 60 %, the share of pairs whose fruit are each counted once."""
     lines = [["method", "pairs", "each fruit counted once"]]
     for method in _names(trials, "method"):
         pairs = sum(t.touching.pairs for t in trials if t.method == method)

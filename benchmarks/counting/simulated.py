@@ -1,7 +1,7 @@
-"""Simulated crowns of ellipsoids and leaves, drawn by their true depths: counting alone, many times over, in seconds.
+"""Simulated crowns of ellipsoids and leaves, rendered by their true depths: tests of counting alone, in seconds.
 
-The six settings are hard cases of counting. A crown's surfaces as cameras see them become Gaussians (see
-`true_surface`); then noise, drift, leaves taken for fruit and floaters are added, and a count is asked for.
+The six settings are hard cases of counting. The visible surfaces of a crown become Gaussians (see `true_surface`); then
+noise, drift, leaves mistaken for fruit and floaters are added.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ DISTANCE = 26.0
 CROWN = (9.0, 9.0, 7.0)
 """Half axes of the crown, in whose outer half the fruit hang."""
 LEAST_VISIBLE = 0.05
-"""A fruit is to be counted when its best view shows at least this share of it."""
+"""A fruit must be counted if its best view shows at least this share of it."""
 SHOWN_VIEWS, SHOWN_SHARE, SHOWN_PIXELS = 3, 0.1, 12
-"""What `Truth.visible` asks of a scene's fruit: so many views, share of its disc and pixels."""
+"""Requirements of `Truth.visible` for a fruit: number of views, share of its disc and pixels."""
 LEAF = (0.75, 0.4, 0.03)
 """Half axes of a leaf."""
 WRONG = 60_000
-"""Instance numbers from here on are leaves that are taken for fruit."""
+"""Instance numbers from here on are leaves mistaken for fruit."""
 FLOATER = 0.06
 """Standard deviation of a floater."""
 TILT = 15.0
-"""Degrees by which normals are off."""
+"""Error of normals in degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +47,9 @@ class Setting:
     """What makes a simulated crown hard. Lengths are in mean fruit diameters.
 
     fruits: fewest and most; least_clump, clump: fewest and most fruit that touch; size_cv: standard deviation of log
-    diameter; long: most that one axis is longer than the others; leaves; wrong: share of the leaves that are taken for
-    fruit; floaters: share of the Gaussians; noise: least and most standard deviation of positions; views; arc: degrees
-    that they go around; drift: how far what one half of the views saw is off.
+    diameter; long: largest elongation of one axis; leaves; wrong: share of the leaves that are mistaken for fruit;
+    floaters: share of the Gaussians; noise: least and most standard deviation of positions; views; arc: degrees that
+    they go around; drift: offset of what one half of the views shows.
     """
 
     fruits: tuple[int, int] = (200, 400)
@@ -82,11 +82,11 @@ AXES: Mapping[str, Mapping[str, Setting]] = {
     "spread": {f"spread {cv:g}": replace(_EVEN, clump=4, size_cv=cv) for cv in (0.05, 0.1, 0.2, 0.3, 0.4)},
     "pairs": {"pairs": Setting(fruits=(480, 480), least_clump=2, clump=2, leaves=2000)},
 }
-"""Settings along which one thing alone changes, by what changes and by name."""
+"""Settings that vary one condition, by condition and name."""
 
 
 def any_setting(seed: int) -> Setting:
-    """A setting drawn at random from all that the named ones span, and beyond."""
+    """A random setting within and slightly beyond the range of the named ones."""
     rng = np.random.default_rng([seed, 7])
 
     def between(low: float, high: float) -> float:
@@ -109,8 +109,8 @@ def any_setting(seed: int) -> Setting:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """gaussians with probability (N,) of being fruit; the cameras that saw them; truth, in the same frame; shown: (M,)
-    true fruit of which three views show a tenth and twelve pixels, a stricter line than that of `truth.visible`."""
+    """gaussians with probability (N,) of being fruit; the cameras; truth, in the same frame; shown: (M,) true fruit of
+    which three views show a tenth and twelve pixels, a stricter criterion than `truth.visible`."""
 
     gaussians: Gaussians
     probability: torch.Tensor
@@ -120,7 +120,7 @@ class Simulation:
 
 
 def simulate(setting: Setting, seed: int) -> Simulation:
-    """Grow a crown, draw it, and make Gaussians of what the views show. Seeded."""
+    """Generate a crown, render it, and make Gaussians of its visible surfaces. Seeded."""
     rng = np.random.default_rng(seed)
     fruit, leaves = _fruit(setting, rng), _leaves(setting, rng)
     bodies = fruit.beside(leaves)
@@ -188,7 +188,7 @@ def _fruit(setting: Setting, rng: np.random.Generator) -> _Bodies:
 def _free_place(
     centers: FloatArray, radii: FloatArray, number: int, member: int, rng: np.random.Generator, tries: int = 200
 ) -> FloatArray:
-    """Where fruit `number` hangs: free in the crown, or as a clump's next member touching one before it."""
+    """Position of fruit `number`: free in the crown, or touching an earlier member of its clump."""
     place = _in_crown(rng)
     for _ in range(tries):
         if member:
@@ -220,7 +220,7 @@ def _leaves(setting: Setting, rng: np.random.Generator) -> _Bodies:
 
 
 def _cameras(setting: Setting) -> list[Camera]:
-    """Around the trunk in a wave, looking at the crown's middle; z is up."""
+    """Cameras around the trunk in a wave, looking at the middle of the crown; z is up."""
     K = np.array([[FOCAL, 0.0, WIDTH / 2.0], [0.0, FOCAL, HEIGHT / 2.0], [0.0, 0.0, 1.0]])
     cameras = []
     for view in range(setting.views):
@@ -232,7 +232,7 @@ def _cameras(setting: Setting) -> list[Camera]:
 
 
 def _drifted(cameras: list[Camera], setting: Setting) -> list[Camera]:
-    """The cameras as a poor reconstruction has them: one half of the ring is off sideways and in height."""
+    """The cameras of a poor reconstruction: one half of the ring is off sideways and in height."""
     drifted = []
     for view, camera in enumerate(cameras):
         pose = camera.world_to_camera.copy()
@@ -306,7 +306,7 @@ def _draw(
 def _roughened(
     gaussians: Gaussians, fruit: torch.Tensor, setting: Setting, rng: np.random.Generator
 ) -> tuple[Gaussians, torch.Tensor]:
-    """Noise on positions and normals, and floaters that are taken for fruit."""
+    """Noise on positions and normals, and floaters mistaken for fruit."""
     n = len(gaussians)
     noise = rng.uniform(*setting.noise)
     means = gaussians.means.numpy() + rng.normal(0.0, noise, (n, 3))

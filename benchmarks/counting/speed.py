@@ -1,4 +1,4 @@
-"""Seconds and memory of counting in so many points: simulated crowns above each other, their views drawn already."""
+"""Time and memory of counting by number of points: simulated crowns above each other, with rendered views."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from .simulated import SETTINGS, simulate
 
 CROWN, SEED = "clumped", 1001
 POINTS = 1_000_000
-"""Points of a crown; larger numbers are of as many crowns."""
+"""Points of a crown; larger numbers use several crowns."""
 YIELD = 1.26
 """Points that a budget of one gives."""
 SPACING = 200.0
-"""Between crowns, in mean diameters: no view of one shows another."""
+"""Distance between crowns, in mean diameters: no view of one shows another."""
 UP = np.array([0.0, 0.0, 1.0])
 """Away from the ground."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Crowns above each other: their Gaussians with probability (N,), how these are seen, and drawn views."""
+    """Crowns above each other: their Gaussians with probability (N,), visibility, and rendered views."""
 
     gaussians: Gaussians
     probability: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Stack:
 
     @property
     def seen(self) -> NDArray[np.int64]:
-        """Which Gaussians may be fruit and are seen."""
+        """Which Gaussians may be fruit and are visible."""
         selected = select_gaussians(self.gaussians, self.probability, CountConfig())
         return selected[self.visibility.weights[selected] > 0]
 
@@ -65,7 +65,7 @@ class Stack:
 
 
 def one_crown() -> Stack:
-    """A crown as its 36 cameras see it."""
+    """A crown as its 36 cameras show it."""
     simulation = simulate(SETTINGS[CROWN], SEED)
     probabilities = simulation.probability.double().numpy()
     visibility = find_visibility(simulation.gaussians, simulation.cameras)
@@ -75,7 +75,7 @@ def one_crown() -> Stack:
 
 
 def measure_counting(numbers: Sequence[int], *, progress: Progress = silent) -> list[Stage]:
-    """Count in about so many points each, from the size of the fruit to what is told of them."""
+    """Count in about this many points each, from the size of the fruit to their description."""
     if min(numbers) < 1:
         raise CountingError("--counting: give numbers of points from 1 on")
     crown = one_crown()
@@ -110,7 +110,7 @@ def _timed(stack: Stack, wanted: int, progress: Progress) -> list[Stage]:
 
 
 def _tell(stack: Stack, fruit: Clusters, searched: Search, config: CountConfig, watch: Stopwatch) -> None:
-    """What `count_fruit` does with the fruit that it found."""
+    """The steps of `count_fruit` after the search."""
     centers, radii = fruit.spheres.centers, fruit.spheres.radii
     with watch.stage("account"):
         numbers = number(centers, np.arange(len(centers)), float(2.0 * radii.mean()))

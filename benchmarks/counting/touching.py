@@ -1,4 +1,4 @@
-"""Fruit that hang in touching pairs: is each of the two counted once."""
+"""Touching pairs of fruit: is each of the two counted once?"""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 TOUCH = 1.1
-"""Fruit touch whose centres are at most so many times their mean diameter apart."""
+"""Fruit touch if their centres are at most this many mean diameters apart."""
 SHOWN = (0.5, 0.7)
-"""Bounds of what the best view shows of either fruit of a pair that is seen at 60 %."""
+"""Bounds of the visible share of either fruit of a pair."""
 INSIDE, BESIDE = 0.5, 1.0
-"""A counted fruit lies on the true one within so many of its diameters, and belongs to it within so many."""
+"""A counted fruit is on the true one within this many of its diameters, and belongs to it within this many."""
 
 
 @dataclass(frozen=True)
 class Touching:
-    """How many pairs there are, and of how many each fruit has exactly one counted fruit, and that lies on it."""
+    """Number of pairs, and of those in which each fruit has exactly one counted fruit, which is on it."""
 
     pairs: int
     apart: int
 
 
 def touching_pairs(truth: Truth) -> IntArray:
-    """(K, 2) indices of true fruit that touch and are both seen at 60 %."""
+    """(K, 2) indices of true fruit that touch and are both visible to about 60 %."""
     tree = KDTree(truth.centers)
     near = tree.query_pairs(TOUCH * float(truth.diameters.max(initial=0.0)), output_type="ndarray").reshape(-1, 2)
     one, other = near.T
@@ -41,8 +41,8 @@ def touching_pairs(truth: Truth) -> IntArray:
 
 
 def separated(centers: FloatArray, truth: Truth) -> Touching:
-    """centers: (P, 3) of the counted fruit. Each belongs to the true fruit, seen or not, that is nearest to it in its
-    diameters."""
+    """centers: (P, 3) of the counted fruit. Each belongs to the true fruit, visible or not, that is nearest in units of
+    its diameter."""
     pairs = touching_pairs(truth)
     if len(pairs) == 0 or len(centers) == 0:
         return Touching(len(pairs), 0)

@@ -1,4 +1,4 @@
-"""One crown or scene counted by one method, and a table of such that a second run goes on with."""
+"""One crown or scene counted by one method, and a table of them that a second run continues."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _CLASS = ("visible", "recall", "center_error", "diameter_error")
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """setting: of a crown, or the species of a scene; key: of the code and the input that it was counted with;
-    metrics: at half a diameter; classes: by visible fraction; touching: pairs that are seen at 60 %."""
+    """setting: of a crown, or the species of a scene; key: of the code and the input; metrics: at half a diameter;
+    classes: by visible fraction; touching: pairs that are visible to about 60 %."""
 
     setting: str
     seed: int
@@ -40,7 +40,7 @@ class Trial:
 
 
 def tried(setting: str, seed: int, method: str, key: str, found: Found, truth: Truth) -> Trial:
-    """What a method found, measured."""
+    """The result of a method, measured."""
     judgement = judge(*found, truth)
     return Trial(
         setting=setting,
@@ -54,13 +54,13 @@ def tried(setting: str, seed: int, method: str, key: str, found: Found, truth: T
 
 
 def code_key(given: object) -> str:
-    """Of what is `given` and of the code that simulates, counts and measures; the pages' code is not in it."""
+    """Key of `given` and of the code that simulates, counts and measures, without that of the pages."""
     own = [_HERE / f"{name}.py" for name in ("simulated", "baselines", "touching", "trials")]
     return stage_key(("scene", "splatting", "counting", "evaluation"), files_hash(own, _HERE), given)
 
 
 def trials_csv(trials: Sequence[Trial]) -> str:
-    """One line a trial, every figure as it is."""
+    """One line per trial, with unrounded figures."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*_NAMES, *_figures(), *_touching(), *(name for names in _classes() for name in names)])
@@ -75,7 +75,7 @@ def trials_csv(trials: Sequence[Trial]) -> str:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """The trials that an earlier run wrote; none where there is no such file.
+    """The trials of an earlier run; none without such a file.
 
     Raises:
         FormatError: the file is damaged.

@@ -1,1 +1,1 @@
-"""The ablation ladder: which stage of the chain loses which fruit."""
+"""The ablation ladder: which stage of the pipeline loses which fruit."""

@@ -1,4 +1,5 @@
-"""From the frame of found poses into the truth's: by where Gaussians that draw fruit truly are, or by the cameras."""
+"""Maps the frame of estimated poses to that of the truth: by true positions of Gaussians on fruit, or by the
+cameras."""
 
 from __future__ import annotations
 
@@ -19,16 +20,16 @@ from ...engine.splatting.rendering.rasterize import accumulate
 FloatArray = NDArray[np.float64]
 
 _OF_FRUIT = 0.5
-"""Share of what a Gaussian draws that must be fruit, for its true place to be a place on fruit."""
+"""Share of a Gaussian's pixels that must be fruit for its true position to be on fruit."""
 _STRONG = 0.5
-"""Share of those Gaussians that are kept: the ones that draw most. The weak ones mend single views and lie anywhere."""
+"""Share of those Gaussians that are used: those with most pixels. Weak ones correct single views and lie anywhere."""
 _FIRM = 0.25
-"""Share of the strong ones that are used: the ones whose pixels show the most nearly the same true place."""
+"""Share of the strong ones that are used: those whose pixels agree best on the true position."""
 _LEAST_PAIRS = 30
 
 
 def by_cameras(found: Scene, true: Scene) -> Similarity:
-    """The similarity from the frame of `found` into that of `true`, by the centres of the cameras that both have.
+    """The similarity from the frame of `found` to that of `true`, by the centres of common cameras.
 
     Raises:
         SceneError: fewer than 3 are common, or they stand on one line.
@@ -48,12 +49,12 @@ def by_fruit(
     depths: Sequence[NDArray[np.float32]],
     instances: Sequence[NDArray[np.uint16]],
 ) -> Similarity:
-    """The similarity from the frame of `found` into that of `true`, by the true places that fruit's pixels show.
+    """The similarity from the frame of `found` to that of `true`, by the true positions of the pixels that show fruit.
 
-    Cameras that were found are off by centimetres, and with them a frame that is aligned by their centres; this aligns
-    what is counted in. Each Gaussian of `found` draws pixels of the photos; depths (H, W) and instances (H, W) of the
-    views of `true` say where on a fruit each pixel is. A Gaussian whose pixels agree truly lies at their mean, weighted
-    by what it draws of them. With fewer than 30 of those it is `by_cameras`.
+    Estimated cameras are off by centimetres, and so is a frame aligned by their centres; this aligns the surfaces that
+    are counted. Each Gaussian of `found` covers pixels of the photos; depths (H, W) and instances (H, W) of the views
+    of `true` give the position of each pixel on a fruit. The true position of a Gaussian whose pixels agree is their
+    mean, weighted by coverage. With fewer than 30 such Gaussians `by_cameras` is used.
 
     Raises:
         SceneError: as `by_cameras`.
@@ -82,7 +83,7 @@ def by_fruit(
 
 
 def as_seen(photo: Photo, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W, C) values of the undistorted photo's pixels, from the nearest of the photo as taken; 0 outside."""
+    """(H, W, C) values of the undistorted photo's pixels, from the nearest pixel of the original; 0 outside."""
     if not isinstance(photo, FilePhoto) or photo.lens.is_pinhole:
         return values
     source = source_map(photo.lens, photo.face, photo.width, photo.height)
@@ -100,7 +101,7 @@ def cameras_by_file(scene: Scene) -> dict[str, Camera]:
 def _places(
     camera: Camera, depth: NDArray[np.float32], chosen: NDArray[np.bool_], middle: FloatArray
 ) -> NDArray[np.float32]:
-    """(H, W, 5) x, y, z from `middle`, 1 and x² + y² + z² of the chosen pixels that show something; zeros elsewhere."""
+    """(H, W, 5) x, y, z from `middle`, 1 and x² + y² + z² of the chosen pixels with content; zeros elsewhere."""
     points = camera.unproject(depth.astype(np.float64)) - middle
     squares = (points**2).sum(axis=-1, keepdims=True)
     places = np.concatenate([points, np.ones_like(squares), squares], axis=-1)

@@ -1,4 +1,4 @@
-"""The ladder of a scene: every rung counted and measured against the truth, kept so that a second run goes on."""
+"""The ablation ladder of a scene: every stage counted and measured against the truth, and cached."""
 
 from __future__ import annotations
 
@@ -30,19 +30,18 @@ from .mistakes import draw_mistakes
 from .stages import END_TO_END, STAGES, TRUE_POSES, Counted, LadderStages
 
 WITHOUT_MASKS = (TRUE_POSES, END_TO_END)
-"""The rungs that need no picture of what is fruit."""
+"""The stages that need no masks."""
 _ROOMS = ("scene", "splatting", "language", "counting", "evaluation")
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """One rung of one scene.
+    """One ablation stage of one scene.
 
-    counted: how many fruit it gave, None where it failed; near, far: measured at half a diameter and at one, None
-    without a truth; classes: errors by visible fraction at half a diameter; ece: calibration error of the fruit's
-    probabilities; interval: of the count, where counting gives one; psnr, ssim: of the photos kept aside, where
-    something was trained; views: how many were used; seconds by stage; failed: why there is no count; mistakes: name of
-    the picture of the worst ones.
+    counted: number of fruit, None if it failed; near, far: measured at half a diameter and at one, None without a
+    truth; classes: errors by visible fraction at half a diameter; ece: calibration error of the fruit's probabilities;
+    interval: of the count, if there is one; psnr, ssim: of held-out photos, if a scene was trained; views: number of
+    views; seconds by stage; failed: why there is no count; mistakes: name of the picture of the worst ones.
     """
 
     species: str
@@ -73,11 +72,11 @@ def climb(
     report: Callable[[str], None] = lambda _: None,
     progress: Progress = silent,
 ) -> list[StageResult]:
-    """Count a scene on every one of `stages` into `out` and measure each against the scene's truth.
+    """Count a scene in each of `stages` into `out` and measure each against the truth of the scene.
 
-    prompts: what to count; the scene's own species when not given. A rung that an earlier run finished with the same
-    inputs, settings and code is taken from `out`. A rung that fails is a row that says why; the others go on. A scene
-    without truth or masks is counted on the rungs that need none, and measured as far as the truth goes.
+    prompts: what to count; the species of the scene if not given. A stage that an earlier run finished with the same
+    inputs, settings and code is taken from `out`. A stage that fails is a row with its reason; the others continue. A
+    scene without truth or masks is counted in the stages that need none, and measured as far as the truth allows.
 
     Raises:
         FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or nothing says what to count.
@@ -124,7 +123,8 @@ def climb(
 
 
 def _made_by(config: Config) -> str:
-    """What a count depends on beside the rooms' code and the inputs: the chain's own code, weights and pycolmap."""
+    """Key of what a count depends on besides the code of packages and the inputs: the pipeline's own code, weights and
+    pycolmap."""
     root = Path(__file__).resolve().parents[2]
     chain = [root / "engine" / name for name in ("pipeline.py", "reconstruction.py")]
     own = [root / "benchmarks" / "ladder" / name for name in ("stages.py", "frames.py")]
@@ -172,7 +172,7 @@ def _dump(counted: Counted, key: str) -> str:
 
 
 def _kept(path: Path, key: str) -> Counted | None:
-    """What an earlier run counted, when it is of this key; a damaged record is made again."""
+    """The count of an earlier run with this key; a damaged record is computed again."""
     try:
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if document.pop("key") != key:

@@ -1,4 +1,4 @@
-"""Pictures of the worst mistakes of a count: where the photos show what was missed, merged, doubled or made up."""
+"""Pictures of the worst mistakes of a count: photos of missed, merged, double and false fruit."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from .stages import Counted
 FloatArray = NDArray[np.float64]
 
 EACH = 8
-"""Mistakes of a kind that are shown, the worst first."""
+"""Number of mistakes per kind, the worst first."""
 SIDE, TITLE = 150, 15
-"""Pixels of a crop's side and of the line above it."""
+"""Pixels of the side of a crop and of the line above it."""
 CROP_DIAMETERS = 4.0
 TRUE, FOUND, SUBJECT = (60, 220, 90), (255, 140, 0), (255, 255, 255)
 
 
 @dataclass(frozen=True, eq=False)
 class _Mistake:
-    """kind: what it is; told: how bad; center (3,), diameter: of the fruit that is shown; id: of a true one, else 0."""
+    """kind: of mistake; text: its measure; center (3,), diameter: of the fruit that is shown; id: of a true one, else
+    0."""
 
     kind: str
     text: str
@@ -39,14 +40,14 @@ class _Mistake:
 
 @dataclass(frozen=True)
 class _Disc:
-    """The picture of a sphere: its middle and radius in pixels."""
+    """The picture of a sphere: its centre and radius in pixels."""
 
     u: float
     v: float
     radius: float
 
     def inside(self, camera: Camera) -> bool:
-        """Whether all of it is in the camera's frame."""
+        """Whether all of it is in the frame of the camera."""
         r = self.radius
         return r <= self.u <= camera.width - r and r <= self.v <= camera.height - r
 
@@ -59,10 +60,10 @@ def draw_mistakes(
     judgement: Judgement,
     instances: Sequence[NDArray[np.uint16]] = (),
 ) -> None:
-    """Write crops of the photos in rows: missed, merged, double and false, each where a view shows it best.
+    """Write crops of the photos in rows: missed, merged, double and false, each in its best view.
 
-    True visible fruit are ringed in green, counted fruit in orange. Nothing but a line where there is no mistake.
-    instances: (H, W) fruit ids of each view, where they are known: they tell which view shows most of a true fruit.
+    True visible fruit have a green circle, counted fruit an orange one. Without mistakes there is only a line of text.
+    instances: (H, W) fruit ids of each view, if known: they define the best view of a true fruit.
     """
     mistakes = list(_worst(truth, counted, judgement))
     kinds = list(dict.fromkeys(mistake.kind for mistake in mistakes))
@@ -87,7 +88,7 @@ def draw_mistakes(
 
 
 def _worst(truth: Truth, counted: Counted, judgement: Judgement) -> Iterator[_Mistake]:
-    """Missed and merged fruit, the best seen first; doubles and false ones, the surest first."""
+    """Missed and merged fruit, the most visible first; doubles and false ones, the most probable first."""
     for kind, fruits in (("missed", judgement.missed), ("merged", judgement.merged)):
         for fruit in _largest(fruits, truth.visible_fractions):
             text = f"{truth.visible_fractions[fruit]:.0%} seen"
@@ -106,7 +107,7 @@ def _largest(index: NDArray[np.int64], values: FloatArray) -> NDArray[np.int64]:
 def _crop(
     scene: Scene, truth: Truth, counted: Counted, mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]
 ) -> Image.Image | None:
-    """The photo around a fruit in the view that shows it best; None where none does."""
+    """The photo around a fruit in its best view; None if no view shows it."""
     best = _best_view(scene.cameras, mistake, instances)
     if best is None:
         return None
@@ -138,13 +139,14 @@ def _crop(
 
 
 def _near(centers: FloatArray, diameters: FloatArray, mistake: _Mistake) -> list[tuple[FloatArray, float]]:
-    """Fruit that stand within a few diameters of the mistake, so that no ring of the far side is drawn."""
+    """Fruit within a few diameters of the mistake, so that no circle of the far side is drawn."""
     close = np.linalg.norm(centers - mistake.center, axis=1) < 3.0 * mistake.diameter
     return [(center, float(size)) for center, size in zip(centers[close], diameters[close], strict=True)]
 
 
 def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]) -> int | None:
-    """The view with most pixels of a true fruit, else the one where the fruit's disc is largest and all in frame."""
+    """The view with most pixels of a true fruit, else the one in which the disc of the fruit is largest and in
+    frame."""
     if mistake.id and instances:
         pixels = [int((mask == mistake.id).sum()) for mask in instances]
         return int(np.argmax(pixels)) if max(pixels) else None
@@ -157,6 +159,6 @@ def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence
 
 
 def _disc(camera: Camera, center: FloatArray, diameter: float) -> _Disc | None:
-    """A sphere's picture; None where it is not wholly before the camera."""
+    """The picture of a sphere; None if it is not completely in front of the camera."""
     (u, v), z = camera.project(center)
     return _Disc(float(u), float(v), float(camera.K[0, 0] * 0.5 * diameter / z)) if z > diameter else None

@@ -1,4 +1,4 @@
-"""Tables, plots and a page of what the ladder measured."""
+"""Tables, plots and a page with the results of the ladder."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ COLUMNS = (
     "failed",
 )  # fmt: skip
 LOSS_NAMES = ("counting", "Gaussians", "masks", "poses")
-"""What can lose fruit, in the order of the rungs that tell."""
+"""The parts of the pipeline that can lose fruit, in order."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """F1 at half a diameter that each of STAGES loses, NaN where a rung that tells is missing; largest: which loses
-    most, empty where none loses."""
+    """F1 at half a diameter that each of LOSS_NAMES loses, NaN without the stage that shows it; largest: which loses
+    most, empty if none does."""
 
     stages: tuple[float, ...]
 
@@ -40,7 +40,8 @@ class Loss:
 
 
 def losses(f1_by_stage: dict[str, float]) -> Loss:
-    """What each stage loses: the counting what it lacks of 1, the others what the rung with their truth has more."""
+    """The loss of each part: of counting the difference to 1, of the others the difference to the stage with their
+    truth."""
 
     def of(stage: str) -> float:
         return f1_by_stage.get(stage, math.nan)
@@ -56,7 +57,7 @@ def losses(f1_by_stage: dict[str, float]) -> Loss:
 
 
 def rows_csv(rows: Sequence[StageResult]) -> str:
-    """One line a rung; ratios as they are, lengths in mean true diameters, PSNR in dB; empty where not measured."""
+    """One line per stage; ratios unrounded, lengths in mean true diameters, PSNR in dB; empty if not measured."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -74,7 +75,7 @@ def rows_csv(rows: Sequence[StageResult]) -> str:
 
 
 def times_csv(rows: Sequence[StageResult]) -> str:
-    """Seconds by stage of every rung that trained; they differ between runs, so they stand apart."""
+    """Seconds of every stage that trained; a separate table because they differ between runs."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["species", "seed", "ablation_stage", "scene", "stage", "seconds"])
@@ -85,7 +86,7 @@ def times_csv(rows: Sequence[StageResult]) -> str:
 
 
 def visibility_csv(rows: Sequence[StageResult]) -> str:
-    """Recall and errors of every rung by how much of the fruit the best view shows."""
+    """Recall and errors of every stage by the largest visible fraction."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = ("low", "high", "visible", "recall", "center_error", "diameter_error")
@@ -100,9 +101,9 @@ def visibility_csv(rows: Sequence[StageResult]) -> str:
 
 
 def stage_rows(rows: Sequence[StageResult]) -> list[list[str]]:
-    """F1 at half a diameter by scene and rung, and the stage that loses most; then means over scenes.
+    """F1 at half a diameter by scene and stage, and the part that loses most; then means over scenes.
 
-    What loses most in the mean is judged on the scenes that every rung measured.
+    The mean loss is over the scenes that every stage measured.
     """
     names = _stages_of(rows)
     lines = [["scene", "visible", *names, "loses most"]]
@@ -124,7 +125,7 @@ def stage_rows(rows: Sequence[StageResult]) -> list[list[str]]:
 
 
 def loss_rows(rows: Sequence[StageResult]) -> list[list[str]]:
-    """How much F1 each stage loses on each scene."""
+    """How much F1 each part loses on each scene."""
     lines = [["scene", *LOSS_NAMES]]
     for scene in dict.fromkeys(row.scene for row in rows):
         loss = losses({row.stage: row.near.f1 for row in rows if row.scene == scene and row.near})
@@ -133,7 +134,7 @@ def loss_rows(rows: Sequence[StageResult]) -> list[list[str]]:
 
 
 def visibility_rows(rows: Sequence[StageResult]) -> list[list[str]]:
-    """Recall by visible fraction and rung, all scenes together, with the number of fruit; nothing without a truth."""
+    """Recall by visible fraction and stage, all scenes together, with the number of fruit; empty without a truth."""
     names = [name for name in _stages_of(rows) if any(row.stage == name and row.classes for row in rows)]
     if not names:
         return []
@@ -155,7 +156,7 @@ def _stages_of(rows: Sequence[StageResult]) -> list[str]:
 
 
 def draw_ladder(rows: Sequence[StageResult], path: Path) -> None:
-    """F1 at half a diameter from rung to rung, a line a scene."""
+    """F1 at half a diameter from stage to stage, one line per scene."""
     from matplotlib.figure import Figure
 
     names = _stages_of(rows)
@@ -203,7 +204,7 @@ def _metrics(rows: Sequence[StageResult], stage: str) -> list[CountMetrics]:
 
 
 def _some(rows: Sequence[StageResult], stage: str) -> str:
-    """Says of a mean how many of the scenes it holds, where a rung failed on some."""
+    """A note on how many scenes a mean includes, if a stage failed on some."""
     own = [row for row in rows if row.stage == stage]
     failed = sum(bool(row.failed) for row in own)
     return f" ({len(own) - failed} of {len(own)})" if failed else ""

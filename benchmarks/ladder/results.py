@@ -1,4 +1,4 @@
-"""The committed baseline: what the ladder measured, with the date and the commit that it is of."""
+"""The committed baseline: results of the ladder with date and commit."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 def publish(rows: Sequence[StageResult], folder: Path, *, command: str) -> None:
-    """Write results.csv and RESULTS.md into `folder`. command: what measured them, for who wants to repeat it."""
-    commit = _commit()  # before anything is written, which would mark it
+    """Write results.csv and RESULTS.md into `folder`. command: how to repeat the measurement."""
+    commit = _commit()  # before anything is written, which would change it
     write_text(folder / "results.csv", rows_csv(rows))
     day = datetime.now(UTC).date().isoformat()
     parts = [
@@ -29,7 +29,7 @@ def publish(rows: Sequence[StageResult], folder: Path, *, command: str) -> None:
 
 
 def _commit() -> str:
-    """The short name of the checkout's commit, marked where files differ from it; `unknown` outside of a repository."""
+    """The short name of the checkout's commit, marked if files differ from it; `unknown` outside a repository."""
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=10"],

@@ -1,6 +1,6 @@
-"""The rungs of the ladder: one count each, with true masks, poses or geometry in place of found ones.
+"""The stages of the ablation ladder: one count each, with true masks, poses or geometry instead of estimated ones.
 
-What a count loses from one rung to the next, the stage that was put in place has lost.
+The difference between two stages is the loss of the part that was replaced.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ STAGES: Mapping[str, str] = {
     TRUE_POSES: "trained Gaussians from true poses, masks by the encoder",
     END_TO_END: "poses from the photos alone, trained Gaussians, masks by the encoder",
 }
-"""What is true and what is found on each rung, from the ground up."""
+"""{stage: what is true and what is estimated}."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Counted:
-    """What one rung counted, in the frame of the truth.
+    """The count of one stage, in the frame of the truth.
 
-    centers: (P, 3); diameters, probabilities: (P,); interval: of the count, None where counting gives none; psnr, ssim:
-    of the photos kept aside, None where nothing was trained; views: how many the rung used; seconds by stage.
+    centers: (P, 3); diameters, probabilities: (P,); interval: of the count, None without one; psnr, ssim: of held-out
+    photos, None without training; views: number of views; seconds by stage.
     """
 
     centers: FloatArray
@@ -73,7 +73,7 @@ class Counted:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a rung counts: N Gaussians with probability (N,) of being fruit, and the cameras that saw them."""
+    """The input of a count: N Gaussians with probability (N,) of being fruit, and their cameras."""
 
     gaussians: Gaussians
     probability: torch.Tensor
@@ -81,14 +81,14 @@ class Given:
 
 
 SAME_POSE = 1e-6
-"""Poses that differ by no more than this are the same: what is written in text is rounded."""
+"""Poses that differ by no more than this are equal: values in text files are rounded."""
 
 
 class LadderStages:
-    """The rungs of one generated scene; what several of them need is made once, when first asked for.
+    """The ablation stages of one generated scene; shared intermediate results are computed once, on demand.
 
-    folder: the scene; out: where trained results go; truth: its fruit, None where only rungs without masks are
-    asked for; views: its true cameras, empty where the model's own are true; prompts: what is counted.
+    folder: the scene; out: folder of trained results; truth: its fruit, None if only stages without masks are
+    requested; views: its true cameras, empty if the model's own are true; prompts: what to count.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class LadderStages:
         self._result: Result | None = None
 
     def run(self, name: str, progress: Progress) -> Counted:
-        """Count on one rung.
+        """Count in one stage.
 
         Raises:
             FruitLangsError: it cannot be done, for example because no poses were found.
@@ -131,7 +131,7 @@ class LadderStages:
 
     @property
     def instances(self) -> list[NDArray[np.uint16]]:
-        """The fruit ids (H, W) of every view, once they have been found to be this truth's."""
+        """The fruit ids (H, W) of every view, after checking that they belong to this truth."""
         if self._instances is None:
             read = read_instances(self.folder, self.scene)
             assert self.truth is not None
@@ -140,7 +140,7 @@ class LadderStages:
         return self._instances
 
     def given(self, name: str, progress: Progress = silent) -> Given:
-        """What is counted on one of the rungs with true masks.
+        """The input of one of the stages with true masks.
 
         Raises:
             FruitLangsError: it cannot be had.
@@ -180,12 +180,12 @@ class LadderStages:
         return self._moved(result, counted) if self.config.train.refine_poses else counted
 
     def _end_to_end(self, progress: Progress) -> Counted:
-        """Count in the frame that the photos alone give, then move the fruit into the frame of the truth."""
+        """Count in the frame estimated from the photos, then move the fruit to the frame of the truth."""
         result = self._train(self.folder / "images", END_TO_END, progress)
         return self._moved(result, _counted_by(result))
 
     def _moved(self, result: Result, counted: Counted) -> Counted:
-        """What was counted in the frame of `result`, in the frame of the truth."""
+        """The fruit in the frame of `result`, moved to the frame of the truth."""
         if self.truth is not None and all((self.folder / name).is_dir() for name in (DEPTH, INSTANCES)):
             depths = read_depths(self.folder, self.scene)
             moved = by_fruit(result.gaussians, result.scene, self.scene, depths, self.instances)
@@ -203,7 +203,7 @@ class LadderStages:
         return self._result
 
     def _train(self, source: Path, name: str, progress: Progress) -> Result:
-        """The product's own road from photos to fruit; what an earlier run trained is taken from its cache."""
+        """The product's own pipeline from photos to fruit; earlier training is taken from its cache."""
         return count_scene(source, self.prompts, self.out / name, config=self.config, progress=progress)
 
     def _count(
@@ -213,7 +213,7 @@ class LadderStages:
         progress: Progress,
         cameras: Sequence[Camera] | None = None,
     ) -> Counted:
-        """Count with the true cameras, or with `cameras` where training moved them."""
+        """Count with the true cameras, or with `cameras` if training moved them."""
         cameras = self.scene.cameras if cameras is None else cameras
         found = count_fruit(
             gaussians, probability, cameras, self.config.count, label=self.prompts[0], progress=progress
@@ -228,11 +228,11 @@ class LadderStages:
 
     def _ids(self) -> NDArray[np.int64]:
         assert self.truth is not None
-        assert self.truth.ids is not None  # `instances` has looked
+        assert self.truth.ids is not None  # `instances` has checked it
         return self.truth.ids
 
     def _true_source(self) -> Path:
-        """What is read for the true poses: the scene itself, or a transforms.json that puts noisy ones right."""
+        """The source with true poses: the scene itself, or a transforms.json that replaces noisy ones."""
         if not self.views:
             return self.folder
         given = read_scene(self.folder, self.config.scene)
@@ -251,9 +251,9 @@ class LadderStages:
 def masked_probability(
     gaussians: Gaussians, cameras: Sequence[Camera], instances: Sequence[NDArray[np.uint16]], ids: NDArray[np.int64]
 ) -> torch.Tensor:
-    """(N,) share of each Gaussian's drawn pixels that show one of the fruit `ids`; 0 where it drew next to none.
+    """(N,) share of the pixels of each Gaussian that show one of the fruit `ids`; 0 if it covers almost none.
 
-    instances: (H, W) fruit ids a view.
+    instances: (H, W) fruit ids per view.
     """
     sums, weights = torch.zeros(len(gaussians)), torch.zeros(len(gaussians))
     for camera, mask in zip(cameras, instances, strict=True):
@@ -288,7 +288,7 @@ def _counted(found: FruitCount, views: int) -> Counted:
 
 
 def _counted_by(result: Result) -> Counted:
-    """What the product's own road counted, in the frame that it counted in."""
+    """The count of the product's own pipeline, in its own frame."""
     counted = _counted(result.fruit_count, len(result.scene.cameras))
     training = result.origin["training"]
     return dataclasses.replace(counted, seconds=result.seconds, psnr=training["psnr"], ssim=training["ssim"])

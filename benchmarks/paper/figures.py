@@ -1,4 +1,4 @@
-"""What the paper printed: CountingFruit (FruitLangGS), its tables of reconstruction, counts and ablation."""
+"""Printed figures of CountingFruit (FruitLangGS): its tables of reconstruction, counts and ablation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ABLATIONS = ("with language", "without language", "Fruit Field")
 @dataclass(frozen=True)
 class Printed:
     """One scene. ssim, psnr (dB), lpips, fps: by METHODS, fps as printed; counts: by COUNTERS; ablation: counts by
-    ABLATIONS, empty where the paper has none; true: fruit, None where nobody counted."""
+    ABLATIONS, empty if the paper has none; true: fruit, None if not counted."""
 
     ssim: tuple[float, ...]
     psnr: tuple[float, ...]

@@ -1,4 +1,4 @@
-"""The paper's tables in its layout, beside the figures it printed where a scene has its name."""
+"""The paper's tables in its layout, with the printed figures for scenes of the same name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NO_GPU = "GPU not measured: no GPU"
 
 
 def reconstruction_table(scenes: Sequence[SceneTables]) -> str:
-    """Markdown: four lines a scene, as the paper's table of reconstruction; its own columns follow in brackets."""
+    """Markdown: four lines per scene, as in the paper's table of reconstruction; its own columns follow in brackets."""
     printed = [scene for scene in scenes if scene.name in PRINTED]
     head = ["scene", "metric", *VARIANTS, *((f"[{method}]" for method in METHODS) if printed else ())]
     lines = [head]
@@ -37,12 +37,12 @@ def reconstruction_table(scenes: Sequence[SceneTables]) -> str:
 
 
 def count_table(scenes: Sequence[SceneTables]) -> str:
-    """Markdown: counted (share of the true number, F1 at half a diameter), a line a scene."""
+    """Markdown: counted (share of the true number, F1 at half a diameter), one line per scene."""
     return _counted(scenes, "counts", COUNTERS)
 
 
 def ablation_table(scenes: Sequence[SceneTables]) -> str:
-    """Markdown: counts with language, without, and with FruitNeRF's field in its place."""
+    """Markdown: counts with language, without, and with FruitNeRF's field instead."""
     return _counted(scenes, "ablation", ABLATIONS)
 
 

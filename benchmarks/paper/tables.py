@@ -29,7 +29,7 @@ from ..orchards import TRUTH, read_origin
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What of the paper a training has; tiles are handed out by load in all of them, which changes no picture."""
+    """The paper's parts in a training; all of them schedule tiles by load, which does not change the picture."""
 
     pair_alpha: float = 1.0
     drop_unneeded: float = 0.0
@@ -46,19 +46,19 @@ VARIANTS: Mapping[str, Variant] = {
     "eq. 4": Variant(load_weight=_LOAD),
     "eq. 3 + 4": Variant(pair_alpha=_TAU, drop_unneeded=_DROPPED, load_weight=_LOAD),
 }
-"""Trainings by name: as in 3DGS, with the paper's pruning of pairs and Gaussians, with its load term, with both."""
+"""Trainings by name: as 3DGS, with the paper's pruning of pairs and Gaussians, with its load term, with both."""
 OURS = "eq. 3 + 4"
 CLOUD, IMPORTED = "nerf.ply", "3dgs.ply"
-"""Reconstructions of other programs that a scene's folder may hold, in the frame of its cameras."""
+"""Reconstructions of other programs that a scene's folder may contain, in the frame of its cameras."""
 LEAST_OPACITY, LARGEST, LEAST_HEIGHT = 0.1, 0.02, 0.03
-"""Without language a Gaussian passes from this opacity on, up to this size and from this height above the ground, the
+"""Without language a Gaussian passes above this opacity, up to this size and above this height over the ground, the
 last two as shares of the extent."""
 SPEED_VIEWS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """A reconstruction: SSIM and PSNR (dB) of the photos kept aside, frames a second on this machine's processor."""
+    """A reconstruction: SSIM and PSNR (dB) of held-out photos, frames per second on this computer's processor."""
 
     ssim: float | None
     psnr: float | None
@@ -67,8 +67,8 @@ class Quality:
 
 @dataclass(frozen=True, kw_only=True)
 class Tally:
-    """A count beside the true one. f1: at half a diameter, where there is a truth; note: why there is no count, or what
-    it was made from."""
+    """A count and the true one. f1: at half a diameter, if there is a truth; note: why there is no count, or its
+    source."""
 
     counted: int | None = None
     true: int | None = None
@@ -78,7 +78,7 @@ class Tally:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneTables:
-    """One scene's rows of the three tables, by the names of their columns."""
+    """The rows of one scene in the three tables, by the names of their columns."""
 
     name: str
     reconstruction: Mapping[str, Quality] = field(default_factory=dict)
@@ -98,9 +98,9 @@ def measure_tables(
     report: Callable[[str], None] = lambda _: None,
     progress: Progress = silent,
 ) -> SceneTables:
-    """Run every row of the tables on one scene; trainings and counts are kept in `out` and reused.
+    """Compute every row of the tables for one scene; trainings and counts are cached in `out`.
 
-    prompts: what to count; the scene's own species when not given.
+    prompts: what to count; the species of the scene if not given.
 
     Raises:
         FruitLangsError: the scene cannot be read or counted, or nothing says what to count.
@@ -144,7 +144,7 @@ def _quality(result: Result) -> Quality:
 
 
 def frames_per_second(result: Result) -> float:
-    """How fast the photos' views are drawn here: the median over views, after one that warms up."""
+    """Rendering speed of the photos' views: the median over views, after one to warm up."""
     seconds = []
     for camera in [result.scene.cameras[0], *result.scene.cameras[:SPEED_VIEWS]]:
         start = time.perf_counter()
@@ -171,7 +171,7 @@ def _not_measured(error: FruitLangsError) -> Tally:
 def _from_cloud(
     folder: Path, scene: Scene, prompts: Sequence[str], out: Path, config: Config, truth: Truth | None
 ) -> Tally:
-    """A count in a coloured point cloud: NeRF's where the folder holds one, else one of true depths where these are."""
+    """A count in a coloured point cloud: a NeRF's if the folder has one, else one of true depths if there are any."""
     cloud, note = folder / CLOUD, ""
     if not cloud.is_file():
         cloud, note = out / "true_depths.ply", "points of true depths in NeRF's place"
@@ -185,10 +185,10 @@ def _from_cloud(
 
 
 def passes_without_language(gaussians: Gaussians, scene: Scene) -> torch.Tensor:
-    """(N,) 1 for every Gaussian that survives cuts of opacity, size, ground and surroundings, else 0.
+    """(N,) 1 for every Gaussian that passes cuts of opacity, size, ground and surroundings, else 0.
 
-    Ground is what lies below LEAST_HEIGHT of the extent above the lowest twentieth of what the cameras stand around;
-    surroundings and sky are what lies farther from the cameras' middle than the cameras.
+    Ground is everything below LEAST_HEIGHT of the extent above the lowest twentieth of what the cameras surround;
+    surroundings and sky are everything farther from the cameras' middle than the cameras.
     """
     means = gaussians.means.double().numpy()
     heights, away = means @ scene.up, np.linalg.norm(means - scene.middle, axis=1)

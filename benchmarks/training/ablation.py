@@ -1,4 +1,4 @@
-"""What each part of the trainer gains: the standard training with one part changed at a time."""
+"""The value of each part of the trainer: the standard training with one part changed at a time."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Ablation:
-    """One training: seconds of it, and of all processors together, which other programs disturb less; held-out PSNR in
-    dB and SSIM, Gaussians in the end; load: Gaussians that a pixel blends (the paper's ℓ) in the photos kept aside, and
-    unevenness: the standard deviation of that over its mean, which eq. 4 lowers."""
+    """One training: its seconds, and those of all processors together, which depend less on other programs; held-out
+    PSNR in dB and SSIM, final number of Gaussians; load: Gaussians that a pixel blends (the paper's ℓ) in held-out
+    photos, and unevenness: the standard deviation of that over its mean, which eq. 4 lowers."""
 
     name: str
     seconds: float
@@ -108,7 +108,7 @@ def _update_all(
     sh_degree: int,
     drawn: NDArray[np.int32],
 ) -> None:
-    """Move all Gaussians at every step, those out of sight by their momentum."""
+    """Update all Gaussians at every step, those out of view by their momentum."""
     for name in parameters.values:
         gradients[name][drawn == 0] = 0.0
     _sparse_update(parameters, gradients, rates, sh_degree, np.ones_like(drawn))
@@ -123,7 +123,7 @@ def _backward_by_autograd(
     *,
     key: Hashable | None = None,
 ) -> float:
-    """The loss and its gradient as the peer takes them, where no mask is: SSIM anew, by convolutions and autograd."""
+    """The loss and its gradient as in the baseline, without a mask: SSIM computed by convolutions and autograd."""
     if mask is not None:
         return _fused_backward(loss, image, photo, mask, gradient, key=key)
     color = torch.from_numpy(image).permute(1, 2, 0).clone().requires_grad_()
@@ -139,4 +139,4 @@ _REPLACED: dict[str, tuple[type, str, Callable[..., Any]]] = {
     DENSE_ADAM: (Parameters, "update", _update_all),
     AUTOGRAD_LOSS: (PhotometricLoss, "backward", _backward_by_autograd),
 }
-"""The variants that are no settings: whose method each of them replaces, and by what."""
+"""The variants that are not settings: the method that each of them replaces, and its replacement."""

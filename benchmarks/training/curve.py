@@ -12,12 +12,12 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.training.train import train
 
 CHECKS = 20
-"""About how many measurements on the way, at steps that training tells of: every twentieth."""
+"""Approximate number of measurements, at steps that training reports: every twentieth."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """seconds: spent training up to each measurement, without what measuring took; psnr: held-out, dB."""
+    """seconds: of training up to each measurement, without those of measuring; psnr: held-out, dB."""
 
     scene: str
     steps: int
@@ -44,7 +44,7 @@ def training_curve(
     def watch(fraction: float, message: str) -> None:
         nonlocal away, last_step
         now = time.perf_counter()
-        if "held-out PSNR" in message:  # what has passed since the last step was measuring
+        if "held-out PSNR" in message:  # the time since the last step was spent on measuring
             seconds.append(last_step - begun - away)
             away += now - last_step
         last_step = now

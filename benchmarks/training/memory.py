@@ -1,4 +1,4 @@
-"""How much memory training takes."""
+"""Memory of training."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .step_times import SH_DEGREE, ahead, orchard_like
 
 
 def peak_bytes() -> int:
-    """The most memory that this process has held."""
+    """The peak memory of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def training_peak(gaussians: int, views: int, width: int, height: int) -> tuple[int, int]:
-    """Bytes that a training had at its peak after one round and its three densifications, and the estimate of it.
+    """Peak bytes of a training after one round and its three densifications, and the estimate of it.
 
-    Call it in a process of its own: the peak is that of the process.
+    Call it in a separate process: the peak is that of the process.
     """
     camera = ahead(width, height)
     random = np.random.default_rng(0)

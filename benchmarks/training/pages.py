@@ -1,4 +1,4 @@
-"""Tables and plots of what was measured."""
+"""Tables and plots of the measurements of training."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from .step_times import FORWARD_AND_BACKWARD, STAGES, STEP, Row
 
 
 def stage_table(rows: Sequence[Row]) -> str:
-    """Markdown: one line a setting, milliseconds by stage, and how many times longer the peer takes for the sums."""
+    """Markdown: one line per setting, milliseconds by stage, and how many times longer the baseline takes for the
+    sums."""
     columns = (*STAGES, FORWARD_AND_BACKWARD, STEP)
     head = ["Gaussians", "image", "threads", *columns, f"peer {FORWARD_AND_BACKWARD}", "ratio", f"peer {STEP}", "ratio"]
     lines = []
@@ -38,7 +39,7 @@ def stage_table(rows: Sequence[Row]) -> str:
 
 
 def curve_table(curves: Sequence[Curve]) -> str:
-    """Markdown: what each training took and reached."""
+    """Markdown: time and quality of each training."""
     head = ["scene", "steps", "Gaussians", "seconds", "held-out PSNR / dB"]
     lines = []
     for curve in curves:
@@ -48,7 +49,7 @@ def curve_table(curves: Sequence[Curve]) -> str:
 
 
 def ablation_table(rows: Sequence[Ablation]) -> str:
-    """Markdown: seconds and held-out quality of each variant; the first row is what the others are compared with."""
+    """Markdown: seconds and held-out quality of each variant; the others are compared with the first row."""
     head = ["changed", "seconds", "CPU seconds", "CPU speed", "held-out PSNR / dB", "gain / dB", "SSIM", "Gaussians"]
     head += ["ℓ", "std(ℓ) / ℓ"]
     lines = []
@@ -61,7 +62,7 @@ def ablation_table(rows: Sequence[Ablation]) -> str:
 
 
 def published_table(rows: Sequence[Trained]) -> str:
-    """Markdown: 3DGS as published beside ours, on a scene small enough for the plain rasteriser."""
+    """Markdown: 3DGS as published compared with ours, on a scene small enough for the plain rasteriser."""
     head = ["training", "steps", "seconds", "Gaussians", "held-out PSNR / dB", "SSIM"]
     lines = []
     for row in rows:
@@ -71,7 +72,7 @@ def published_table(rows: Sequence[Trained]) -> str:
 
 
 def watched_table(title: str, rows: Sequence[Stage]) -> str:
-    """Markdown: one line a stage of each road, in the order in which they are begun."""
+    """Markdown: one line per stage of each pipeline, in the order in which they start."""
     head = ["of", "stage", "times", "seconds", "seconds each", "memory at most / MB"]
     lines = []
     for row in rows:
@@ -91,7 +92,7 @@ def _milliseconds(seconds: float | None) -> str:
 
 
 def draw_stages(rows: Sequence[Row], path: Path) -> None:
-    """Bars of a step's stages by setting, and the peer's ratio above each."""
+    """Bars of the stages of a step by setting, with the baseline's ratio above each."""
     from matplotlib.figure import Figure
 
     settings = list(dict.fromkeys((row.gaussians, row.width, row.height, row.threads) for row in rows))

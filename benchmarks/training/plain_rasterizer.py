@@ -1,8 +1,8 @@
-"""A 3DGS rasteriser as one writes it in PyTorch without kernels: what `scripts/benchmark.py` is compared with.
+"""A 3DGS rasteriser in plain PyTorch without kernels, the baseline of `scripts/benchmark.py`.
 
 float32, autograd, vectorised over Gaussians and over the pixels of a tile; a loop over tiles. The steps and constants
 are those of 3DGS (Kerbl et al. 2023): boxes of three standard deviations, one sort of (tile, depth) pairs, α below
-1/255 dropped and above 0.99 held, torch's convolution for SSIM, `torch.optim.Adam` over all parameters.
+1/255 dropped and limited to 0.99, torch's convolution for SSIM, `torch.optim.Adam` over all parameters.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class View:
 @dataclass(frozen=True, eq=False)
 class Splats:
     """Projected Gaussians: means (N, 2) px, conics (N, 3) as xx, xy, yy, opacities (N,), colors (N, 3), depths (N,),
-    radii (N,) px, 0 where not in front of the camera."""
+    radii (N,) px, 0 if not in front of the camera."""
 
     means: Tensor
     conics: Tensor
@@ -112,7 +112,7 @@ def project(parameters: Mapping[str, Tensor], view: View) -> Splats:
 
 @torch.no_grad()
 def tile_lists(splats: Splats, width: int, height: int) -> tuple[Tensor, list[int]]:
-    """Gaussians of all tiles, tile by tile and nearest first, and how many each tile has."""
+    """Gaussians of all tiles, tile by tile and nearest first, and the number of each tile."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     low = ((splats.means - splats.radii[:, None]) / TILE).floor().long()
     high = ((splats.means + splats.radii[:, None]) / TILE).floor().long() + 1
@@ -170,5 +170,5 @@ def loss(color: Tensor, photo: Tensor, ssim_weight: float = 0.2) -> Tensor:
 
 
 def bytes_needed(pairs: int) -> int:
-    """About how much memory autograd keeps for this many pairs: ten tables of a float for every pixel of a tile."""
+    """Approximate memory of autograd for this many pairs: ten tables of one float per pixel of a tile."""
     return 10 * 4 * TILE * TILE * pairs

@@ -1,7 +1,7 @@
-"""3DGS with its published settings, trained through the plain rasteriser: the quality that ours must not fall below.
+"""3DGS with its published settings, trained with the plain rasteriser, as a lower bound for our quality.
 
-Kerbl et al. 2023: learning rates, densification and the reset of opacities as in the authors' code (7,000 steps are the
-shorter of their two trainings). What the plain rasteriser cannot afford is a large scene: one is made tiny.
+Kerbl et al. 2023: learning rates, densification and opacity resets as in the authors' code (7,000 steps, the shorter of
+their two trainings). The plain rasteriser cannot afford a large scene: one is scaled down.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from . import plain_rasterizer
 
 STEPS = 7_000
 LONGEST = 30_000
-"""Steps over which the rate of the means falls, and to whose half Gaussians come and go."""
+"""Steps over which the rate of the means falls; densification ends at half of them."""
 MEANS_RATE, LAST_MEANS_RATE = 1.6e-4, 1.6e-6
 RATES = {"log_scales": 5e-3, "quats": 1e-3, "opacity_logits": 5e-2, "sh": 2.5e-3, "sh_rest": 2.5e-3 / 20}
 DEGREE, DEGREE_EVERY = 3, 1000
@@ -41,7 +41,7 @@ DENSIFY_FROM, DENSIFY_EVERY, GRADIENT, SMALL = 500, 100, 2e-4, 0.01
 FAINT, RESET_EVERY, RESET_TO, LARGE, LARGE_PIXELS = 0.005, 3000, 0.01, 0.1, 20
 
 DOWNSCALE, GAUSSIANS = 4.0, 3000
-"""Of the tiny scene."""
+"""Settings of the small scene."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def compare_with_published(
     downscale: float = DOWNSCALE,
     progress: Progress = silent,
 ) -> list[Trained]:
-    """Train one tiny scene as published, then ours, to as many Gaussians as the first has in the end.
+    """Train one small scene as published, then with ours, to the same final number of Gaussians.
 
-    steps: of the first and of the last, 7,000 where not given; between them the standard's.
+    steps: of the first and of the last, 7,000 if not given; between them the standard's.
     """
     steps = steps or STEPS
     scene = read_scene(scene_folder, SceneConfig(downscale=downscale))
@@ -104,11 +104,11 @@ def train_published(
 
 
 class _Model:
-    """Parameters, torch's Adam over them, and what densification remembers.
+    """Parameters, torch's Adam over them, and the statistics of densification.
 
     values: as in `Gaussians`, but with the harmonics in two: sh (N, 1, 3) and sh_rest (N, 15, 3). Since the last
-    densification: pulls (N,) lengths of the projected means' gradients in half-images; counts (N,) views that drew
-    them; widest (N,) px.
+    densification: mean_gradients (N,) lengths of the gradients of projected means in half-images; counts (N,) views
+    that rendered them; widest (N,) px.
     """
 
     mean_gradients: Tensor
@@ -138,7 +138,7 @@ class _Model:
         return len(self.values["means"])
 
     def step(self, step: int, camera: Camera, photo: Tensor) -> None:
-        """Draw, compare, move; come and go when it is time."""
+        """Render, compare, update; densify and prune when due."""
         falls = (LAST_MEANS_RATE / MEANS_RATE) ** (step / LONGEST)
         self.adam.param_groups[0]["lr"] = MEANS_RATE * self.extent * falls
         splats, color = self._draw(camera, min(step // DEGREE_EVERY, DEGREE))
@@ -204,7 +204,7 @@ class _Model:
         self._forget()
 
     def _replace(self, name: str, value: Tensor, change: Callable[[Tensor], Tensor]) -> None:
-        """Another tensor in a parameter's place; `change` makes its moments from the old ones."""
+        """Replace a parameter's tensor; `change` makes its moments from the old ones."""
         group = next(group for group in self.adam.param_groups if group["name"] == name)
         state = self.adam.state.pop(self.values[name], None)
         self.values[name] = value.clone().requires_grad_()

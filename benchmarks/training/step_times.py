@@ -1,4 +1,4 @@
-"""Seconds of every stage of a training step, ours and those of a rasteriser in plain PyTorch, in one run."""
+"""Time of every stage of a training step, for ours and for a rasteriser in plain PyTorch, in one run."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ DRAWING = STAGES[:4]
 FORWARD_AND_BACKWARD, STEP = "forward+backward", "step"
 SH_DEGREE = 3
 RATES = Rates(means=1e-6, log_scales=1e-6, quats=1e-6, opacity_logits=1e-6, sh=1e-6, sh_rest=1e-6)
-"""Too small to change what is measured."""
+"""Too small to affect the measurement."""
 _config: Any = numba.config  # its attributes appear at run time
 MOST_THREADS: int = _config.NUMBA_NUM_THREADS
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured: Gaussians with harmonics of degree 3, the size of the image in pixels, threads."""
+    """A configuration: Gaussians with harmonics of degree 3, the size of the image in pixels, threads."""
 
     gaussians: int
     width: int
@@ -50,7 +50,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Row:
-    """A stage's median seconds, the peer's, and how many times longer the peer takes; None where it was not run."""
+    """The median seconds of a stage, those of the baseline, and their ratio; None if it was not run."""
 
     stage: str
     gaussians: int
@@ -65,8 +65,8 @@ class Row:
 def orchard_like(n: int, seed: int = 0) -> Gaussians:
     """n Gaussians spread as in a trained orchard: a crown with flat leaves, the ground, and a far dome.
 
-    Sizes fall with n^-½ in the crown, as a surface is shared among more of them; a trained sample has the same mean
-    number of tiles a Gaussian.
+    Sizes fall with n^-½ in the crown, because more Gaussians share a surface; a trained sample has the same mean number
+    of tiles per Gaussian.
     """
     random = np.random.default_rng([seed, n])
     crown, ground = int(0.75 * n), int(0.2 * n)
@@ -111,8 +111,8 @@ def measure(
 ) -> list[Row]:
     """Rows of all stages, and of forward+backward and the whole step, for every setting.
 
-    The peer runs once to warm up and then twice; where its tables would need more than `baseline_memory` bytes it
-    is left out.
+    The baseline runs once to warm up and then twice; if its tables would need more than `baseline_memory` bytes, it is
+    left out.
 
     Raises:
         ConfigError: a setting asks for more threads than there are.
@@ -160,7 +160,7 @@ def _threads(n: int) -> Iterator[None]:
 
 
 class _Watch:
-    """Seconds by stage, a list for every repeat."""
+    """Seconds by stage, one list entry per repeat."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = {stage: [] for stage in STAGES}

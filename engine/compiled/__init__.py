@@ -1,1 +1,1 @@
-"""Numba's set-up, and the vector type and thread blocks that every kernel shares."""
+"""Numba's configuration, and the vector type and thread blocks that all kernels share."""

@@ -1,12 +1,8 @@
-"""The one place that sets up Numba: where machine code is cached, which threads run it, how it is compiled.
+"""The configuration of Numba: cache of machine code, threads, compiler options.
 
 Kernel files write `from ...compiled.jit import kernel, njit, prange`; nothing else imports numba's decorators.
 
-- Machine code is cached in the user's cache folder, under a name that holds a hash of every source file that compiles
-  kernels: Numba itself does not notice when a function that a cached one calls has changed. Where that folder cannot be
-  written, kernels are compiled anew in each process.
-- Numba's `workqueue` threads abort the process when two Python threads run kernels at once. `omp` or `tbb` are asked
-  for, and while neither is known to be in charge, `kernel` lets one parallel kernel run at a time.
+- Machine code is cached in the user's cache folder, under a name that holds a hash of every source file that compiles kernels: Numba itself does not notice when a function that a cached one calls has changed. Where that folder cannot be written, kernels are compiled again in each process. - Numba's `workqueue` threads abort the process when two Python threads run kernels at once. `omp` or `tbb` are requested, and until one of them is known to be active, `kernel` runs one parallel kernel at a time.
 """
 
 from __future__ import annotations
@@ -57,7 +53,7 @@ def _cache_folder() -> Path | None:
 _COMPLETE = "complete"
 """Name of the file in the cache that records that all kernels have been compiled."""
 CACHE_FOLDER: Path | None = _cache_folder()
-"""Where machine code is kept between runs; None when no place for it can be written."""
+"""Folder of machine code between runs; None if no folder can be written."""
 
 
 def all_compiled() -> bool:
@@ -73,7 +69,7 @@ def mark_compiled() -> None:
 
 @contextmanager
 def _cached_in_our_folder() -> Iterator[None]:
-    """Point Numba at our folder while a function is declared; other users of Numba in the process keep theirs."""
+    """Use our cache folder while a function is declared; other users of Numba in the process keep theirs."""
     before = _config.CACHE_DIR
     _config.CACHE_DIR = str(CACHE_FOLDER) if CACHE_FOLDER is not None else before
     try:
@@ -83,7 +79,7 @@ def _cached_in_our_folder() -> Iterator[None]:
 
 
 def _prefer_safe_threads() -> None:
-    """Ask for OpenMP or TBB unless the user asked for a layer or one runs already."""
+    """Request OpenMP or TBB unless the user chose a layer or one runs already."""
     if _config.THREADING_LAYER != "default":
         return
     for layer, module in (("omp", "omppool"), ("tbb", "tbbpool")):
@@ -107,13 +103,13 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         "error_model": "numpy",
         "nogil": True,
         "cache": CACHE_FOLDER is not None,
-        # Whether LLVM inlines a callee must not depend on whether it comes from the cache: sums would round otherwise.
+        # Whether LLVM inlines a callee must not depend on whether it comes from the cache: rounding would differ.
         "forceinline": not options.get("parallel", False),
     }
     with _cached_in_our_folder():
         try:
             return numba.njit(**(defaults | options))(function)
-        except RuntimeError:  # Numba finds no file behind the function: it came from a zip or a console
+        except RuntimeError:  # Numba finds no file of the function: it came from a zip or a console
             return numba.njit(**(defaults | options | {"cache": False}))(function)
 
 
@@ -144,5 +140,5 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def threads() -> int:
-    """How many threads parallel kernels use."""
+    """Number of threads of parallel kernels."""
     return int(numba.get_num_threads())

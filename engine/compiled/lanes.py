@@ -1,4 +1,4 @@
-"""`<LANES x float>` in Numba: what lets a kernel ask whether any of a row's pixels needs it.
+"""`<LANES x float>` in Numba: lets a kernel test whether any pixel of a row needs a computation.
 
 Two types live here: lanes (LANES float32 values) and masks (LANES truth values). Kernels read and write lanes from flat
 float32 arrays with `load` and `store`, compute with + - * /, compare with `at_least`, and choose with `select`.
@@ -25,7 +25,7 @@ _INT = ir.VectorType(ir.IntType(32), LANES)
 _FAST = ("fast",)
 
 intrinsic: Any = extending.intrinsic
-"""Numba's, whose callers pass no typing context: more than a type checker can follow."""
+"""Numba's builder functions, whose callers pass no typing context, which a type checker cannot follow."""
 
 
 class LanesType(types.Type):
@@ -206,7 +206,7 @@ def at_most(typing_context, value, limit):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def total(typing_context, value):  # type: ignore[no-untyped-def]
-    """Sum of all lanes, always added in the same order: halves onto halves."""
+    """Sum of all lanes, always added in the same order: halves to halves."""
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         value, width = arguments[0], LANES
@@ -231,7 +231,7 @@ def _halves(width: int, high: bool) -> ir.Constant:
 
 
 def _all_totals(builder: ir.IRBuilder, vectors: list[ir.Value]) -> ir.Value:
-    """LANES vectors → one of their sums. Two are folded into one at a time, halves onto halves as in `total`."""
+    """LANES vectors → one of their sums. Two are reduced to one at a time, halves to halves as in `total`."""
     width = LANES
     while width > 1:
         low, high = _halves(width, False), _halves(width, True)
@@ -291,7 +291,7 @@ def exp2(typing_context, value):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def prefetch(typing_context, array, index):  # type: ignore[no-untyped-def]
-    """Ask the memory for the cache line at `index` of a flat array."""
+    """Prefetch the cache line at `index` of a flat array."""
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         pointer = _pointer(context, builder, signature.args[0], arguments[0], signature.args[1], arguments[1])
@@ -308,7 +308,7 @@ def prefetch(typing_context, array, index):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def take(typing_context, counter):  # type: ignore[no-untyped-def]
-    """Hand out 0, 1, 2, … from an int64 array of one element, each number to one thread only."""
+    """Give out 0, 1, 2, … from an int64 array of one element, each number to one thread only."""
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data

@@ -1,8 +1,8 @@
 """`fruits.json`: the file other programs rely on, written last and checked when it is read.
 
-Its `files` hold the SHA-256 of every other file of the set, so a torn set is noticed. `scene.blend` is not a
-function of its input (Blender writes memory addresses), so it carries `set_id` as a scene property instead and stands
-in `unhashed_files`.
+Its `files` hold the SHA-256 of every other file of the set, so an incomplete set is detected. `scene.blend` is not a
+function of its input (Blender writes memory addresses), so it has `set_id` as a scene property instead and is listed in
+`unhashed_files`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCHEMA = "fruitlangs.fruits/1"
 FRUITS_JSON = "fruits.json"
 BLEND = "scene.blend"
 CACHE, SOURCE = "cache", "source.txt"
-"""The folder of a result that stays on this computer, and the file in it that holds the path of the source."""
+"""The folder of a result that stays on this computer, and the file in it that contains the path of the source."""
 
 _NUMBER = (int, float)
 _FIELDS: dict[str, dict[str, Any]] = {
@@ -38,11 +38,11 @@ _FIELDS: dict[str, dict[str, Any]] = {
     "fruit": {"id": int, "label": str, "center": list, "diameter": _NUMBER},
     "earlier fruit": {"id": int, "center": list, "diameter": _NUMBER},
 }
-"""What a reader relies on: {part: {field: its type}}."""
+"""The fields that readers rely on: {part: {field: its type}}."""
 
 
 def set_id(files: Mapping[str, str]) -> str:
-    """One short name of a set of result files: a hash of the hashes, given as {file name: SHA-256}."""
+    """A short name of a set of result files: a hash of the hashes, given as {file name: SHA-256}."""
     return text_hash(*(f"{name} {files[name]}" for name in sorted(files)))[:16]
 
 
@@ -58,9 +58,9 @@ def fruits_document(
 ) -> dict[str, Any]:
     """The content of fruits.json.
 
-    Lengths are metres when metres_per_unit is known, else scene units; centres are always in the input scene's frame.
+    Lengths are metres if metres_per_unit is known, else scene units; centres are always in the input scene's frame.
     unhashed_files: names of the set's files that are not in `files`; known: fruit that earlier counts of the scene
-    numbered, of which those that this one did not find are kept for the next.
+    numbered, those that this count did not find are kept for the next.
     """
     unit_name, unit = file_unit(metres_per_unit)
     return {
@@ -109,7 +109,7 @@ def _fruit_entry(fruit: Fruit, unit: float) -> dict[str, Any]:
 
 
 def _earlier_entries(known: KnownFruit, found: Collection[int], unit: float) -> list[dict[str, Any]]:
-    """The known fruit whose ids are not among those `found`, by rising id."""
+    """The known fruit whose ids are not among those `found`, by ascending id."""
     return [
         {
             "id": int(known.ids[index]),
@@ -150,7 +150,7 @@ def dump(document: Mapping[str, Any]) -> str:
 
 
 def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
-    """Read a result folder's fruits.json and, with `verify`, check that the files beside it are of the same set.
+    """Read a result folder's fruits.json and, with `verify`, check that the other files belong to the same set.
 
     Raises:
         OutputError: there is no fruits.json, or a file of the set is missing or belongs to another run.
@@ -184,8 +184,8 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
 
 
 def near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDArray[np.int32]:
-    """(N,) the id of the fruit of fruits.json that each of the means (N, 3) lies in or near, -1 none: its members in
-    results that do not say which they are."""
+    """(N,) the id of the fruit in or near which each of the means (N, 3) lies, -1 for none: its members in results that
+    do not store them."""
     entries = document["fruits"]
     centers = np.array([entry["center"] for entry in entries], np.float64).reshape(-1, 3)
     diameters = np.array([entry["diameter"] for entry in entries], np.float64) / (document["metres_per_unit"] or 1.0)
@@ -194,7 +194,7 @@ def near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDA
 
 
 def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> FruitCount:
-    """The count that fruits.json holds, without its sampled points. member_ids: (N,) the fruit of each Gaussian."""
+    """The count in fruits.json, without its sampled points. member_ids: (N,) the fruit of each Gaussian."""
     unit = document["metres_per_unit"] or 1.0
     fruits = [
         Fruit(
@@ -222,7 +222,7 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
             Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_intervals(entry))
             for entry in document["trees"]
         ],
-        likely=document.get("likely"),  # results before it was written have none
+        likely=document.get("likely"),  # results of earlier versions have none
         **_stored_intervals(document),
     )
 
@@ -234,20 +234,20 @@ def _stored_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
 
 
 def _stored_intervals(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The intervals as `_intervals` wrote them; JSON has lists for tuples."""
+    """The intervals written by `_intervals`; JSON has lists instead of tuples."""
     pairs = {name: entry[name] and tuple(entry[name]) for name in ("interval", "total_interval")}
     return {**pairs, "total": entry["total"]}
 
 
 def keep_source(folder: Path, source: Path) -> None:
-    """Record where the source of a result is, in its cache: fruits.json is passed on, and holds the name alone."""
+    """Record the path of a result's source in its cache: fruits.json is passed on and contains the name only."""
     write_text(folder / CACHE / SOURCE, str(source.resolve()))
 
 
 def source_of(folder: Path, document: Mapping[str, Any]) -> Path:
-    """Where the source of the result in `folder` is: as `keep_source` recorded it, else next to the folder.
+    """The path of the source of the result in `folder`: from `keep_source`, else next to the folder.
 
-    Results of version 0.1 hold its absolute path themselves.
+    Results of version 0.1 contain its absolute path themselves.
     """
     stored = Path(document["provenance"]["source"])
     if stored.is_absolute():
@@ -259,7 +259,7 @@ def source_of(folder: Path, document: Mapping[str, Any]) -> Path:
 
 
 def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:
-    """The fruit that earlier counts of the same inputs in `folder` numbered; none where there is no such count."""
+    """The fruit that earlier counts of the same inputs in `folder` numbered; none without such a count."""
     try:
         document = read_results(folder, verify=False)
     except FruitLangsError:

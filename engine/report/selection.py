@@ -1,4 +1,4 @@
-"""`selection.safetensors`: what a count says of every Gaussian, in the order of gaussians.ply."""
+"""`selection.safetensors`: probability and fruit of every Gaussian, in the order of gaussians.ply."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ FORMAT = "fruitlangs-selection-1"
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """probability: (N,) float32 that a Gaussian belongs to the prompt; fruit_ids: (N,) int32 id of the fruit that it is
-    a member of, -1 none."""
+    """probability: (N,) float32 that a Gaussian matches the prompt; fruit_ids: (N,) int32 id of its fruit, -1 for
+    none."""
 
     probability: Tensor
     fruit_ids: NDArray[np.int32]
 
 
 def write_selection(path: Path, probability: Tensor, fruit_count: FruitCount, origin: Mapping[str, Any]) -> None:
-    """Write the tensors `probability` and `fruit_id`, (N,) each, atomically; the header names the words of `origin`.
+    """Write the tensors `probability` and `fruit_id`, (N,) each, atomically; the header contains the words of `origin`.
 
     Raises:
         OutputError: the file cannot be written.
@@ -46,7 +46,7 @@ def write_selection(path: Path, probability: Tensor, fruit_count: FruitCount, or
 
 
 def read_selection(path: Path) -> Selection:
-    """Read what `write_selection` wrote.
+    """Read a file written by `write_selection`.
 
     Raises:
         FormatError: the file is missing, damaged or something else.

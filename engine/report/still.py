@@ -28,13 +28,13 @@ FloatArray = NDArray[np.float64]
 _PAPER = (255, 255, 255)
 _INK = (32, 36, 40)
 _FINE = 2
-"""Pixels of the drawing's overlay across one of the picture: smooth lines."""
+"""Pixels of the overlay per pixel of the picture, for smooth lines."""
 _DASH = 9.0
 """Pixels of a dash, in a picture 1,000 high; a gap is as long."""
 _FADED = 150
-"""How opaque (of 255) hidden fruit's outlines are."""
+"""Opacity (of 255) of the outlines of hidden fruit."""
 _BAR_SHARE = 0.22
-"""Most of the picture's width that the scale bar takes."""
+"""Largest share of the picture's width for the scale bar."""
 _JPEG_QUALITY = 85
 
 
@@ -47,11 +47,11 @@ def draw_still(
     title: str = "",
     progress: Progress = silent,
 ) -> Image.Image:
-    """What `camera` sees, fruit outlined and numbered by id, hidden ones fainter and dashed; RGB.
+    """The view of `camera` with fruit outlined and numbered by id, hidden ones fainter and dashed; RGB.
 
-    The picture has the camera's size, and with a `title` a band above it. White where nothing is drawn. Where the scale
-    is known a bar tells it at the depth of the fruit. A number for which there is no room is left out, and a line says
-    how many are.
+    The picture has the camera's size, and with a `title` a band above it. White where nothing is rendered. If the scale
+    is known, a bar shows it at the depth of the fruit. A number without a free place is left out, and a line says how
+    many are.
 
     Raises:
         SceneError: the camera has distortion.
@@ -88,7 +88,7 @@ def jpeg(picture: Image.Image) -> bytes:
 
 
 def _middle_depth(outlines: Sequence[Ellipse], fruits: Sequence[Fruit], camera: Camera) -> float | None:
-    """The depth at which the scale bar holds: the median of the outlined fruit, else of all before the camera."""
+    """The depth of the scale bar: the median of the outlined fruit, else of all fruit in front of the camera."""
     depths = [outline.depth for outline in outlines]
     if not depths:
         depths = [depth for fruit in fruits if (depth := float(camera.project(fruit.center)[1])) > 0.0]
@@ -99,7 +99,7 @@ def _titled(picture: Image.Image, title: str) -> Image.Image:
     """The picture below a white band with the title, as large as fits."""
     if not title:
         return picture
-    title = title.replace("–", "-")  # Pillow's own font has no dash
+    title = title.replace("–", "-")  # Pillow's own font has no en dash
     band, margin = round(0.075 * picture.height), round(0.02 * picture.height)
     size = 0.6 * band
     while size > 8 and ImageFont.load_default(size).getlength(title) > picture.width - 2 * margin:
@@ -111,9 +111,9 @@ def _titled(picture: Image.Image, title: str) -> Image.Image:
 
 
 class _Overlay:
-    """Lines and numbers, drawn larger than the picture and laid over it.
+    """Lines and numbers, drawn larger than the picture and then scaled down onto it.
 
-    All places are pixels of the picture; `unit` is a thousandth of its height.
+    All positions are pixels of the picture; `unit` is a thousandth of its height.
     """
 
     def __init__(self, picture: Image.Image) -> None:
@@ -162,7 +162,7 @@ class _Overlay:
             self._note(f"{len(ordered) - len(labels)} numbers left out for lack of space")
 
     def scale_bar(self, camera: Camera, depth: float | None, metres_per_unit: float | None) -> FloatArray:
-        """Draw it at the lower left; returns the (1, 4) box it takes, (0, 4) where there is none."""
+        """Draw it at the lower left; returns its (1, 4) box, (0, 4) if there is none."""
         if depth is None or metres_per_unit is None:
             return np.zeros((0, 4))
         unit, of_scene = length_unit(metres_per_unit)

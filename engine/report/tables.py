@@ -14,7 +14,7 @@ from .words import audit_reason, count_text, length_unit, location_text, nothing
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
-    """One row a fruit; the unit of every length stands in its column's name: mm and cm³ where the scale is known."""
+    """One row per fruit; the unit of every length is in the name of its column: mm and cm³ if the scale is known."""
     unit, volume_unit = ("units", "units3") if metres_per_unit is None else ("mm", "cm3")
     _, scale = length_unit(metres_per_unit)
     decimals = 6 if metres_per_unit is None else 2
@@ -40,7 +40,7 @@ def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str
 
 
 def _number(value: float, decimals: int) -> str:
-    """Empty where it is not known (NaN), as the deviation of a diameter that a person gave."""
+    """Empty if unknown (NaN), such as the deviation of a diameter that the user set."""
     return "" if math.isnan(value) else f"{value:.{decimals}f}"
 
 
@@ -53,9 +53,9 @@ def summary(
     seconds: Mapping[str, float],
     rows: int = 10,
 ) -> str:
-    """The table a person reads at the end of a run: the count, its sizes, its first fruit, and seconds by stage.
+    """The table printed at the end of a run: the count, its sizes, its first fruit, and seconds by stage.
 
-    threshold: the probability that was asked for, which explains a zero.
+    threshold: of the probability, which explains a count of 0.
     """
     lines = [f"{prompt}: {count_text(fruit_count)}"]
     if fruit_count.fruits:
@@ -75,7 +75,7 @@ def summary(
 
 
 def size_lines(fruit_count: FruitCount, metres_per_unit: float | None) -> list[str]:
-    """Two sentences about at least one fruit: how large they are, and of which kinds."""
+    """Two sentences about at least one fruit: sizes and kinds."""
     unit, scale = length_unit(metres_per_unit)
     mean = three_digits(scale * float(fruit_count.diameters.mean()))
     low, high = (three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
@@ -85,13 +85,13 @@ def size_lines(fruit_count: FruitCount, metres_per_unit: float | None) -> list[s
 
 
 def fruit_heads(metres_per_unit: float | None) -> list[str]:
-    """What `fruit_cells` are, with their units."""
+    """The headings of `fruit_cells`, with units."""
     unit, volume_unit = length_unit(metres_per_unit)[0], "cubed scene units" if metres_per_unit is None else "cm³"
     return [f"diameter ({unit})", f"volume ({volume_unit})", "probability", "visible"]
 
 
 def fruit_cells(fruit: Fruit, metres_per_unit: float | None) -> list[str]:
-    """A fruit's diameter (± its deviation where known), volume, probability and visible share, for people to read."""
+    """Diameter of a fruit (± its deviation if known), volume, probability and visible share as texts."""
     _, scale = length_unit(metres_per_unit)
     volume = fruit.volume * _volume_scale(metres_per_unit)
     size = three_digits(fruit.diameter * scale)
@@ -105,7 +105,7 @@ def _visible(fruit: Fruit) -> str:
 
 
 def _volume_scale(metres_per_unit: float | None) -> float:
-    """How many cm³ a cubed scene unit is; 1 where the scale is not known."""
+    """cm³ per cubed scene unit; 1 if the scale is unknown."""
     return 1.0 if metres_per_unit is None else (100.0 * metres_per_unit) ** 3
 
 

@@ -1,4 +1,4 @@
-"""What fruit are called, how long they are and how a zero is explained: the same in files, the terminal and Blender."""
+"""Names of fruit, lengths and reasons of a zero as texts: the same in files, the terminal and Blender."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 
 
 def object_name(fruit: Fruit) -> str:
-    """Name of a fruit's object in every format, for example `apple.001` or `red apple.001`."""
+    """Name of the object of a fruit in every format, for example `apple.001` or `red apple.001`."""
     return fruit_name(fruit.label, fruit.id)
 
 
@@ -19,12 +19,12 @@ def fruit_name(label: str, number: int) -> str:
 
 
 def place(entry: AuditEntry) -> tuple[float, float, float] | None:
-    """Centre of an audited cluster; None for an entry about many or none, whose centre is a bare (0, 0, 0)."""
+    """Centre of an audited cluster; None for an entry about many or none, whose centre is (0, 0, 0)."""
     return entry.center if any(entry.center) else None
 
 
 def audit_reason(entry: AuditEntry, metres_per_unit: float | None) -> str:
-    """Why a cluster became what it is, with the size of its fruit: 'one sphere, …; diameter 78.3 mm'."""
+    """The reason for a cluster's verdict, with the size of its fruit: 'one sphere, …; diameter 78.3 mm'."""
     if entry.diameter is None:
         return entry.reason
     unit, scale = length_unit(metres_per_unit)
@@ -35,7 +35,8 @@ def audit_reason(entry: AuditEntry, metres_per_unit: float | None) -> str:
 def count_text(fruit_count: FruitCount) -> str:
     """The count with its intervals: '114 visible fruit (90 % interval 105–122). About 121 with hidden fruit (108–140)'.
 
-    If the most likely number is another one than the count, it is given too, and why the interval starts at the count.
+    If the most likely number differs from the count, it is given too, with the reason why the interval starts at the
+    count.
     """
     count = f"{fruit_count.count} visible fruit"
     if fruit_count.interval is None or fruit_count.total is None or fruit_count.total_interval is None:
@@ -52,7 +53,7 @@ def count_text(fruit_count: FruitCount) -> str:
 
 
 def headline(fruit_count: FruitCount, prompt: str) -> str:
-    """The count over a picture: 'apple: 123 (90 % interval 115–133)'."""
+    """The count as a title: 'apple: 123 (90 % interval 115–133)'."""
     text = f"{prompt}: {fruit_count.count}"
     return text if fruit_count.interval is None else f"{text} ({_interval(fruit_count.interval)})"
 
@@ -62,7 +63,7 @@ def _interval(interval: tuple[int, int]) -> str:
 
 
 def location_text(fruit_count: FruitCount) -> list[str]:
-    """Where the counted fruit are, a sentence each: hanging or on the ground, and on which tree of the row."""
+    """Locations of the counted fruit, one sentence each: hanging or on the ground, and on which tree of the row."""
     hanging, fallen = fruit_count.hanging, fruit_count.fallen
     if hanging is None or fallen is None:
         lines = ["hanging or fallen: unknown, because no ground is visible"]
@@ -97,12 +98,12 @@ def nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: fl
 
 
 def length_unit(metres_per_unit: float | None) -> tuple[str, float]:
-    """The unit in which people read lengths, and how many of it a scene unit is: mm where the scale is known."""
+    """The unit of lengths for people, and how many of it a scene unit is: mm if the scale is known."""
     return ("scene units", 1.0) if metres_per_unit is None else ("mm", 1000.0 * metres_per_unit)
 
 
 def file_unit(metres_per_unit: float | None) -> tuple[str, float]:
-    """The unit of lengths in files for programs, and how many of it a scene unit is: m where the scale is known."""
+    """The unit of lengths in files for programs, and how many of it a scene unit is: m if the scale is known."""
     return ("scene units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
 
 
@@ -112,7 +113,7 @@ def three_digits(value: float) -> str:
 
 
 def scale_text(scale: Mapping[str, Any]) -> str:
-    """How the provenance's scale was found: '1 scene unit is 0.998 m ± 0.4 %, by the GPS tags of 60 photos'."""
+    """The provenance's scale as text: '1 scene unit is 0.998 m ± 0.4 %, by the GPS tags of 60 photos'."""
     metres, error = scale["metres_per_unit"], scale["standard_error"]
     spread = "" if error is None else f" ± {error / metres:.1%}".replace("%", " %")
     return f"1 scene unit is {three_digits(metres)} m{spread}, by {scale['of']}"

@@ -14,7 +14,7 @@ SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0]."""
 
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
-"""The tensors of `Gaussians`: what training moves."""
+"""The tensors of `Gaussians`, which training changes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,8 @@ class Gaussians:
 
     means: (N, 3) scene units; log_scales: (N, 3) natural logarithm of the standard deviations along the own axes;
     quats: (N, 4) rotation w, x, y, z, not necessarily unit; opacity_logits: (N,); sh: (N, K, 3) spherical harmonics of
-    sRGB colour, K = (degree + 1)². antialiased: they were trained to fade below a pixel's size, and are drawn so (see
-    `DrawRules`).
+    sRGB colour, K = (degree + 1)². antialiased: they were trained to fade below the size of a pixel, and are rendered
+    that way (see `DrawRules`).
     """
 
     means: Tensor
@@ -98,12 +98,12 @@ def round_gaussians(
 
 
 def harmonics_of(colors: NDArray[np.float64], degree: int = 0) -> Tensor:
-    """(N, (degree + 1)², 3) spherical harmonics of colours (N, 3), sRGB in [0, 1], that are alike from all sides."""
+    """(N, (degree + 1)², 3) spherical harmonics of view-independent colours (N, 3), sRGB in [0, 1]."""
     sh = torch.zeros(len(colors), (degree + 1) ** 2, 3)
     sh[:, 0] = torch.from_numpy((colors - 0.5) / SH_C0).float()
     return sh
 
 
 def logit(opacity: float) -> float:
-    """What the sigmoid turns into this opacity in (0, 1)."""
+    """The logit of this opacity in (0, 1)."""
     return math.log(opacity / (1.0 - opacity))

@@ -17,7 +17,7 @@ from .gaussians import Gaussians
 _GEOMETRY = ("x", "y", "z", "opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)))
 _BASE = tuple(f"f_dc_{k}" for k in range(3))
 ANTIALIASED = "antialiased: fade Gaussians below a pixel"
-"""Comment in the head of a file whose Gaussians were trained so."""
+"""Comment in the header of a file whose Gaussians were trained that way."""
 _REST_COUNTS = {3 * ((degree + 1) ** 2 - 1) for degree in range(4)}
 
 
@@ -30,7 +30,7 @@ def _properties(rest: int) -> list[str]:
 def write_ply(path: Path, gaussians: Gaussians) -> None:
     """Write binary little-endian `.ply`: log scales, opacity logits, quaternions w x y z, f_rest channel by channel.
 
-    The file is put in place when it is complete.
+    The file is written atomically.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -60,7 +60,8 @@ def read_ply(path: Path) -> Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class Vertices:
-    """The vertices of a `.ply`: table is a structured array with one named column a property; comments of its head."""
+    """The vertices of a `.ply`: table is a structured array with one named column per property; comments of its
+    header."""
 
     table: NDArray[np.void]
     comments: list[str]
@@ -74,12 +75,12 @@ class Vertices:
 
 
 def has_gaussians(vertices: Vertices) -> bool:
-    """Whether vertices carry what makes them Gaussians of 3DGS."""
+    """Whether vertices have the properties of 3DGS Gaussians."""
     return vertices.names >= {*_GEOMETRY, *_BASE}
 
 
 def gaussians_of(given: Vertices, path: Path) -> Gaussians:
-    """The Gaussians that vertices in the layout of 3DGS hold; `path` is named in errors.
+    """The Gaussians of vertices in the layout of 3DGS; `path` is named in errors.
 
     Raises:
         FormatError: they lack what makes them Gaussians, or hold a value that is not finite.
@@ -119,7 +120,7 @@ def read_vertices(path: Path) -> Vertices:
         FormatError: the file is missing, cut short, not a `.ply`, or has no vertices.
     """
     try:
-        data = PlyData.read(str(path))  # mapped: what it reads without a map it reads number by number
+        data = PlyData.read(str(path))  # memory-mapped: without it plyfile reads number by number
         element = data["vertex"]
     except FileNotFoundError as error:
         raise FormatError(f"{path} is not there. Give the .ply of a trained scene") from error

@@ -1,4 +1,5 @@
-"""Scenes with truth that counting is fitted on: simulated crowns, and rendered walks, trained and as they are."""
+"""Scenes with ground truth for fitting the numbers of counting: simulated crowns, and rendered trees, trained and with
+true surfaces."""
 
 from __future__ import annotations
 
@@ -35,10 +36,10 @@ from ..encoder.pictures import training_seeds
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Gaussians with a probability (N,) of being fruit, the cameras, and truth.
+    """Gaussians with a probability (N,) of being fruit, the cameras, and the truth.
 
-    kind: of scene; family: cases of which none is judged by what was fitted to another; shown: (M,) the true fruit of
-    which three views show a tenth.
+    kind: of scene; family: cases that are never judged by what was fitted to another of them; shown: (M,) the true
+    fruit of which three views show a tenth.
     """
 
     kind: str
@@ -51,13 +52,13 @@ class Case:
 
 
 def check_seed(first: int) -> None:
-    """Refuse to learn from what tests and tables are made of."""
+    """Refuse to learn from the seeds of tests and tables."""
     if first < FIRST_TRAINING_SEED:
         raise ConfigError(f"Seeds below {FIRST_TRAINING_SEED} are for tests and tables. Give a larger --first")
 
 
 def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Case]:
-    """A crown of every setting and seed."""
+    """One crown per setting and seed."""
     progress, todo = terminal_progress(), [(name, seed) for seed in seeds for name in settings]
     for place, (name, seed) in enumerate(todo):
         progress(place / len(todo), f"{name}, seed {seed}")
@@ -67,7 +68,7 @@ def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterat
 
 
 def rendered_cases(renders: Path) -> Iterator[Case]:
-    """Gaussians trained on rendered walks, with true masks and with the encoder of the package."""
+    """Gaussians trained on rendered trees, with true masks and with the package's encoder."""
     encoder = EmbeddedEncoder.open()
     for folder, scene, species, truth in _rendered_scenes(renders):
         gaussians = trained(folder)
@@ -81,7 +82,7 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
 
 
 def surface_cases(renders: Path) -> Iterator[Case]:
-    """The true surfaces of rendered walks as their views see them, with true masks."""
+    """The true surfaces of rendered trees as their views show them, with true masks."""
     for folder, scene, _, truth in _rendered_scenes(renders):
         surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
         probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
@@ -90,7 +91,7 @@ def surface_cases(renders: Path) -> Iterator[Case]:
 
 
 def _rendered_scenes(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
-    """Folder, scene, species and truth of each walk.
+    """Folder, scene, species and truth of each rendered tree.
 
     Raises:
         FormatError: a walk's seed is not recorded, or is kept for tests.
@@ -105,7 +106,7 @@ def _rendered_scenes(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
 
 
 def searched(case: Case) -> tuple[Search, list[Picture]] | None:
-    """The weighed candidates of a case and its views; None where nothing in it looks round."""
+    """The candidates of a case with their probabilities, and its views; None if no part of it is round."""
     surface = surface_of(case.gaussians, case.probability, case.cameras)
     if surface.sample is None:
         return None

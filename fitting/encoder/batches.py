@@ -18,20 +18,20 @@ from .pictures import Labels, Picture, plain_picture, put_object
 CROP = 256
 """Side of a training crop, pixels."""
 PLAIN, PHOTOS = 0.1, 0.34
-"""Shares of crops that are plain, and that are of photos; the rest are of renders."""
+"""Shares of plain crops and of crops from photos; the rest are from renders."""
 PHOTO_ZOOMS, RENDER_ZOOMS, USUAL_ZOOMS = (0.4, 1.8), (0.8, 3.5), (1.6, 2.5)
-"""By how much crops are enlarged; USUAL_ZOOMS are those of renders as the encoder sees them in use."""
+"""Range of enlargement of crops; USUAL_ZOOMS are those of renders as the encoder gets them in use."""
 USUAL = 0.7
-"""Share of the renders' crops with one of USUAL_ZOOMS."""
+"""Share of the crops from renders with one of USUAL_ZOOMS."""
 FOCUS = 0.5
-"""Share of the renders' crops that are drawn about a word of theirs: tags and ladders are few, and leaves are many."""
+"""Share of the crops from renders that are centred on one of their words: tags and ladders are rare, leaves are not."""
 PASTED = (12, 160)
-"""Sizes of pasted fruit that do not keep their own, pixels."""
+"""Sizes of pasted fruit that do not keep their own, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What batches are cut from; `bank` holds cutouts by fruit concept."""
+    """The sources of batches; `bank` contains cutouts by fruit concept."""
 
     photos: Sequence[Picture]
     renders: Sequence[Picture]
@@ -40,7 +40,7 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """pixels: (CROP, CROP, 3) sRGB; labels: (CROP, CROP); zoom: how much larger than in its picture all is."""
+    """pixels: (CROP, CROP, 3) sRGB; labels: (CROP, CROP); zoom: enlargement relative to its picture."""
 
     pixels: NDArray[np.uint8]
     labels: Labels
@@ -67,9 +67,9 @@ def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple
 
 
 def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float], *, focus: float = 0.0) -> Crop:
-    """A window of the picture shown at CROP × CROP, zoomed log-uniformly, a little stretched, perhaps mirrored.
+    """A window of the picture shown at CROP × CROP, zoomed log-uniformly, slightly stretched, sometimes mirrored.
 
-    focus: chance that it is drawn about a pixel of one of the picture's words, whichever it shows most of.
+    focus: probability that it is centred on a pixel of one of the picture's words, chosen uniformly.
     """
     height, width = picture.labels.shape
     zoom = float(np.exp(rng.uniform(*np.log(zooms))))
@@ -103,7 +103,7 @@ def _plain(material: Material, rng: np.random.Generator) -> Crop:
 
 
 def _paste_some(crop: Crop, material: Material, rng: np.random.Generator, *, probability: float, native: float) -> None:
-    """native: chance that a fruit keeps about the size that it had beside what else its picture showed."""
+    """native: probability that a fruit keeps about its original size."""
     if rng.random() > probability:
         return
     kinds = [cutouts for cutouts in material.bank if cutouts]

@@ -1,4 +1,4 @@
-"""Temperatures and bias at which the encoder's probabilities mean what they say, for single pixels."""
+"""Temperatures and bias that calibrate the encoder's probabilities for single pixels."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from ...engine.language.prompts.relevancy import margin
 from .samples import FloatArray, Sample
 
 PIXELS = 300_000
-"""About this many answers of photos and as many of renders are calibrated on."""
+"""Approximate number of answers of photos, and of renders, for calibration."""
 WIDEST = 12.0
-"""Margins beyond this, either way, count as this."""
+"""Margins are clipped to this range."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A calibration and the share of fruit, by weight, among what it was fitted on."""
+    """A calibration and the share of fruit, by weight, among the data of the fit."""
 
     calibration: Calibration
     prior: float
 
 
 def calibrate(encoder: EmbeddedEncoder, photos: Sequence[Sample], renders: Sequence[Sample]) -> Fit:
-    """Logistic regression of "it is fruit" on the margin of "fruit", and the temperature at which kinds are likeliest.
+    """Logistic regression of "it is fruit" on the margin of "fruit", and the most likely temperature of the kinds.
 
-    Photos and renders count alike.
+    Photos and renders have the same weight.
     """
     margins, truths, weights = [], [], []
     (question,) = encoder.questions("fruit")
@@ -60,7 +60,7 @@ def logistic(margins: FloatArray, truth: NDArray[np.bool_], weights: FloatArray)
 
 
 def _kind_temperature(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> float:
-    """The temperature of the kinds' logits that makes the true kinds of fruit pixels likeliest."""
+    """The temperature of the kinds' logits with the highest likelihood of the true kinds of fruit pixels."""
     logits, labels = [], []
     for each in samples:
         mine = each.among(each.fruit)

@@ -159,7 +159,7 @@ def _draw_reliability(path: Path, reliability: Mapping[str, Mapping[str, Any]]) 
 
 
 def _rows(*rows: Sequence[object]) -> str:
-    """A table, its head first."""
+    """A table; its first line is the head."""
     head, *body = (f"| {' | '.join(map(str, row))} |" for row in rows)
     return "\n".join([head, "|" + "---|" * len(rows[0]), *body])
 

@@ -1,4 +1,4 @@
-"""How well each word is told from the word it is most easily taken for."""
+"""How well each word is distinguished from the word it is most often confused with."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from ...engine.language.vocabulary import COLOURS
 FloatArray = NDArray[np.float64]
 
 LEAST = 100
-"""A word with fewer measured pixels than this is not judged, and no other is judged by it."""
+"""A word with fewer measured pixels than this is not evaluated and not compared with."""
 LEAST_COLOURS = 10
-"""The same, of named colours."""
+"""The same, for named colours."""
 _HALF_MEANT = re.compile(r"ish$|^(redd|orang|yellow|green|blue|purpl|pink|brown|grey|violet|teal|turquoise|tan|gold)")
-"""Parts of a colour's name that pull it to another word."""
+"""Parts of a colour's name that change its basic word."""
 
 
 @dataclass(frozen=True)
 class Distinction:
-    """auc: chance that a pixel of the word answers higher to it than one of `against` does, its worst rival."""
+    """auc: probability that a pixel of the word scores higher for it than a pixel of `against`, its most confused
+    word."""
 
     auc: float
     against: str
@@ -40,9 +41,10 @@ def distinctions(
     general: Mapping[str, Sequence[str]] | None = None,
     least: int = LEAST,
 ) -> dict[str, Distinction]:
-    """Each word's worst rival. answers: by word (M,) how much each pixel is it; truth: (M,) what each pixel is.
+    """The most confused word of each word. answers: by word (M,) its probability for each pixel; truth: (M,) the word
+    of each pixel.
 
-    general: the words that a general one stands for; none of them is its rival, and it is nobody's.
+    general: the words that a general one includes; they are not compared with it, and it is compared with no word.
     """
     general = general or {}
     candidates = [word for word in answers if (truth == word).sum() >= least]
@@ -57,9 +59,10 @@ def distinctions(
 
 
 def colour_distinctions() -> dict[str, Distinction]:
-    """Of colour words, on the 954 colours that 222,500 people named (Munroe 2010, public domain).
+    """The same for colour words, on the 954 colours that 222,500 people named (Munroe 2010, public domain).
 
-    A colour counts for the basic word that its name ends in, as "brick red"; "reddish brown" and the like are left out.
+    A colour counts for the basic word at the end of its name, as in "brick red"; "reddish brown" and similar ones are
+    left out.
     """
     names = {name.removeprefix("xkcd:").replace("gray", "grey"): to_rgb(value) for name, value in XKCD_COLORS.items()}
     called = {name: word for name in names if (word := _basic(name)) is not None}

@@ -1,4 +1,4 @@
-"""The training loop: one network, learnt by several processes that share each step's gradient."""
+"""The training loop: one network, trained by several processes that share gradients."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from .batches import Material, make_batch
 from .losses import concept_loss, overlap_loss
 
 MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(1 << 33), "MALLOC_TOP_PAD_": str(1 << 28)}
-"""Settings of glibc for the processes: memory that a step frees is kept for the next one, a tenth quicker."""
+"""Settings of glibc for the processes: memory freed by a step is kept for the next one, which is a tenth faster."""
 REPORT_EVERY = 100
 RISE = 0.03
-"""Share of the training in which the learning rate rises; then it falls by a cosine."""
+"""Share of the training in which the learning rate rises; then it falls as a cosine."""
 AVERAGED_STEPS = 500
-"""Weights that are written are the mean of about so many last steps."""
+"""The written weights are the mean of about this many last steps."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """How long to learn, and how."""
+    """Length and settings of the training."""
 
     steps: int = 6000
-    """Optimiser steps; 0 only calibrates and measures the weights of --start anew."""
+    """Optimiser steps; 0 only calibrates and measures the weights of --start."""
     minutes: float | None = None
-    """Stop after this many minutes instead, with the learning rate ended by then; not reproducible to the byte."""
+    """Stop after this many minutes, with the learning rate ended by then; not reproducible to the byte."""
     batch: int = 8
-    """Crops a step and process."""
+    """Crops per step and process."""
     processes: int = 2
-    """Processes of one thread each, a batch each; one a CPU core is quickest."""
+    """Processes of one thread and one batch each; one per CPU core is fastest."""
     rate: float = 2e-3
     """Highest learning rate."""
     bf16: bool = True
@@ -55,7 +55,7 @@ class Course:
 
 
 def learn(network: Network, material: Material, course: Course) -> int:
-    """AdamW with a one-cycle learning rate; leaves the averaged weights in `network`. Returns the steps taken.
+    """AdamW with a one-cycle learning rate; writes the averaged weights to `network`. Returns the number of steps.
 
     Raises:
         ConfigError: a number of the course is not one that anything can be learnt with.
@@ -77,7 +77,7 @@ def learn(network: Network, material: Material, course: Course) -> int:
 
 
 def check_course(course: Course) -> None:
-    """Refuse a course that would take no step, or never end.
+    """Refuse a training without steps or without end.
 
     Raises:
         ConfigError: naming the setting and what it can be.
@@ -102,7 +102,7 @@ def _join(rank: int, network: Network, material: Material, course: Course, taken
 
 
 def _learn(rank: int, shared: Network, material: Material, course: Course, taken: Tensor) -> None:
-    """One process's part. The first process's weights, which are everyone's, end in `shared`."""
+    """The part of one process. The first process writes the weights, which all share, to `shared`."""
     network = copy.deepcopy(shared)
     torch.nn.Module.to(network, memory_format=torch.channels_last)  # type: ignore[call-overload]
     network.train()
@@ -118,7 +118,9 @@ def _learn(rank: int, shared: Network, material: Material, course: Course, taken
         images, labels = next(batches)
         with autocast:
             logits = network(normalise(images).contiguous(memory_format=torch.channels_last))
-        down, right = rng.integers(0, 2, size=2)  # the network answers for 2×2 pixels: ask it about each in turn
+        down, right = rng.integers(
+            0, 2, size=2
+        )  # the network has one output for 2×2 pixels: compare it with each in turn
         shown = labels[:, down::2, right::2]
         log_probability = logits.float().log_softmax(1)
         loss = concept_loss(log_probability, shown) + overlap_loss(log_probability, shown)
@@ -140,7 +142,7 @@ def _learn(rank: int, shared: Network, material: Material, course: Course, taken
 
 
 def _agreed(network: Network, processes: int, done: float) -> float:
-    """Give every process the mean gradient; returns how far the first process is, so that all end together."""
+    """Give every process the mean gradient; returns the progress of the first process, so that all end together."""
     if processes == 1:
         return done
     gradients = [p.grad for p in network.parameters() if p.grad is not None]
@@ -156,7 +158,7 @@ def _agreed(network: Network, processes: int, done: float) -> float:
 
 
 def _ahead(material: Material, batch: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, Tensor]]:
-    """Batches without end, each made while the network learns from the one before."""
+    """An endless sequence of batches, each made while the network trains on the one before."""
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(make_batch, material, batch, rng)
         while True:
@@ -166,7 +168,7 @@ def _ahead(material: Material, batch: int, rng: np.random.Generator) -> Iterator
 
 
 def _moving_average(average: Tensor, current: Tensor, count: Tensor | int) -> Tensor:
-    """Exponential, over about AVERAGED_STEPS steps, over fewer at the start."""
+    """Exponential moving average over about AVERAGED_STEPS steps, over fewer at the start."""
     if not current.is_floating_point():
         return current
     return current + (average - current) * min(1.0 - 1.0 / AVERAGED_STEPS, (1 + int(count)) / (10 + int(count)))

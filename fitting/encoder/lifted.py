@@ -1,4 +1,4 @@
-"""Calibration where it is used: on Gaussians that many views drew, in rendered scenes with true masks."""
+"""Calibration for lifted features: on Gaussians of rendered scenes with true masks."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from .reliability import judged
 FloatArray = NDArray[np.float64]
 
 SHARPEST = 0.4
-"""Lowest temperature: rendered scenes are easier than real ones, and must not make the encoder too sure of itself."""
+"""Lowest temperature: rendered scenes are easier than real ones and must not make the encoder overconfident."""
 
 FRUIT_SHARE = 0.15
-"""Share of fruit, by drawn pixels, that lifted features are calibrated for: of those tried it counted best on rendered
-walks and on the sample."""
+"""Share of fruit, by pixels, that lifted features are calibrated for: the value with the best counts on rendered trees
+and on the sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,14 @@ class LiftedScene:
 
     @property
     def is_informative(self) -> bool:
-        """Whether it shows fruit and other things: without both there is nothing to calibrate or to judge."""
+        """Whether it has fruit and other objects: without both it cannot be used for calibration."""
         return bool(self.fruit.any() and not self.fruit.all())
 
 
 @dataclass(frozen=True)
 class LiftedMeasures:
-    """Means over walks of the calibration error of "fruit" (see `reliability`) and of `intersection_over_union`."""
+    """Means over rendered trees of the calibration error of "fruit" (see `reliability`) and of
+    `intersection_over_union`."""
 
     rendered_scenes: int
     calibration_error: float
@@ -60,13 +61,13 @@ class LiftedMeasures:
 
 
 def rendered_scenes(folder: Path) -> list[Path]:
-    """Every finished scene below `folder` with pictures enough to train Gaussians from."""
+    """Every finished scene below `folder` with enough pictures to train Gaussians."""
     scenes = (path.parent for path in sorted(folder.glob("*/truth.json")))
     return [scene for scene in scenes if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
 
 
 def trained(folder: Path) -> Gaussians:
-    """The Gaussians of a walk, trained the first time and kept in its folder."""
+    """The Gaussians of a rendered tree, trained once and kept in its folder."""
     kept = folder / "gaussians.ply"
     if not kept.is_file():
         training = train(read_scene(folder, SceneConfig()), PRESETS["standard"])
@@ -75,7 +76,7 @@ def trained(folder: Path) -> Gaussians:
 
 
 def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
-    """One of the `rendered_scenes`, seen by the encoder."""
+    """One of the `rendered_scenes` with lifted features."""
     scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
     fruit = true_fruit(folder, scene, gaussians)
@@ -90,7 +91,7 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
 
 
 def true_fruit(folder: Path, scene: Scene, gaussians: Gaussians) -> Tensor:
-    """(N,) share of the pixels that each Gaussian of a walk draws that are fruit by the true masks."""
+    """(N,) share of the pixels of each Gaussian that are fruit in the true masks."""
     truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
     return truth[:, 0] / truth.sum(dim=1).clamp_min(1e-9)
 
@@ -102,12 +103,11 @@ def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
 
 
 def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
-    """Temperature and bias of "fruit" for lifted features; each scene counts alike, and in it FRUIT_SHARE is fruit.
+    """Temperature and bias of "fruit" for lifted features; scenes have equal weight, and in each FRUIT_SHARE is fruit.
 
-    All scenes tell (see `LiftedScene`).
-
-    Of what views draw a fiftieth may be fruit, and at that share a half hidden fruit is hardly ever likelier than not:
-    counting would miss it. At equal shares leaves become fruit.
+    All scenes are informative (see `LiftedScene`). A fiftieth of the pixels of a scene may be fruit; at that share a
+    half-hidden fruit rarely has a probability above one half, and counting would miss it. At equal shares leaves become
+    fruit.
     """
     m, t = (np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("margins", "fruit"))
     shares = np.where(t, FRUIT_SHARE, 1.0 - FRUIT_SHARE)
@@ -118,7 +118,8 @@ def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
 
 
 def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
-    """Each scene by the calibration of all others; None with fewer than two. All scenes tell (see `LiftedScene`)."""
+    """Each scene with the calibration of all others; None for fewer than two. All scenes are informative (see
+    `LiftedScene`)."""
     if len(scenes) < 2:
         return None
     errors, overlaps = [], []
@@ -127,7 +128,7 @@ def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> Lifte
         calibration = fit.calibration
         guess = 1.0 / (1.0 + np.exp(calibration.bias - one.margins / calibration.temperature))
         found = judged(guess, one.fruit, fit.prior, one.weights)
-        assert found is not None  # it tells
+        assert found is not None  # it is informative
         errors.append(found.calibration_error)
         overlaps.append(intersection_over_union([one], calibration))
     return LiftedMeasures(len(errors), float(np.mean(errors)), float(np.mean(overlaps)))

@@ -1,6 +1,6 @@
-"""The training loss: fruit and surroundings count alike, however few pixels are fruit.
+"""The training loss: fruit and surroundings have fixed weights, however few pixels are fruit.
 
-Both parts take the logarithms of the concepts' probabilities, (B, K, H, W), and what is shown, (B, H, W).
+Both parts take the logarithms of the concepts' probabilities, (B, K, H, W), and the labels, (B, H, W).
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from ...engine.language.vocabulary import CONCEPTS, FRUITS
 from .pictures import NOT_FRUIT
 
 DOUBT = 0.5
-"""How far a pixel known only as no fruit is doubted when the network is sure that it is fruit: boxes miss fruit. 0
-would be cross-entropy, 1 the mean absolute error (the q of Zhang and Sabuncu 2018, "Generalized Cross Entropy")."""
+"""Tolerance for pixels labelled only as no fruit that the network takes for fruit, because boxes miss fruit: 0 is
+cross-entropy, 1 the mean absolute error (the q of Zhang and Sabuncu 2018, "Generalized Cross Entropy")."""
 
 
 def concept_loss(log_probability: Tensor, labels: Tensor, *, fruit_share: float = 0.45, naming: float = 1.0) -> Tensor:
     """Cross-entropy.
 
-    A pixel known only as no fruit asks for the sum s of the surroundings' probabilities, by (1 − s^q) / q. Every word
-    counts by the root of its pixels; fruit words together make `fruit_share` of the loss, words of the surroundings the
-    rest. A fruit pixel is also asked for its kind alone, with weight `naming`.
+    A pixel labelled only as no fruit uses the sum s of the probabilities of the surroundings, by (1 − s^q) / q. Every
+    word is weighted by the root of its pixels; fruit words together make `fruit_share` of the loss, words of the
+    surroundings the rest. A fruit pixel also has a loss for its kind alone, with weight `naming`.
     """
     known = labels < len(CONCEPTS)
     target = torch.where(known, labels, 0)
@@ -42,9 +42,9 @@ def concept_loss(log_probability: Tensor, labels: Tensor, *, fruit_share: float 
 
 
 def overlap_loss(log_probability: Tensor, labels: Tensor) -> Tensor:
-    """One less the soft intersection over union of "fruit", mean over the pictures that show fruit.
+    """One minus the soft intersection over union of "fruit", mean over the pictures that show fruit.
 
-    Cross-entropy counts a pixel by its word; this counts it by what it costs the outlines, and makes them sharper.
+    Cross-entropy weights pixels by word; this loss weights them by their effect on outlines, and makes them sharper.
     """
     known = (labels < len(CONCEPTS)) | (labels == NOT_FRUIT)
     fruit = (labels < len(FRUITS)).float()

@@ -1,4 +1,4 @@
-"""Everything that the model card says of weights: on photos, renders and plain pictures kept out of training."""
+"""All measurements in the model card: on photos, renders and plain pictures that were not used for training."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from .samples import Sample, answers
 
 @dataclass(frozen=True)
 class Measures:
-    """By fruit: `photos`, `pasted_word`, `renders` (and of "fruit"). `words`: each against its worst rival; colours are
-    measured on named colours. `reliability` of P("fruit") on renders and photos; `conditions`: where fruit is hard.
+    """By fruit: `photos`, `pasted_word`, `renders` (and of "fruit"). `words`: each against its most confused word;
+    colours are measured on named colours. `reliability` of P("fruit") on renders and photos; `conditions`: what makes
+    fruit hard to recognise.
     """
 
     photos: dict[str, PhotoScore]
@@ -39,7 +40,7 @@ class Measures:
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """Pictures that training did not see, with the measured pixels of each."""
+    """Pictures not used for training, with the measured pixels of each."""
 
     photos: Sequence[Picture]
     renders: Sequence[Picture]
@@ -50,14 +51,14 @@ class Unseen:
 
 @dataclass(frozen=True, eq=False)
 class Half:
-    """The measured pixels of some photos and of some scenes' renders."""
+    """The measured pixels of some photos and of the renders of some scenes."""
 
     photo_samples: Sequence[Sample]
     render_samples: Sequence[Sample]
 
 
 def halves(unseen: Unseen) -> tuple[Half, Half]:
-    """What to calibrate on and what to judge the calibration on: every other photo, every other scene."""
+    """Halves for calibration and for its evaluation: every other photo, every other scene."""
     scenes = sorted({each.source for each in unseen.renders})
     return _half(unseen, set(scenes[::2]), 0), _half(unseen, set(scenes[1::2]), 1)
 
@@ -67,7 +68,8 @@ def _half(unseen: Unseen, scenes: set[str], first: int) -> Half:
 
 
 def measure(encoder: EmbeddedEncoder, unseen: Unseen, tested: Half, fit: Fit) -> Measures:
-    """fit: the calibration of single pixels, which `encoder` carries; tested: what its reliability is measured on."""
+    """fit: the calibration of single pixels, which `encoder` uses; tested: the pixels that its reliability is measured
+    on."""
     reliable = {
         "renders": _reliability(encoder, tested.render_samples, fit),
         "photos": _reliability(encoder, tested.photo_samples, fit),

@@ -1,4 +1,4 @@
-"""Fruit cut out of one picture and pasted into another, so that a fruit is named by itself and not by its tree."""
+"""Fruit cut out of one picture and pasted into another, so that the network learns the fruit and not its tree."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .pictures import IGNORED, Box, Labels, Picture
 ALPHA_SHARE = 0.92
 LABEL_SHARE = 0.78
 TURNS = (None, Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180)
-"""Of a photo's box: how much of its ellipse is pasted, and how much of that is surely fruit."""
+"""Share of a photo's box whose ellipse is pasted, and share of that which is certainly fruit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cutout:
-    """pixels: (h, w, 4) sRGB and opacity; labels: (h, w) the fruit's index where sure, else IGNORED."""
+    """pixels: (h, w, 4) sRGB and opacity; labels: (h, w) the index of the fruit where certain, else IGNORED."""
 
     pixels: NDArray[np.uint8]
     labels: Labels
@@ -29,7 +29,7 @@ class Cutout:
 
 
 def cut_fruit(pictures: Sequence[Picture], *, smallest: int = 14) -> list[list[Cutout]]:
-    """Well visible fruit by concept: whole instances of renders, ellipses in the boxes of photos."""
+    """Fully visible fruit by concept: whole instances of renders, ellipses in the boxes of photos."""
     bank: list[list[Cutout]] = [[] for _ in FRUITS]
     for picture in pictures:
         found = _from_boxes(picture, smallest) if picture.instances is None else _from_masks(picture, smallest)
@@ -91,9 +91,9 @@ def paste(
     *,
     occlude: bool = True,
 ) -> Box | None:
-    """Paste in place, `size` pixels on the longer side, flipped and turned, at times half covered by what was there.
+    """Paste in place, `size` pixels on the longer side, flipped and rotated, sometimes half covered by the background.
 
-    Returns the pasted place, None when the cutout does not fit.
+    Returns the pasted region, None if the cutout does not fit.
     """
     image, marks = Image.fromarray(cutout.pixels), Image.fromarray(cutout.labels)
     turn = TURNS[rng.integers(len(TURNS))]

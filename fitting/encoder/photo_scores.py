@@ -1,4 +1,4 @@
-"""How good the encoder is on photos that it was not trained on."""
+"""Accuracy of the encoder on photos that were not used for training."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Ranking:
 
 @dataclass(frozen=True)
 class PhotoScore:
-    """Pixels of one fruit's photos, ranked by P("fruit").
+    """Pixels of the photos of one fruit, ranked by P("fruit").
 
-    ellipses: central ellipses of boxes against what is outside all boxes; seen: the same without fruit that has no box
-    (`pictures.UNBOXED`); boxes: everything in boxes against everything outside; redness: ellipses ranked by red minus
-    green, the colour rule that any encoder must beat.
+    ellipses: central ellipses of boxes against everything outside all boxes; seen: the same without fruit that has no
+    box (`pictures.UNBOXED`); boxes: everything in boxes against everything outside; redness: ellipses ranked by red
+    minus green, a baseline for any encoder.
     """
 
     ellipses: Ranking
@@ -64,9 +64,9 @@ def _ranking(truth: NDArray[np.bool_], guess: FloatArray) -> Ranking:
 
 
 def pasted_words(encoder: EmbeddedEncoder, photos: Sequence[Picture], *, each: int = 40) -> dict[str, float]:
-    """Share of pasted fruit pixels whose likeliest fruit word is right, one set's fruit in the other sets' photos.
+    """Share of pasted fruit pixels whose most probable fruit word is correct, fruit of one set in photos of the others.
 
-    each: photos pasted into, six fruit each, of every set; with ten the share is off by .2 from draw to draw.
+    each: photos per set, with six pasted fruit each; with ten photos the share varies by .2 from run to run.
     """
     rng = np.random.default_rng(7)
     shares = {}

@@ -19,19 +19,19 @@ from ...engine.language.vocabulary import CONCEPTS, parse
 from ...orchard.config import FIRST_TRAINING_SEED
 
 IGNORED = 255
-"""Label of a pixel that teaches nothing."""
+"""Label of a pixel that is not used."""
 NOT_FRUIT = 254
-"""Label of a pixel that is some word of the surroundings, nobody knows which."""
+"""Label of a pixel of the surroundings whose word is unknown."""
 POSITIVE_SHARE = 0.6
-"""Central share of a box that is surely fruit, as an ellipse."""
+"""Central share of a box that is certainly fruit, as an ellipse."""
 NEGATIVE_SHARE = 1.1
-"""Outside this much of every box a pixel counts as no fruit."""
+"""Outside this multiple of every box a pixel counts as no fruit."""
 UNBOXED = Path(__file__).with_name("unboxed.csv")
-"""Fruit of the validation photos that has no box, checked by eye: set, image, corners in pixels."""
+"""Fruit of the validation photos without a box, marked by eye: set, image, corners in pixels."""
 LEAST_WALK = 24
-"""A scene with so many pictures is a walk: calibrated on, never trained on."""
+"""A scene with this many pictures is used for calibration, never for training."""
 SMALL = 14.0
-"""Fruit of at most so many pixels is small."""
+"""Fruit of at most this many pixels is small."""
 
 Labels = NDArray[np.uint8]
 
@@ -51,7 +51,7 @@ class Box:
 class Picture:
     """pixels: (H, W, 3) sRGB; labels: (H, W) index into CONCEPTS, NOT_FRUIT or IGNORED; instances: (H, W) fruit ids of
     a render, 0 none; boxes of a photo; unboxed: fruit in it that has no box; traits: what makes a render's fruit hard;
-    source: the set or the scene it is from; seed: of a render's scene.
+    source: its set or scene; seed: of a render's scene.
     """
 
     pixels: NDArray[np.uint8]
@@ -106,7 +106,7 @@ def _read_unboxed() -> dict[tuple[str, str], list[Box]]:
 
 
 def box_labels(boxes: Sequence[Box], shape: tuple[int, ...]) -> Labels:
-    """(H, W): fruit in the central ellipses, nothing known around them, no fruit outside."""
+    """(H, W): fruit in the central ellipses, unknown around them, no fruit outside."""
     labels = np.full(shape, NOT_FRUIT, np.uint8)
     for box in boxes:
         labels[inside(box, NEGATIVE_SHARE, shape, ellipse=False)] = IGNORED
@@ -124,8 +124,8 @@ def inside(box: Box, share: float, shape: tuple[int, ...], *, ellipse: bool = Tr
 
 
 def read_renders(folder: Path) -> list[Picture]:
-    """Every finished scene below `folder` that is no walk: images/, classes/ and instances/ of like names, classes.json
-    (index → word).
+    """Every finished scene below `folder` except those for calibration: images/, classes/ and instances/ of the same
+    names, classes.json (index → word).
 
     Raises:
         FormatError: a scene lacks a file, names an unknown class, or is kept for tests.
@@ -170,14 +170,14 @@ def _lookup(table: Path) -> Labels:
 
 
 def _traits(config: dict[str, Any]) -> tuple[str, ...]:
-    """What makes a scene's fruit hard to see or to name."""
+    """What makes the fruit of a scene hard to see or to name."""
     variant, size = str(config.get("variant", "")), float(config.get("fruit_pixels", math.inf))
     traits = {"green on green": variant == "green", "two colours": "-" in variant, "small": size <= SMALL}
     return tuple(name for name, so in traits.items() if so)
 
 
 def _record(scene: Path) -> dict[str, Any]:
-    """The settings that made a scene.
+    """The settings of a scene.
 
     Raises:
         FormatError: they are not recorded, or the scene is kept for tests.
@@ -205,7 +205,7 @@ def training_seeds(scenes: Iterable[Path]) -> list[int]:
 
 
 def plain_picture(rng: np.random.Generator, size: int) -> Picture:
-    """A wall, cloth or table top: flat or shaded, with grain, stripes or bumps, labelled background."""
+    """A wall, cloth or table top: plain or shaded, with grain, stripes or bumps, labelled background."""
     y, x = np.mgrid[:size, :size].astype(np.float32) / size
     base = rng.uniform(0.1, 1.0) * (1.0 - rng.uniform(0.0, 0.5) * rng.random(3) ** 2)
     shade = 1.0 + rng.uniform(-0.35, 0.35) * (x - 0.5) + rng.uniform(-0.35, 0.35) * (y - 0.5)
@@ -224,7 +224,7 @@ def plain_picture(rng: np.random.Generator, size: int) -> Picture:
 
 
 def plain_pictures() -> list[Picture]:
-    """Some to measure on, each with a thing that is no fruit."""
+    """Plain pictures for measurement, each with an object that is not fruit."""
     rng = np.random.default_rng(23)
     pictures = [plain_picture(rng, 256) for _ in range(24)]
     for picture in pictures:
@@ -233,7 +233,7 @@ def plain_pictures() -> list[Picture]:
 
 
 def put_object(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Draw a long bent thing in place, round in section and of any colour, that is none of the fruit."""
+    """Draw a long bent object in place, round in section and of any colour, that is not a fruit."""
     size = pixels.shape[0]
     y, x = np.mgrid[:size, :size].astype(np.float32)
     radius = rng.uniform(0.25, 1.5) * size

@@ -1,4 +1,4 @@
-"""Whether a probability means what it says."""
+"""Calibration of probabilities."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Judged:
-    """Errors with both classes brought to half of the mass, and the bins behind them.
+    """Errors with both classes weighted to half of the mass, and their bins.
 
     calibration_error: expected calibration error; brier: mean squared error; constant_brier: that of always answering
-    one half, whose calibration error is 0 although it tells nothing.
+    one half, whose calibration error is 0 although it is not informative.
     """
 
     calibration_error: float
@@ -30,11 +30,12 @@ class Judged:
 def judged(
     probability: FloatArray, truth: NDArray[np.bool_], prior: float, weights: FloatArray | None = None
 ) -> Judged | None:
-    """Of (M,) probabilities that were calibrated where a share `prior` is true; None where one class is missing.
+    """The errors of (M,) probabilities that were calibrated for a share `prior` of true ones; None if one class is
+    missing.
 
-    weights: (M,) how much each counts; all alike without them. Most pixels are sky, grass and leaf that nobody takes
-    for fruit; weighed as they come, they would make any predictor look calibrated. So both classes weigh one half, and
-    the probabilities are moved to that prior by Bayes' rule: logit p − logit prior.
+    weights: (M,) weight of each; equal without them. Most pixels are sky, grass and leaf, which are easily recognised;
+    unweighted, they would make any predictor look calibrated. So both classes weigh one half, and the probabilities are
+    moved to that prior by Bayes' rule: logit p − logit prior.
     """
     if truth.all() or not truth.any():
         return None

@@ -1,4 +1,4 @@
-"""How good the encoder is on renders it was not trained on, by kind of fruit and by what makes it hard."""
+"""Accuracy of the encoder on renders that were not used for training, by kind of fruit and by difficulty."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RenderScore:
 
 @dataclass(frozen=True)
 class Condition:
-    """IoU where fruit is hard to see: of the word "fruit", and of the kinds' own words over all kinds together."""
+    """IoU under a difficult condition: of the word "fruit", and of the kinds' own words over all kinds together."""
 
     pictures: int
     fruit_iou: float
@@ -39,7 +39,7 @@ class Condition:
 
 
 class _Tally:
-    """Counts of pixels that are asked for, there, and both."""
+    """Counts of predicted pixels, true pixels, and both."""
 
     def __init__(self) -> None:
         self.both = self.asked = self.there = 0
@@ -61,7 +61,7 @@ class _Tally:
 
 
 def render_scores(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[str, RenderScore]:
-    """Each word is asked of every scene, also of those with another fruit, given the scene's shares of kinds."""
+    """Each word is applied to every scene, also to those with another fruit, with the scene's shares of kinds."""
     scenes = by_scene(renders)
     scores = {}
     for word in ("fruit", *FRUITS):
@@ -76,7 +76,7 @@ def render_scores(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[s
 def conditions(
     encoder: EmbeddedEncoder, pictures: Sequence[Picture], samples: Sequence[Sample]
 ) -> dict[str, Condition]:
-    """By what makes fruit hard: traits of scenes, a blur, and fruit of other kinds pasted into each picture.
+    """By condition: traits of scenes, a blur, and fruit of other kinds pasted into each picture.
 
     samples: of `pictures`, one by one.
     """

@@ -1,4 +1,4 @@
-"""Measured pixels: what the encoder gives for them, and what they are known to be."""
+"""Measured pixels: features and labels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .pictures import NOT_FRUIT, Labels, Picture, inside
 FloatArray = NDArray[np.float64]
 
 STEP = 4
-"""Every so many pixels, across and down, one is measured."""
+"""Step between measured pixels, across and down."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +36,12 @@ class Sample:
 
     @property
     def fruit(self) -> NDArray[np.bool_]:
-        """(M,) surely fruit."""
+        """(M,) certainly fruit."""
         return self.labels < len(FRUITS)
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(M,) surely fruit or surely not."""
+        """(M,) certainly fruit or certainly not."""
         return (self.labels < len(CONCEPTS)) | (self.labels == NOT_FRUIT)
 
     def among(self, chosen: NDArray[np.bool_]) -> Sample:
@@ -80,18 +80,18 @@ def _sampled(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
 
 
 def answers(encoder: EmbeddedEncoder, pixels: Sample, word: str) -> FloatArray:
-    """(M,) the probability of a word, whatever the rest of the scene is."""
+    """(M,) the probability of a word, without the prior of the scene."""
     return answer(pixels.features.float(), encoder.questions(word)).double().numpy()
 
 
 def answers_in_scene(encoder: EmbeddedEncoder, scene: Sample, word: str) -> FloatArray:
-    """(M,) the probability of a word, kinds of fruit weighed by their shares of the scene as in use."""
+    """(M,) the probability of a word, with kinds of fruit weighted by their share of the scene as in use."""
     weights = torch.full((len(scene.features),), float(STEP * STEP))
     return scene_answers(scene.features.float(), weights, understood(encoder, [word]))[0].double().numpy()
 
 
 def by_scene(samples: Sequence[Sample]) -> list[Sample]:
-    """All pixels of each scene as one."""
+    """The pixels of each scene joined."""
     scenes = []
     for source in sorted({each.source for each in samples}):
         mine = [each for each in samples if each.source == source]

@@ -1,4 +1,4 @@
-"""A larger network that starts as a smaller one: what the smaller one answers, the larger one answers too."""
+"""A larger network initialised from a smaller one, with the same output."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from ...engine.language.vocabulary import CONCEPTS
 
 
 def widened(stored: StoredWeights, network: Network) -> dict[str, Tensor]:
-    """The state of `network` that answers as `stored` for the words that both know; new words start at random.
+    """The state of `network` that gives the same output as `stored` for the words that both know; new words start at
+    random.
 
-    Old channels hear nothing from new ones, which start at random, and new layers with a skip start as the identity
-    (Chen, Goodfellow and Shlens 2016, "Net2Net", keep the function alike by copies instead).
+    Old channels get no input from new ones, which start at random, and new layers with a skip start as the identity
+    (Chen, Goodfellow and Shlens 2016, "Net2Net", use copies instead).
 
     Raises:
         ValueError: `stored` is of a larger network.
@@ -28,14 +29,14 @@ def widened(stored: StoredWeights, network: Network) -> dict[str, Tensor]:
         if name.startswith("head."):
             _take_words(mine, stored, name)
         elif old is None and name.endswith("norm.weight"):
-            mine.zero_()  # a new unit adds nothing to its skip
+            mine.zero_()  # a new layer adds nothing to its skip
         elif old is not None:
             _take(mine, old)
     return state
 
 
 def _take(mine: Tensor, old: Tensor) -> None:
-    """Put the old channels first; they hear only each other."""
+    """Put the old channels first, with input from each other only."""
     if any(theirs > ours for theirs, ours in zip(old.shape, mine.shape, strict=True)):
         raise ValueError("the stored network is the wider one")
     if mine.dim() > 1:

@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 
 def mesh_data(name: str, mesh: Mesh, material: Any, *, smooth: bool = True) -> Any:
-    """A Blender mesh with the colours of `mesh`, where it has any, as its attribute tint."""
+    """A Blender mesh with the colours of `mesh`, if any, as its attribute tint."""
     data = bpy.data.meshes.new(name)
     faces = [q[:3] if q[2] == q[3] else q for q in mesh.quads.tolist()]
     data.from_pydata(mesh.vertices.tolist(), [], faces)
@@ -36,7 +36,7 @@ def add_object(name: str, data: Any, collection: Any = None) -> Any:
 
 
 def matrix_of(frame: FloatArray, place: FloatArray, scale: float) -> list[list[float]]:
-    """An object's matrix from a rotation (3, 3), a place (3,) and a scale, in the order that Blender's setter takes."""
+    """The matrix of an object from a rotation (3, 3), a position (3,) and a scale, in the order of Blender's setter."""
     matrix = np.eye(4)
     matrix[:3, :3] = frame * scale
     matrix[:3, 3] = place

@@ -1,4 +1,4 @@
-"""Materials of tags, flowers and things, each with a class of its own."""
+"""Materials of tags, flowers and objects, each with its own class."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..classes import CLASSES
 
 
 def distractor_material(word: str, *, translucency: float) -> Any:
-    """The mesh's own colours, matte; light shines through it by this share."""
+    """The mesh's own colours, matte; this share of the light passes through."""
     material = bpy.data.materials.new(word)
     material.use_nodes = True
     material.pass_index = CLASSES.index(word)

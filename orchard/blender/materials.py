@@ -42,7 +42,8 @@ def _finish(nodes: _Nodes, shader: Any) -> None:
 
 
 def leaf_material() -> Any:
-    """Diffuse, translucent and waxy, in the object's colour; matt and paler below, quilted between the side veins."""
+    """Diffuse, translucent and waxy, in the colour of the object; matte and paler below, quilted between the side
+    veins."""
     material, nodes = _material("leaf", CLASSES.index("leaf"))
     color, relief = _veined(nodes, _aged(nodes))
     back = nodes("ShaderNodeNewGeometry").outputs["Backfacing"]
@@ -61,7 +62,7 @@ def leaf_material() -> Any:
 
 
 def _aged(nodes: _Nodes) -> Any:
-    """The object's colour; of some leaves yellower, and of a few brown, by the object's own random number."""
+    """The colour of the object; some leaves are yellower and a few brown, by the object's random number."""
     thing = nodes("ShaderNodeObjectInfo")
     age = nodes("ShaderNodeMapRange", _0=thing.outputs["Random"], _1=0.7, _2=1.0, _3=0.0, _4=0.55).outputs[0]
     color = nodes("ShaderNodeMixRGB", _0=age, _1=thing.outputs["Color"], _2=(0.3, 0.31, 0.035, 1)).outputs[0]
@@ -104,7 +105,8 @@ def wood_material(name: str, colors: tuple[tuple[float, ...], tuple[float, ...]]
 
 
 def fruit_material(species: Species) -> Any:
-    """Skin: the mesh's own colours, speckled, dotted and bloomy as the species is, under a glossy or a hairy layer."""
+    """Fruit surface: the mesh's own colours, with spots, dots and bloom of the species, under a glossy or a hairy
+    layer."""
     material, nodes = _material("fruit", CLASSES.index(FRUIT))
     skin = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
     place = nodes("ShaderNodeTexCoord").outputs["Object"]
@@ -125,7 +127,7 @@ def fruit_material(species: Species) -> Any:
 
 
 def _dotted(nodes: _Nodes, species: Species, place: Any, color: Any) -> tuple[Any, dict[str, Any]]:
-    """The colour with the skin's lenticels, and the shaders' input, if any, that gives a peel its pores."""
+    """The colour with lenticels, and the input of the shaders, if any, that gives a peel its pores."""
     relief: dict[str, Any] = {}
     if species.lenticels > 0 or species.pores > 0:
         cells = nodes("ShaderNodeTexVoronoi", Vector=place, Scale=17.0 / species.diameter).outputs["Distance"]
@@ -146,7 +148,7 @@ def _bloomy(nodes: _Nodes, species: Species, place: Any, color: Any) -> Any:
 
 
 def ground_material() -> Any:
-    """The mesh's own colours, drier in patches, mottled by clumps a hand wide and by shady blades and clods."""
+    """The mesh's own colours, drier in patches, with variation by clumps a hand wide and by shaded blades and clods."""
     material, nodes = _material("ground", CLASSES.index("soil"))
     base = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
     place = nodes("ShaderNodeTexCoord").outputs["Object"]
@@ -172,7 +174,7 @@ def grass_material() -> Any:
 
 
 def backdrop_material() -> Any:
-    """Far bushes and trees: the mesh's own colours."""
+    """Distant bushes and trees: the mesh's own colours."""
     material, nodes = _material("backdrop", CLASSES.index("hedge"))
     base = nodes("ShaderNodeAttribute", {"attribute_name": "tint"}).outputs["Color"]
     place = nodes("ShaderNodeTexCoord").outputs["Object"]
@@ -205,6 +207,6 @@ def sky(
     color = nodes("ShaderNodeMixRGB", _0=cover, _1=clear, _2=(*cloud, 1)).outputs[0]
     background = nodes("ShaderNodeBackground", Color=color, Strength=strength).outputs[0]
     nodes("ShaderNodeOutputWorld", Surface=background)
-    # A smooth sky is sampled well by the surfaces alone, which saves a shadow ray a bounce.
+    # A smooth sky is sampled well by the surfaces alone, which saves one shadow ray per bounce.
     world.cycles.sampling_method = "NONE"
     scene.world = world

@@ -23,15 +23,15 @@ from ..shapes.ground import Ground
 
 JPEG_QUALITY = 90
 WITHOUT_DENOISER = 6
-"""How many times the samples where Blender cannot denoise."""
+"""Factor of the samples if Blender cannot denoise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Passes:
-    """What one view sees at its pixels, unfiltered, rows from the top."""
+    """The passes of one view, unfiltered, rows from the top."""
 
     fruit: NDArray[np.uint16]
-    """(H, W) fruit id, 0 where there is none."""
+    """(H, W) fruit id, 0 for none."""
     classes: NDArray[np.uint8]
     """(H, W) index into CLASSES."""
     depth: NDArray[np.float32]
@@ -40,7 +40,7 @@ class Passes:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Send what Blender's C code prints to stdout nowhere, what C still holds back in its buffer included."""
+    """Discard what Blender's C code prints to stdout, including its buffer."""
     libc = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
     sys.stdout.flush()
     libc.fflush(None)
@@ -57,7 +57,7 @@ def quiet() -> Iterator[None]:
 
 
 def prepare(config: OrchardConfig, scratch: Path, report: Callable[[str], None]) -> None:
-    """Cycles settings and the compositor node that writes ids and depth, untouched, into one float picture."""
+    """Configure Cycles and the compositor node that writes ids and depth, unchanged, into one float picture."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.use_persistent_data = True
@@ -118,7 +118,7 @@ def _compositor(scene: Any, scratch: Path) -> None:
 
 
 def place_camera(view: Viewpoint) -> None:
-    """Point Blender's camera as the viewpoint says."""
+    """Set Blender's camera to the viewpoint."""
     scene = bpy.context.scene
     if scene.camera is None:
         scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -143,7 +143,7 @@ def render_view(
     seed: int,
     shake: NDArray[np.float64] | None = None,
 ) -> Passes:
-    """Render one view; the picture is put in place at the end, whole, and blurred along `shake` (x, y in pixels)."""
+    """Render one view, blurred along `shake` (x, y in pixels); the picture is written atomically."""
     scene = bpy.context.scene
     place_camera(view)
     scene.cycles.seed = seed % 2**31
@@ -163,9 +163,9 @@ def render_view(
 
 
 def without_comments(jpeg: bytes) -> bytes:
-    """A JPEG file less its comment segments: Blender writes render times there, which make equal pictures differ."""
+    """A JPEG file without its comment segments: Blender writes render times there, which make equal pictures differ."""
     kept, at = [jpeg[:2]], 2
-    while jpeg[at : at + 2] != b"\xff\xda":  # until the start of the scan, every segment tells its length
+    while jpeg[at : at + 2] != b"\xff\xda":  # until the start of the scan, every segment starts with its length
         end = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
         if jpeg[at + 1] != 0xFE:
             kept.append(jpeg[at:end])
@@ -188,7 +188,7 @@ def _read_passes(path: Path, view: Viewpoint, ground: Ground) -> Passes:
 
 
 def _split_ground(classes: NDArray[np.uint8], depth: NDArray[np.float32], view: Viewpoint, ground: Ground) -> None:
-    """Tell grass from soil where the ground is seen: the patches' own formula says which grows there."""
+    """Distinguish grass from soil where the ground is visible, by the formula of the patches."""
     rows, columns = np.nonzero((classes == CLASSES.index("soil")) & (depth > 0))
     pixels = np.stack([columns, rows], axis=1) + 0.5
     points = view.unproject(pixels, depth[rows, columns].astype(np.float64))

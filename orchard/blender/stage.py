@@ -30,7 +30,7 @@ LEAF_TONES = 6
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """What changes from view to view."""
+    """The settings that change from view to view."""
 
     leaves: tuple[Any, ...]
     """The leaf objects of the row's trees, in the order of `Orchard.leaves`."""
@@ -46,7 +46,7 @@ def set_stage(orchard: Orchard) -> Stage:
     foliage = _Foliage(rng, orchard)
     things = foliage.hang(orchard.leaves, None)
     fruit = materials.fruit_material(orchard.species)
-    for placed, mesh in zip(orchard.fruits, orchard.fruit_meshes, strict=False):  # the neighbours' own come after
+    for placed, mesh in zip(orchard.fruits, orchard.fruit_meshes, strict=False):  # those of the neighbours follow
         thing = add_object(f"fruit.{placed.id:03d}", mesh_data("fruit", mesh, fruit))
         thing.pass_index = placed.id
     _ground(orchard, rng)
@@ -57,7 +57,7 @@ def set_stage(orchard: Orchard) -> Stage:
 
 
 def dress(stage: Stage, orchard: Orchard, number: int) -> None:
-    """Set exposure, white balance and wind of the view of this number; nothing else differs between views."""
+    """Set exposure, white balance and wind of the view with this number; nothing else differs between views."""
     config = orchard.config
     rng = np.random.default_rng([config.seed, 21, number])
     view = bpy.context.scene.view_settings
@@ -65,7 +65,7 @@ def dress(stage: Stage, orchard: Orchard, number: int) -> None:
     if config.white_balance_drift > 0:
         half = 0.5 * config.white_balance_drift * rng.normal()
         view.use_curve_mapping = True
-        # What is this bright becomes white: the picture is divided by it.
+        # This brightness becomes white: the picture is divided by it.
         view.curve_mapping.white_level = (float(np.exp(-half)), 1.0, float(np.exp(half)))
         view.curve_mapping.update()
     if config.leaf_motion > 0:
@@ -138,7 +138,8 @@ class _Foliage:
 
 
 def _neighbours(orchard: Orchard, bark: _Bark, foliage: _Foliage, fruit: Any) -> None:
-    """Wood and leaves of each prototype once, as collections that its copies show; fruit are objects for their ids."""
+    """Wood and leaves of each prototype once, as collections that its copies instance; fruit are objects for their
+    ids."""
     shown = [_shown_parts(prototype, bark, foliage) for prototype in orchard.prototypes]
     meshes = [[mesh_data("fruit", mesh, fruit) for mesh in each.fruit_meshes] for each in orchard.prototypes]
     for neighbour in orchard.neighbours:
@@ -157,7 +158,8 @@ def _neighbours(orchard: Orchard, bark: _Bark, foliage: _Foliage, fruit: Any) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _ShownPart:
-    """A part of a prototype that its copies show in one colour: Cycles gives instances the colour of who shows them."""
+    """A part of a prototype that its copies show in one colour: in Cycles instances have the colour of their
+    instancer."""
 
     collection: Any
     color: tuple[float, ...]
@@ -203,14 +205,14 @@ def _ground(orchard: Orchard, rng: np.random.Generator) -> None:
 
 
 def _light(orchard: Orchard, rng: np.random.Generator) -> None:
-    """A sun with sharp shadows and a paler sky, or a white sky alone, taken by a camera that judged both in its way."""
+    """A sun with sharp shadows and a paler sky, or only a white sky, with the exposure that a camera would choose."""
     v = orchard.config.light_variety
 
     def around(value: float, spread: float) -> float:
         return float(value * np.exp(v * rng.uniform(-spread, spread)))
 
     overcast = bool(rng.uniform() < 0.5 * v)
-    # What the camera takes for white: warm or cold, a little green or pink.
+    # The white point of the camera: warm or cold, slightly green or pink.
     cast = np.exp(v * rng.uniform(-1.0, 1.0, 3) * [0.08, 0.03, 0.1])
     _sun(rng, v, cast, energy=around(0.7 if overcast else 5.0, 0.5), angle=around(40.0 if overcast else 2.0, 1.2))
     zenith, haze = np.array([0.24, 0.45, 0.92]), rng.uniform(0.5, 1.0)
@@ -240,7 +242,7 @@ def _sun(rng: np.random.Generator, variety: float, cast: FloatArray, *, energy: 
 
 
 def _camera_response(rng: np.random.Generator, variety: float, *, stops: float) -> None:
-    """Plain sRGB, as small cameras write it: bright parts burn out. Exposure and contrast vary."""
+    """Plain sRGB, as in small cameras: bright parts clip. Exposure and contrast vary."""
     view = bpy.context.scene.view_settings
     view.view_transform = "Standard"
     looks = ("None", "Medium High Contrast", "High Contrast")

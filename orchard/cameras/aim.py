@@ -1,4 +1,4 @@
-"""What the camera looks at: the whole tree, or a part of its crown where the picture is too narrow for it."""
+"""What the camera looks at: the whole tree, or a part of its crown if the picture is too narrow for it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..species import Species
 
 FloatArray = NDArray[np.float64]
 NARROW = 0.6
-"""A picture that shows less than this share of a crown's width is narrow."""
+"""A picture that shows less than this share of the width of a crown is narrow."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A part of the crown, on its side of negative y."""
+    """A part of the crown, on the side of negative y."""
 
     center: FloatArray
     """(3,) metres."""
@@ -28,7 +28,7 @@ class Part:
 
 
 def frame_width(config: OrchardConfig, species: Species) -> float:
-    """Width that a picture shows at what it looks at, metres."""
+    """Width of the scene in a picture at the distance of the target, metres."""
     return config.width / config.fruit_pixels * species.diameter
 
 

@@ -1,4 +1,4 @@
-"""The way of the camera: around the trees, half around them, along their row, or around a part of a crown."""
+"""The camera path: around the trees, half around them, along their row, or around a part of a crown."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from .viewpoint import Viewpoint, look_at
 
 FloatArray = NDArray[np.float64]
 NEAREST = 2.3
-"""Least distance of the way from the row's line, in heights of the tree ÷ 2: far enough to keep clear of the crown."""
+"""Least distance of the path from the line of the row, in heights of the tree ÷ 2, to stay clear of the crown."""
 CLEARANCE = 1.75
 """The same in half widths of the crown."""
 ARCS = {"ring": 75.0, "wave": 75.0, "half-ring": 40.0}
-"""How far to each side the camera goes around a part of a crown, degrees."""
+"""Angle to each side of a path around a part of a crown, degrees."""
 WAVES = 3
-"""How often a wave rises and falls: neighbouring pictures stay alike, which finding the cameras from them needs."""
+"""Number of waves of the height: neighbouring pictures stay similar, which estimating the cameras needs."""
 LEVELS = -0.25, 0.55
-"""Lowest and highest place of the camera, in crown heights above its middle."""
+"""Lowest and highest camera, in crown heights above the middle of the crown."""
 RISES = -8.0, 26.0
-"""The same before a part of a crown, degrees."""
+"""The same for a part of a crown, degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """What a walk leads around."""
+    """What a camera path leads around."""
 
     crown: FloatArray
     """(2, 3) low and high corner of all crowns of the row."""
@@ -41,14 +41,14 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPlace:
-    """Where a picture is taken from and towards, before the hand shakes."""
+    """Position and target of a picture, before camera shake."""
 
     place: FloatArray
     target: FloatArray
 
 
 def camera_places(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
-    """The views of the configured path, jittered in place and aim; one focal length for all."""
+    """The views of the configured path, with random variation of position and target; one focal length for all."""
     size = species.tree_height / 2.3
     if place.part is not None:
         distance = 0.6 * species.tree_height
@@ -77,7 +77,7 @@ def camera_places(rng: np.random.Generator, config: OrchardConfig, species: Spec
 
 
 def distance_from_row(species: Species, place: Place) -> float:
-    """How far from the row's line the camera keeps, metres."""
+    """Distance of the camera from the line of the row, metres."""
     low, high = place.crown
     half_width = max((high - low)[1], (high - low)[0] - 2 * place.half_row) / 2
     return max(NEAREST * species.tree_height / 2, CLEARANCE * half_width)
@@ -91,20 +91,20 @@ def _middle(place: Place) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class _Step:
-    """Where on its way a picture is taken: share of the way, and of the climb from the lowest place to the highest."""
+    """Position of a picture on the path: share of the path, and of the climb from the lowest to the highest camera."""
 
     share: float
     climb: float
 
 
 def _step(rng: np.random.Generator, config: OrchardConfig, i: int) -> _Step:
-    """The i-th picture of the way: heights take turns, those of a wave follow each other."""
+    """The i-th step of the path: heights alternate on rings, and follow each other on a wave."""
     if config.path == "wave":
         share = (i + 0.5 + rng.uniform(-0.15, 0.15)) / config.views
         return _Step(share=share, climb=0.5 - 0.5 * np.cos(2 * np.pi * WAVES * share))
     ring, place = divmod(i, _per_ring(config)) if config.path == "row" else (i % config.rings, i // config.rings)
     share = (place + 0.5 + rng.uniform(-0.15, 0.15)) / _per_ring(config)
-    if config.path != "row":  # those of one ring stand between those of another
+    if config.path != "row":  # those of one ring are between those of another
         share += (ring / config.rings - 0.5) / _per_ring(config)
     return _Step(share=share, climb=float(np.linspace(0.0, 1.0, config.rings)[ring]))
 
@@ -120,7 +120,7 @@ def _level(place: Place, climb: float) -> float:
 
 
 def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
-    """The i-th picture of a way around the trees or half around them."""
+    """The i-th picture of a path around the trees or half around them."""
     step = _step(rng, config, i)
     turn = np.pi + np.pi * step.share if config.path == "half-ring" else 2 * np.pi * step.share
     away = distance * rng.uniform(0.95, 1.05)
@@ -130,7 +130,7 @@ def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, dista
 
 
 def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
-    """The i-th picture of a walk past the row, to at the first height, back at the second, and so on."""
+    """The i-th picture of a path along the row, to at the first height, back at the second, and so on."""
     step = _step(rng, config, i)
     back = i // _per_ring(config) % 2 == 1
     low, high = place.crown[:, 0]

@@ -1,4 +1,4 @@
-"""Single views from near by, for training the encoder."""
+"""Single views from a short distance, for training the encoder."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def close_ups(
     fruits: Sequence[Body],
     things: FloatArray,
 ) -> list[Viewpoint]:
-    """Views from scattered distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length.
+    """Views from varying distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length.
 
-    Where there are things, at places (T, 3), every third view is aimed at one of them, from a tree's width away.
+    With objects at places (T, 3), every third view is aimed at one of them, from a tree's width away.
     """
     size = species.tree_height / 2.3
     middle = crown.mean(axis=0)
@@ -56,9 +56,9 @@ def close_ups(
 
 
 def _cut(view: Viewpoint, wanted: float, fruits: Sequence[Body]) -> float:
-    """How much before the camera may be cut away, at most `wanted`, so that leaves there do not hide everything.
+    """Near clipping distance, at most `wanted`, so that leaves in front do not hide everything.
 
-    Neither the ground nor a fruit is cut open.
+    Neither the ground nor a fruit is cut.
     """
     corners = np.array([[x, y] for x in (0.0, view.width) for y in (0.0, view.height)])
     drops = (view.position - view.unproject(corners, np.ones(4)))[:, 2]

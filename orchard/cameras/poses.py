@@ -1,4 +1,4 @@
-"""Poses as structure from motion would leave them: a little wrong."""
+"""Inaccurate poses, similar to those of structure from motion."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .viewpoint import FloatArray, Viewpoint
 def disturbed(
     rng: np.random.Generator, views: Sequence[Viewpoint], *, degrees: float, distance: float
 ) -> list[Viewpoint]:
-    """The views, rotated wrongly by `degrees` about each axis, their centres wrong by the same angle × `distance`.
+    """The views with rotations wrong by `degrees` about each axis and centres wrong by the same angle × `distance`.
 
-    Both are standard deviations. With the distance (metres) to what is looked at, a wrong rotation and a wrong centre
-    move the picture there by equally many pixels.
+    Both are standard deviations. With the distance (metres) to the target, a wrong rotation and a wrong centre move the
+    picture there by equally many pixels.
     """
     sigma = np.radians(degrees)
     noisy = []

@@ -1,4 +1,4 @@
-"""A camera that shakes while it takes a picture."""
+"""Camera shake during an exposure."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ FloatArray = NDArray[np.float64]
 
 
 def shake_of(rng: np.random.Generator, mean_length: float) -> FloatArray:
-    """(2,) how far a picture moves while it is taken, in pixels of x and y; `mean_length` is the mean over pictures."""
+    """(2,) motion of a picture during its exposure, in pixels of x and y; `mean_length` is the mean over pictures."""
     length, turn = mean_length * rng.uniform(0.4, 1.6), rng.uniform(0, 2 * np.pi)
     return length * np.array([np.cos(turn), np.sin(turn)])
 
 
 def shaken(pixels: NDArray[np.uint8], shake: FloatArray) -> NDArray[np.uint8]:
-    """The picture (H, W, 3), sRGB, averaged in linear light along the shake, which the sharp picture lies amid."""
+    """The picture (H, W, 3), sRGB, averaged in linear light along the shake, centred on the sharp picture."""
     light = to_linear(pixels / 255.0)
     steps = 2 * int(np.ceil(np.linalg.norm(shake))) + 1
     places = np.linspace(-0.5, 0.5, steps)
@@ -26,7 +26,7 @@ def shaken(pixels: NDArray[np.uint8], shake: FloatArray) -> NDArray[np.uint8]:
 
 
 def _shifted(light: FloatArray, shift: FloatArray) -> FloatArray:
-    """The picture moved by (x, y) pixels, bilinear, its rim repeated."""
+    """The picture moved by (x, y) pixels, bilinear, with repeated borders."""
     for axis, amount in ((1, shift[0]), (0, shift[1])):
         whole = int(np.floor(amount))
         part = amount - whole

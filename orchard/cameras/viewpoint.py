@@ -25,11 +25,11 @@ class Viewpoint:
     world_to_camera: FloatArray
     """(3, 4) rotation and translation, metres."""
     nearest: float = 0.02
-    """Anything closer is cut away, metres along the optical axis."""
+    """Near clipping distance, metres along the optical axis."""
 
     @property
     def position(self) -> FloatArray:
-        """(3,) the camera's place in the world."""
+        """(3,) the position of the camera in the world."""
         return -self.world_to_camera[:, :3].T @ self.world_to_camera[:, 3]
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -46,7 +46,7 @@ class Viewpoint:
 
 
 def look_at(position: FloatArray, target: FloatArray, roll: float = 0.0) -> FloatArray:
-    """(3, 4) world_to_camera of a camera at `position` that sees `target` in its middle, z up in the world."""
+    """(3, 4) world_to_camera of a camera at `position` that looks at `target`, z up in the world."""
     forward = unit(target - position)
     right = unit(np.cross(forward, [0.0, 0.0, 1.0]))
     down = np.cross(forward, right)

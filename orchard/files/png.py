@@ -33,7 +33,7 @@ def write_grey(path: Path, values: NDArray[np.uint8] | NDArray[np.uint16]) -> No
 
 
 def read_grey(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """The values (H, W) of a picture that `write_grey` wrote."""
+    """The values (H, W) of a picture written by `write_grey`."""
     content, at, raw = path.read_bytes(), 8, b""
     width, height, depth = struct.unpack(">IIB", content[16:25])
     while at < len(content):

@@ -1,4 +1,4 @@
-"""A COLMAP model of the walk, with a sparse cloud as structure from motion would leave it."""
+"""A COLMAP model of the views, with a sparse cloud similar to that of structure from motion."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ..cameras.viewpoint import Viewpoint
 FloatArray = NDArray[np.float64]
 
 LONGEST_TRACK = 5
-"""Views that observe a point, on average, where more could: matching never finds a point in every view."""
+"""Average number of views that observe a point: matching never finds a point in every view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """Points with colours and the views that see them."""
+    """Points with colours and the views that show them."""
 
     points: FloatArray
     """(P, 3) metres."""
     colors: NDArray[np.uint8]
     """(P, 3)"""
     tracks: tuple[tuple[int, ...], ...]
-    """For each point the numbers of the views that see it, at least two."""
+    """For each point the numbers of the views that show it, at least two."""
 
 
 def sample_cloud(
@@ -36,10 +36,10 @@ def sample_cloud(
     pictures: Sequence[NDArray[np.uint8]],
     count: int,
 ) -> Cloud:
-    """Points on what the views see: pixels drawn at random, unprojected by depth, moved by a few millimetres.
+    """Points on visible surfaces: random pixels, unprojected by depth, moved by a few millimetres.
 
-    A point's other observations are views whose own depth at its pixel agrees within 1 %. Points that a single view
-    sees are dropped, as structure from motion would. The noise grows with the depth: 0.1 % of it.
+    The other observations of a point are views whose depth at its pixel agrees within 1 %. Points in a single view are
+    dropped, as in structure from motion. The noise grows with the depth: 0.1 % of it.
     """
     each = int(np.ceil(1.6 * count / len(views)))
     found: list[tuple[FloatArray, NDArray[np.uint8], tuple[int, ...]]] = []
@@ -83,7 +83,7 @@ def _who_sees(
 def write_model(folder: Path, views: Sequence[Viewpoint], cloud: Cloud, written: Sequence[Viewpoint]) -> None:
     """Write cameras.bin, images.bin and points3D.bin (one shared PINHOLE camera).
 
-    `views` took the pictures, and points are observed where they show them; `written` are the poses to write.
+    `views` took the pictures and define the observations; `written` are the poses to write.
     """
     import pycolmap
 

@@ -1,4 +1,4 @@
-"""What is true about every fruit: where it is, how large, and how much of it each view shows."""
+"""The ground truth of every fruit: position, size, and how much of it each view shows."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from ..shapes.meshes import Mesh
 FloatArray = NDArray[np.float64]
 
 LEAST_VIEWS, LEAST_FRACTION, LEAST_PIXELS = 3, 0.10, 12
-"""A fruit is visible when so many views show at least this share and this number of its pixels."""
+"""A fruit is visible if this many views show at least this share and this number of its pixels."""
 
 AT_ONCE = 1_000_000
-"""Pairs of triangle and pixel that are tested at once."""
+"""Pairs of triangle and pixel tested at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
-    """How V views show one fruit."""
+    """The visibility of one fruit in V views."""
 
     visible_pixels: tuple[int, ...]
-    """Pixels of the fruit seen in each view."""
+    """Visible pixels of the fruit in each view."""
     whole_pixels: tuple[int, ...]
-    """Pixels it would cover in each view with nothing in front of it; 0 where none is seen."""
+    """Pixels of the fruit in each view without occlusion; 0 if none is visible."""
 
     @property
     def fractions(self) -> FloatArray:
-        """(V,) seen ÷ whole; 0 where nothing of the fruit is seen."""
+        """(V,) visible ÷ whole; 0 if nothing of the fruit is visible."""
         seen = np.array(self.visible_pixels, dtype=np.float64)
         whole = np.array(self.whole_pixels, dtype=np.float64)
         return np.where(whole > 0, np.minimum(seen / np.maximum(whole, 1.0), 1.0), 0.0)
@@ -88,7 +88,7 @@ def _inside(triangles: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
 def visibilities(
     views: Sequence[Viewpoint], instances: Sequence[NDArray[np.uint16]], ids: Sequence[int], meshes: Sequence[Mesh]
 ) -> list[Visibility]:
-    """How the views show each fruit, from their instance masks (H, W) and the fruits' meshes."""
+    """The visibility of each fruit, from instance masks (H, W) and the meshes of the fruit."""
     top = max(ids, default=0) + 1
     seen = np.array([np.bincount(mask.ravel(), minlength=top)[:top] for mask in instances])
     return [
@@ -103,9 +103,9 @@ def visibilities(
 
 
 def fruit_record(fruit: PlacedFruit, label: str, visibility: Visibility, names: Sequence[str]) -> dict[str, object]:
-    """One entry of truth.json; the centre is the volume's centroid, in the COLMAP model's frame.
+    """One entry of truth.json; the centre is the centroid of the volume, in the frame of the COLMAP model.
 
-    A neighbour's fruit is never visible: it belongs to no count, and a prediction on it to no error.
+    A neighbour's fruit is never visible: it belongs to no count, and a prediction on it is no error.
     """
     shown = [i for i, n in enumerate(visibility.visible_pixels) if n > 0]
     return {

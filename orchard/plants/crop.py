@@ -1,4 +1,4 @@
-"""The fruit that have found their place, and what a new one must keep clear of."""
+"""The fruit placed so far, and collisions of a new one with them and the wood."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ..shapes.branch import Branch, wood_samples
 
 FloatArray = NDArray[np.float64]
 OVERLAP = 0.005
-"""How deep touching fruit may press into each other, in fruit diameters."""
+"""How deep touching fruit may overlap, in fruit diameters."""
 WIDEST = 0.06
-"""More than any wood's half thickness, metres."""
+"""More than the half thickness of any wood, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class PlacedFruit:
     anchor: FloatArray | None
     """(3,) where its stalk meets the wood; None for fallen fruit."""
     clump: int
-    """Fruit of one clump share it; 0 for fallen fruit."""
+    """Shared by the fruit of one clump; 0 for fallen fruit."""
     tree: int = 1
     """Number of its tree in the row, from 1; 0 for a neighbour's fruit."""
 
@@ -50,7 +50,7 @@ class Crop:
     def add(
         self, body: Body, diameter: float, *, kind: str, anchor: FloatArray | None, clump: int, tree: int
     ) -> PlacedFruit:
-        """Put a fruit in its place."""
+        """Place a fruit."""
         number = len(self.fruits)
         if number == len(self._balls):
             self._balls = np.vstack([self._balls, np.zeros_like(self._balls)])
@@ -62,7 +62,7 @@ class Crop:
         return fruit
 
     def clear(self, body: Body, diameter: float) -> bool:
-        """Whether the body stands free of wood and of every placed fruit, but for a touch."""
+        """Whether the body is clear of wood and of every placed fruit, except for touching."""
         reach = body.reach + WIDEST
         low, high = np.searchsorted(self.wood[:, 2], [body.center[2] - reach, body.center[2] + reach])
         near = self.wood[low:high]

@@ -1,4 +1,4 @@
-"""Where the leaves sit, and how wind turns them."""
+"""Positions of the leaves, and how wind turns them."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ class Leaves:
     """(N,) from the darkest colour, 0, to the lightest, 1."""
 
     def chosen(self, rows: NDArray[np.int64]) -> Leaves:
-        """The leaves of these numbers."""
+        """The leaves with these numbers."""
         return Leaves(
             bases=self.bases[rows], frames=self.frames[rows], lengths=self.lengths[rows], shades=self.shades[rows]
         )
 
     def moved(self, offset: FloatArray) -> Leaves:
-        """The same leaves elsewhere."""
+        """The same leaves at other positions."""
         return Leaves(bases=self.bases + offset, frames=self.frames, lengths=self.lengths, shades=self.shades)
 
 
 def place_leaves(rng: np.random.Generator, branches: Sequence[Branch], species: Species, count: int) -> Leaves:
-    """Leaves along twigs and the outer parts of branches, facing the light, hanging a little."""
+    """Leaves along twigs and the outer parts of branches, facing the light, slightly hanging."""
     hosts = [b for b in branches if b.generation >= 2]
     spans = np.array([b.span for b in hosts])
     spans *= np.array([1.0 if b.generation == 3 else 0.6 for b in hosts])
@@ -65,7 +65,7 @@ def place_leaves(rng: np.random.Generator, branches: Sequence[Branch], species: 
 
 
 def leaves_outside(leaves: Leaves, centers: FloatArray, diameters: FloatArray) -> Leaves:
-    """The leaves whose midrib does not run through a fruit, of (M, 3) centres and (M,) diameters."""
+    """The leaves whose midrib does not pass through a fruit, of (M, 3) centres and (M,) diameters."""
     keep = np.ones(len(leaves.bases), dtype=bool)
     for part in (0.3, 0.6, 0.9, 1.15):
         place = leaves.bases + part * leaves.lengths[:, None] * leaves.frames[:, :, 1]
@@ -75,9 +75,9 @@ def leaves_outside(leaves: Leaves, centers: FloatArray, diameters: FloatArray) -
 
 
 def turned(rng: np.random.Generator, leaves: Leaves, degrees: float) -> FloatArray:
-    """(N, 3, 3) the leaves' frames after a gust: each turns about a random axis by an angle of this deviation.
+    """(N, 3, 3) the frames of the leaves in wind: each rotates about a random axis by an angle of this deviation.
 
-    The foot of a leaf's stalk stays where it is.
+    The base of a leaf's stalk stays in place.
     """
     axis = unit(rng.normal(size=(len(leaves.bases), 3)))
     angle = np.radians(rng.normal(0.0, degrees, len(leaves.bases)))[:, None, None]

@@ -1,4 +1,4 @@
-"""Where the fruit hang: singly and in touching clumps, clear of the wood and of each other."""
+"""Positions of the fruit: single or in touching clumps, clear of the wood and of each other."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LARGEST_CLUMP = 12
 
 @dataclass(frozen=True, kw_only=True)
 class Habit:
-    """How a tree bears, where that differs from its species."""
+    """Differences of a tree from its species."""
 
     clump: float = 0.0
     """Mean clump size; 0: the species' own."""
@@ -31,11 +31,11 @@ class Habit:
     middle: FloatArray | None = None
     """(3,) where the fruit gather; None: all over the crown."""
     reach: float = 0.0
-    """How far around the middle most of them hang, metres."""
+    """Distance from the middle within which most of them hang, metres."""
 
 
 class Fruiting:
-    """Hangs and drops the fruit of one tree."""
+    """Places the hanging and fallen fruit of one tree."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Fruiting:
         return spurs[spurs[:, 2] > clearance]
 
     def _bearing(self) -> FloatArray:
-        """(S,) each spur's chance of the next clump."""
+        """(S,) probability of each spur for the next clump."""
         weights = np.ones(len(self.spurs))
         if self.habit.middle is not None:
             away = np.linalg.norm(self.spurs - self.habit.middle, axis=1)
@@ -93,7 +93,7 @@ class Fruiting:
         return Body(center=top - axis * body.profile[0, 0], axis=axis, profile=body.profile), diameter
 
     def _nestle(self, neighbour: PlacedFruit) -> tuple[Body, float]:
-        """A fruit that touches its neighbour from the side: slid outward until it just rests on it."""
+        """A fruit that touches its neighbour from the side: moved outward until it just touches."""
         rng = self.rng
         axis = unit(-DOWN + rng.normal(0.0, 0.28, 3))
         body, diameter = self._body(np.zeros(3), axis)
@@ -115,7 +115,7 @@ class Fruiting:
         return int(self.rng.choice(np.arange(1, len(weights) + 1), p=weights / weights.sum()))
 
     def hang(self, count: int) -> None:
-        """Hang `count` fruit, clump after clump; raises OrchardError when the tree has no room for them."""
+        """Hang `count` fruit, clump after clump; raises OrchardError if the tree has no room for them."""
         clump = max((f.clump for f in self.crop.fruits), default=0)
         hung, failures = 0, 0
         while hung < count:
@@ -132,7 +132,7 @@ class Fruiting:
             hung += self._fill_clump(body, diameter, spur, clump, min(self._clump_size(), count - hung))
 
     def _fill_clump(self, body: Body, diameter: float, spur: FloatArray, clump: int, size: int) -> int:
-        """Hang a clump's first fruit at its spur and the others against it; how many found room."""
+        """Hang a clump's first fruit at its spur and the others next to it; returns how many found room."""
         members = [self.crop.add(body, diameter, kind="hanging", anchor=spur, clump=clump, tree=self.tree)]
         for _ in range(12 * size):
             if len(members) == size:
@@ -145,7 +145,8 @@ class Fruiting:
         return len(members)
 
     def _anchor(self, body: Body, spur: FloatArray) -> FloatArray | None:
-        """The wood near the body's stalk end, no farther than a long stalk; else the clump's own spur; else None."""
+        """The wood near the stalk end of the body, no farther than a long stalk; else the clump's own spur; else
+        None."""
         above = self.crop.wood[:, :3]
         distance = np.linalg.norm(above - body.top, axis=1) + 0.03 * (above[:, 2] < body.top[2])
         longest = 1.5 * self.species.stalk[1] + 0.25 * self.species.diameter
@@ -157,7 +158,7 @@ class Fruiting:
         return spur if np.linalg.norm(spur - body.top) < allowed else None
 
     def drop(self, count: int, ground_height: HeightField, radius: float, x0: float = 0.0) -> None:
-        """Lay `count` fruit on the ground within `radius` of the trunk, which stands at x = x0 and y = 0.
+        """Lay `count` fruit on the ground within `radius` of the trunk at x = x0 and y = 0.
 
         Raises:
             OrchardError: the ground has no room for them.

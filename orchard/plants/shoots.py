@@ -1,4 +1,4 @@
-"""How wood grows: curved lines, side branches and twigs."""
+"""Shapes of wood: curved lines, side branches and twigs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def path(
     lift: float,
     droop: float,
 ) -> FloatArray:
-    """(steps + 1, 3) a line that first strives upward (lift) and bends down towards its loaded end (droop)."""
+    """(steps + 1, 3) a line that first grows upward (lift) and bends down towards its loaded end (droop)."""
     points = [start]
     d = unit(direction)
     drift = rng.normal(0.0, wander, 3)
@@ -39,7 +39,7 @@ def taper(base: float, tip: float, count: int) -> FloatArray:
 
 
 def sideways(rng: np.random.Generator, along: FloatArray, turn: float, angle: float) -> FloatArray:
-    """A direction at an angle from `along`, turned around it."""
+    """A direction at an angle from `along`, rotated around it."""
     a = unit(np.cross(along, UP + rng.normal(0.0, 0.05, 3)))
     b = np.cross(a, along)
     return np.cos(angle) * along + np.sin(angle) * (np.cos(turn) * a + np.sin(turn) * b)

@@ -74,7 +74,7 @@ def _spindle(rng: np.random.Generator, size: float) -> list[Branch]:
 
 
 FLATNESS = 0.35
-"""How deep a wall is, as a share of what it would be untrained."""
+"""Depth of a wall, as a share of an untrained tree."""
 
 
 def _wall(rng: np.random.Generator, size: float) -> list[Branch]:
@@ -92,7 +92,7 @@ def _wall(rng: np.random.Generator, size: float) -> list[Branch]:
 
 
 def _vase(rng: np.random.Generator, size: float) -> list[Branch]:
-    """A short trunk and steep limbs around an open centre; what would grow into the centre is cut."""
+    """A short trunk and steep limbs around an open centre; shoots towards the centre are removed."""
     trunk = _trunk(rng, size, height=0.5, thickness=0.052)
     branches = [trunk]
     count = int(rng.integers(5, 7))
@@ -107,14 +107,15 @@ def _vase(rng: np.random.Generator, size: float) -> list[Branch]:
 
 
 def _clear_of_centre(shoot: Branch, limb: Branch) -> bool:
-    """Whether a shoot ends no nearer to the trunk's axis than four fifths of where its limb stands at that height."""
+    """Whether a shoot ends no nearer to the trunk's axis than four fifths of the distance of its limb at that
+    height."""
     tip = shoot.points[-1]
     nearest = limb.points[int(np.abs(limb.points[:, 2] - tip[2]).argmin())]
     return bool(np.hypot(tip[0], tip[1]) > 0.8 * np.hypot(nearest[0], nearest[1]))
 
 
 def _bush(rng: np.random.Generator, size: float) -> list[Branch]:
-    """Several low stems from one stool."""
+    """Several low stems from one base."""
     stool = _trunk(rng, size, height=0.1, thickness=0.05)
     branches = [stool]
     count = int(rng.integers(7, 10))

@@ -1,4 +1,4 @@
-"""Fruit bodies: solids of revolution, with a signed distance, so that fruit touch and do not run into each other."""
+"""Fruit bodies: solids of revolution with a signed distance, so that fruit can touch without overlapping."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Body:
 
     @property
     def reach(self) -> float:
-        """Radius of the ball around the centre that holds the body."""
+        """Radius of the sphere around the centre that contains the body."""
         return float(np.hypot(self.profile[:, 0], self.profile[:, 1]).max())
 
     @property
@@ -55,7 +55,7 @@ def normalised(profile: FloatArray) -> FloatArray:
     """The profile scaled so that the sphere of equal volume has diameter 1, and moved to its volume centroid."""
     z, r = profile[:, 0], profile[:, 1]
     dz = -np.diff(z)
-    # Frusta between the rings; heights fall from the stalk's end, and a dip counts negatively.
+    # Frusta between the rings; heights descend from the stalk's end, and a dip counts negatively.
     volumes = np.pi / 3 * dz * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2)
     centroid = float((volumes * (z[1:] + z[:-1]) / 2).sum() / volumes.sum())
     scale = 1.0 / (6.0 * volumes.sum() / np.pi) ** (1 / 3)
@@ -101,7 +101,7 @@ def surface_points(body: Body, segments: int = 16) -> FloatArray:
 
 
 def gap(a: Body, b: Body) -> float:
-    """Least distance between two bodies; negative: how deep one runs into the other."""
+    """Least distance between two bodies; negative: depth of the overlap."""
     if np.linalg.norm(a.center - b.center) > a.reach + b.reach:
         return float(np.linalg.norm(a.center - b.center) - a.reach - b.reach)
     return float(min(signed_distance(a, surface_points(b)).min(), signed_distance(b, surface_points(a)).min()))

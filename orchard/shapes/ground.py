@@ -42,7 +42,7 @@ class Tuft:
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Everything below the tree and beside it."""
+    """Everything below the tree and around it."""
 
     relief: HeightField
     patches: HeightField
@@ -54,10 +54,10 @@ class Ground:
     """Darkest and lightest grass, linear RGB."""
     soil: tuple[FloatArray, FloatArray]
     half_row: float
-    """Half the distance from the first trunk of the row to the last; the soil lies bare along it."""
+    """Half the distance from the first trunk of the row to the last; the soil is bare along it."""
 
     def soil_share(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """How much soil shows at a place, from 0 to 1; it also lies bare under the row, and hardly shows from afar."""
+        """Share of soil at a position, from 0 to 1; it is also bare under the row, and hardly visible from afar."""
         away = np.hypot(np.maximum(np.abs(x) - self.half_row, 0.0), y)
         bare = 0.9 * np.exp(-((away / 0.55) ** 2))
         near = np.clip((6.0 - away) / 3.5, 0.15, 1.0)
@@ -72,7 +72,7 @@ TUFT_PROTOTYPES = 5
 def lay_ground(rng: np.random.Generator, *, size: float, half_row: float = 0.0, posts: int = -1) -> Ground:
     """Ground for trees of the given size (1: a tree of 2.3 m) in a row of the given half length.
 
-    `posts`: how many stakes and posts; below 0: drawn, from none to two.
+    `posts`: number of stakes and posts; below 0: random, from none to two.
     """
     relief = HeightField(rng, amplitude=0.012 * size, wavelength=(0.6 * size, 2.5 * size))
     patches = HeightField(rng, amplitude=0.5, wavelength=(0.7 * size, 3.5 * size))
@@ -109,7 +109,8 @@ def _tufts(rng: np.random.Generator, ground: Ground, size: float) -> tuple[Tuft,
 
 
 def _posts(rng: np.random.Generator, size: float, half_row: float, number: int) -> tuple[Mesh, ...]:
-    """Stakes near the trunks and fence posts farther out, in turn; where the number is drawn, each with its chance."""
+    """Stakes near the trunks and fence posts farther out, alternating; with a random number, each with its
+    probability."""
     wanted = [bool(rng.uniform() < 0.6) for _ in range(2)] if number < 0 else [True] * number
     posts = []
     for i, stands in enumerate(wanted):

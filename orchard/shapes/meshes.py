@@ -33,7 +33,7 @@ class Mesh:
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of many."""
+    """Several meshes joined."""
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
     return Mesh(
         vertices=np.vstack([m.vertices for m in meshes]),

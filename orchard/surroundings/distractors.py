@@ -1,4 +1,4 @@
-"""What is easily taken for fruit: tags on twigs and fruit-coloured flowers. Plain arrays, no Blender."""
+"""Objects that are easily mistaken for fruit: tags on twigs and fruit-coloured flowers. Plain arrays, no Blender."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def plant_neighbours(
     spacing: float,
     first_id: int,
 ) -> tuple[tuple[Prototype, ...], tuple[Neighbour, ...]]:
-    """Prototypes and their copies in two rows beyond the camera's way, nearest to the tree first."""
+    """Prototypes and their copies in two rows beyond the camera path, nearest to the tree first."""
     prototypes = tuple(_prototype(rng, config, species, variant) for _ in range(min(KINDS, config.neighbours)))
     half_width = (place.crown[1] - place.crown[0])[1] / 2
     away = 1.06 * distance_from_row(species, place) + half_width + 0.3

@@ -1,4 +1,4 @@
-"""Things that people leave in orchards: buckets, crates, ladders, stones, walls. Plain arrays, no Blender."""
+"""Objects found in orchards: buckets, crates, ladders, stones, walls. Plain arrays, no Blender."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..species import linear_rgb
 FloatArray = NDArray[np.float64]
 
 WORDS = ("bucket", "crate", "ladder", "stone", "wall")
-"""What a thing can be; they take turns."""
+"""The kinds of objects, which take turns."""
 _PAINTS = ("#c62a22", "#e8b61c", "#2a5fb4", "#3f8a3a", "#e7e4dc", "#2b2c2e", "#e06a1c", "#7d8288", "#d9569b")
 _WOODS = ("#b08d5c", "#8f7350", "#a79a86")
 _STONES = ("#8d8980", "#a39a8a", "#6f6d69", "#b5ad9c")
@@ -25,7 +25,7 @@ _WALLS = ("#c9c1b0", "#a9523a", "#d8d5cc", "#8c8a84", "#b98a5e")
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject:
-    """One thing in the world: its word and its surface, metres."""
+    """One object in the world: its word and its surface, metres."""
 
     word: str
     mesh: Mesh
@@ -34,7 +34,7 @@ class SceneObject:
 def place_objects(
     rng: np.random.Generator, branches: Sequence[Branch], ground: Ground, size: float, count: int, x0: float
 ) -> list[SceneObject]:
-    """So many things about the trunk at x = x0 of a tree of height 2.3 m times `size`, kind after kind."""
+    """This many objects around the trunk at x = x0 of a tree of height 2.3 m times `size`, kind after kind."""
     makers: dict[str, Callable[[], Mesh]] = {
         "bucket": lambda: _bucket(rng, branches),
         "crate": lambda: _crates(rng, ground, size, x0),
@@ -117,7 +117,7 @@ def _stones(rng: np.random.Generator, ground: Ground, size: float, x0: float) ->
 
 
 def _wall(rng: np.random.Generator, size: float, x0: float) -> Mesh:
-    """A wall of rendered stone or brick behind the tree, with courses a little apart in colour."""
+    """A wall of plastered stone or brick behind the tree, with courses of slightly different colour."""
     away, turn = size * rng.uniform(2.2, 4.5), rng.uniform(0, 2 * np.pi)
     long, high = size * rng.uniform(2.0, 6.0), size * rng.uniform(0.6, 2.5)
     course = rng.uniform(0.08, 0.35)
@@ -153,14 +153,14 @@ def _box(middle: Sequence[float], sides: Sequence[float]) -> Mesh:
 
 
 def _painted(rng: np.random.Generator, mesh: Mesh, colors: Sequence[str], spread: float = 0.06) -> Mesh:
-    """One colour of these, a little lighter or darker, mottled."""
+    """One of these colours, slightly lighter or darker, with variation."""
     color = linear_rgb(colors[int(rng.integers(len(colors)))]) * np.exp(rng.normal(0.0, spread))
     mottled = color * np.exp(rng.normal(0.0, 0.05, (len(mesh.vertices), 1)))
     return Mesh(vertices=mesh.vertices, quads=mesh.quads, colors=np.clip(mottled, 0, 1))
 
 
 def _placed(mesh: Mesh, rng: np.random.Generator, foot: FloatArray, turn: float = np.pi) -> Mesh:
-    """Stood at `foot`, turned about its height by at most `turn`."""
+    """Placed at `foot`, rotated about the vertical by at most `turn`."""
     angle = rng.uniform(-turn, turn)
     c, s = np.cos(angle), np.sin(angle)
     frame = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])

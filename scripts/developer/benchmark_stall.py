@@ -41,14 +41,14 @@ def parse() -> argparse.Namespace:
 
 @dataclass
 class Gaps:
-    """Seconds between ticks, by what went on: {name: gaps}."""
+    """Seconds between ticks, by activity: {name: gaps}."""
 
     found: dict[str, list[float]] = field(default_factory=dict)
     name: str = ""
     last: float = 0.0
 
     def watch(self, name: str) -> None:
-        """From now on the gaps are of this; '' for none."""
+        """From now on the gaps belong to this activity; '' for none."""
         self.name, self.last = name, time.perf_counter()
 
     def tick(self) -> float:
@@ -57,7 +57,7 @@ class Gaps:
 
         now, job = time.perf_counter(), jobs.running()
         if self.name:
-            # What comes after the thread has ended is Blender's own: objects made, shaders compiled, the window drawn.
+            # After the thread has ended, Blender itself works: creating objects, compiling shaders, drawing the window.
             shown = self.name in JOBS and (job is None or job.ended)
             self.found.setdefault(f"{self.name}: its result shown" if shown else self.name, []).append(now - self.last)
         self.last = now
@@ -73,7 +73,7 @@ class Gaps:
 
 
 def visit(arguments: argparse.Namespace, gaps: Gaps) -> Generator[float, None, None]:
-    """Each yield lets the window live on for so many seconds."""
+    """Each yield gives the window this many seconds."""
     from fruitlangs.operators.jobs import jobs
 
     def work(name: str, title: str) -> Iterator[float]:

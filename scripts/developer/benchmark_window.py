@@ -36,9 +36,9 @@ ATTRIBUTES = ("position", "scale", "quaternion", "radiance:base", "opacity", "pr
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Figures of so many Gaussians. *_ms: milliseconds; redraw_*: seconds a redraw of the whole window, of a view that
-    stays (empty, splats, ellipsoids or points in Solid) or turns by a degree each time (turning); read_ms: from the
-    mesh to the card; highlight_ms: from writing another answer to its being drawn; blend_mb: the saved file; same:
+    """Figures for one number of Gaussians. *_ms: milliseconds; redraw_*: seconds per redraw of the whole window, for a
+    view that stays (empty, splats, ellipsoids or points in Solid) or rotates by a degree each time (turning); read_ms:
+    from the mesh to the card; highlight_ms: from a new answer until it is drawn; blend_mb: the saved file; same:
     whether all attributes come back from it."""
 
     gaussians: int
@@ -64,7 +64,7 @@ def parse() -> argparse.Namespace:
 
 
 def tree(count: int) -> Any:
-    """Engine Gaussians like a tree's: a crown of flat leaves 2 m wide on a trunk, fruit among them, and ground."""
+    """Engine Gaussians similar to a tree: a crown of flat leaves 2 m wide on a trunk, fruit among them, and ground."""
     import torch
 
     from fruitlangs.engine.splatting.gaussians import Gaussians, harmonics_of, logit
@@ -99,12 +99,12 @@ def seconds(action: Callable[[], Any], repeats: int) -> float:
 
 
 def redraw() -> None:
-    """Draw the window and wait until the card has done it."""
+    """Draw the window and wait until the card has finished."""
     bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=1)
 
 
 def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
-    """Figures of one number of Gaussians; the numbers before them are seconds to let the window live on."""
+    """Figures for one number of Gaussians; yields the seconds that the window needs."""
     from fruitlangs.operators.blender_data import get_attribute, new_object, owned_collection, set_attribute
     from fruitlangs.operators.data.write_gaussians import gaussian_mesh
     from fruitlangs.operators.drawing import splat_drawing

@@ -36,7 +36,7 @@ FIXED_TIME = (2020, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True)
 class Platform:
-    """A platform under Blender's name for it: Python's name, and the tags of wheels that run there, best first."""
+    """A platform under Blender's name: Python's name for it, and the tags of compatible wheels, best first."""
 
     name: str
     python: str
@@ -52,11 +52,11 @@ PLATFORMS = {
         Platform("macos-arm64", "darwin", ("macosx_14_0_arm64",)),
     )
 }
-"""{Blender's name: platform}. Linux as old as Blender itself wants it; macOS as old as PyCOLMAP and PyTorch want it."""
+"""{Blender's name: platform}. Linux as old as Blender supports; macOS as old as PyCOLMAP and PyTorch support."""
 
 
 class BuildError(Exception):
-    """A zip cannot be built; the message says why."""
+    """A zip cannot be built; the message gives the reason."""
 
 
 def main() -> int:
@@ -138,7 +138,7 @@ def manifest_with_wheels(text: str, wheels: Sequence[str], series: BlenderSeries
 
 
 def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list[Path]:
-    """A wheel for each package and version, sorted; those not in `folder` yet are downloaded by pip.
+    """One wheel per package and version, sorted; missing ones are downloaded to `folder` by pip.
 
     Raises:
         BuildError: pip cannot get one.
@@ -148,7 +148,7 @@ def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list
     pins = {name: f"{name}=={versions[name]}" for name in absent}
     torch = [pins.pop("torch")] if "torch" in pins else []
     done = not pins or _download(folder, list(pins.values()), series, platform)
-    # PyTorch's own index is asked only where pip's usual sources have no build for the CPU.
+    # PyTorch's own index is used only if pip's usual sources have no CPU build.
     done &= not torch or any(_download(folder, torch, series, platform, *more) for more in ((), _CPU_SOURCE))
     if not done:
         raise BuildError(f"pip cannot get all wheels for Blender {series.name} on {platform.name}. It says why above")
@@ -161,7 +161,7 @@ _CPU_SOURCE = ("--index-url", CPU_INDEX)
 
 
 def _download(folder: Path, pins: list[str], series: BlenderSeries, platform: Platform, *source: str) -> bool:
-    """Have pip download these wheels; whether it could."""
+    """Download these wheels with pip; returns whether it succeeded."""
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", *source]
     command += ["--dest", str(folder), "--implementation", "cp", "--python-version", series.python]
     command += [part for tag in platform.tags for part in ("--platform", tag)]
@@ -169,7 +169,7 @@ def _download(folder: Path, pins: list[str], series: BlenderSeries, platform: Pl
 
 
 def _wheel(folder: Path, name: str, version: str) -> Path | None:
-    """The wheel of that package and version in a folder."""
+    """The wheel of a package and version in a folder."""
     found = [path for path in folder.glob("*.whl") if (_package(path), path.name.split("-")[1]) == (name, version)]
     return found[0] if found else None
 
@@ -180,7 +180,7 @@ def _package(wheel: Path) -> str:
 
 
 def pack(path: Path, files: Mapping[str, Path | bytes]) -> None:
-    """Write the zip, its bytes a function of the files' names and contents alone."""
+    """Write the zip; its bytes depend only on names and contents of the files."""
     path.parent.mkdir(parents=True, exist_ok=True)
     arriving = path.with_suffix(".part")
     with zipfile.ZipFile(arriving, "w") as archive:
@@ -194,7 +194,7 @@ def pack(path: Path, files: Mapping[str, Path | bytes]) -> None:
 
 
 def contents_table(path: Path) -> str:
-    """What a zip holds, a line for each top folder, each wheel and all files beside them, with packed sizes."""
+    """The content of a zip: one line per top folder, per wheel and for all other files, with packed sizes."""
     sizes: dict[str, int] = {}
     for entry in zipfile.ZipFile(path).infolist():
         top, _, rest = entry.filename.partition("/")
@@ -227,10 +227,10 @@ def _included(path: Path, root: Path, patterns: list[str]) -> list[Path]:
 
 
 def excludes(pattern: str, relative: str, is_folder: bool) -> bool:
-    """Whether a pattern, in the manifest's gitignore-like notation, names this path.
+    """Whether a pattern, in the manifest's gitignore-like notation, matches this path.
 
-    A leading slash ties it to the root, a trailing one to folders; otherwise it fits a name at any depth. `*` stays
-    within a name.
+    A leading slash anchors it to the root, a trailing one matches folders; otherwise it matches a name at any depth.
+    `*` stays within a name.
     """
     if pattern.endswith("/") and not is_folder:
         return False

@@ -47,17 +47,17 @@ class Options:
     seeds: int = 10
     """Crowns of each setting."""
     first: int = 0
-    """Seed of the first one; the product's constants were looked at on seeds from 1000 on."""
+    """Seed of the first one; constants of the product were tuned on seeds from 1000 on."""
     along: Literal["clump", "spread", "pairs"] | None = None
-    """What alone changes; without it, the six settings."""
+    """The condition to vary; without it, the six settings."""
     settings: tuple[str, ...] = ()
     """Names of settings; without any, all."""
     methods: tuple[str, ...] = ()
     """Names of methods; without any, all."""
     scenes: tuple[str, ...] = ()
-    """In place of simulated crowns: folders of generated scenes, or presets with seeds such as apple-small:101."""
+    """Instead of simulated crowns: folders of generated scenes, or presets with seeds such as apple-small:101."""
     out: Path | None = None
-    """Folder for the tables, and for what is trained on scenes: that of evaluate.py takes what was trained there."""
+    """Folder of the tables and of trained scenes; that of evaluate.py reuses its training."""
 
 
 def main(options: Options) -> None:
@@ -81,7 +81,7 @@ def main(options: Options) -> None:
 
 
 def compare_on_scenes(options: Options) -> None:
-    """Both rungs with true masks, one after the other."""
+    """Both ablation stages with true masks, one after the other."""
     assert options.out is not None
     folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
     for stage in (COUNTING_ONLY, TRUE_MASKS):
@@ -90,7 +90,7 @@ def compare_on_scenes(options: Options) -> None:
 
 
 def chosen_methods(options: Options) -> Methods:
-    """Those that are named, in the order of all."""
+    """The named ones, in the order of all."""
     return {name: count for name, count in METHODS.items() if name in options.methods or not options.methods}
 
 

@@ -41,7 +41,7 @@ tyro = import_tyro()
 FloatArray = NDArray[np.float64]
 
 EDGE = 0.01
-"""Share of the candidates at either end of a feature whose values are cut."""
+"""Share of the candidates at either end of a feature whose values are clipped."""
 REGULARISATION = 0.1
 """Inverse strength of the penalty on the regression's weights."""
 
@@ -55,15 +55,15 @@ class Options:
     first: int = FIRST_TRAINING_SEED
     """Seed of the first one; seeds below 1000 are for tests and tables."""
     renders: Path | None = None
-    """Folder of rendered walks, as `make_orchard.py --scenes` writes them."""
+    """Folder of rendered trees, written by `make_orchard.py --scenes`."""
     out: Path = STORED
     """File to write."""
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """The candidates of one scene. features: (C, n) those WEIGHED; fruit, surest: (C,); visible: fruit that are to be
-    found; kind: of scene; family: scenes of which none is judged by a gate fitted to another."""
+    """The candidates of one scene. features: (C, n) those in WEIGHED; fruit, surest: (C,); visible: number of fruit to
+    find; kind: of scene; family: scenes that are never judged by a classifier fitted to another of them."""
 
     kind: str
     family: str
@@ -85,22 +85,22 @@ def main(options: Options) -> None:
 
 
 def example(case: Case) -> Iterator[Example]:
-    """The candidates of a scene; none where nothing in it looks round."""
+    """The candidates of a scene; none if no part of it is round."""
     result = searched(case)
     if result is None:
         return
     found, _ = result
     judged = judge(found.found.spheres.centers, 2.0 * found.found.spheres.radii, case.truth)
-    own = np.setdiff1d(np.arange(len(found.probabilities)), judged.ignored)  # on fruit that is not to be counted
+    own = np.setdiff1d(np.arange(len(found.probabilities)), judged.ignored)  # on fruit that does not count
     fruit, surest = np.isin(own, judged.pairs.predicted), found.features["surest"][own]
     visible = int(case.truth.visible.sum())
     yield Example(case.kind, case.family, weighed(found.features)[own], fruit, surest, visible)
 
 
 def fit(examples: Sequence[Example]) -> Gate:
-    """The logistic regression of all candidates on their features and the products of these.
+    """The logistic regression of all candidates on their features and products of features.
 
-    Crowns and walks weigh alike, and of each the kinds of scene.
+    Crowns and rendered trees have the same weight, and so have the kinds of scene within each.
     """
     features = np.concatenate([example.features for example in examples])
     fruit = np.concatenate([example.fruit for example in examples])
@@ -117,7 +117,7 @@ def fit(examples: Sequence[Example]) -> Gate:
 
 
 def _shares(examples: Sequence[Example]) -> FloatArray:
-    """(C,) weights of all candidates, 1 on the mean."""
+    """(C,) weights of all candidates, with a mean of 1."""
     sizes, families = dict[str, int](), dict[bool, set[str]]()
     for example in examples:
         sizes[example.kind] = sizes.get(example.kind, 0) + len(example.fruit)
@@ -128,7 +128,7 @@ def _shares(examples: Sequence[Example]) -> FloatArray:
 
 
 def table(examples: Sequence[Example]) -> str:
-    """Markdown: means by kind of scene, each judged by a gate fitted without the scenes of its family."""
+    """Markdown: means by kind of scene, each judged by a classifier fitted without the scenes of its family."""
     families = {example.family for example in examples}
     gates = {family: fit([example for example in examples if example.family != family]) for family in families}
     lines = [["scene", "scenes", "precision", "recall", "F1", "sum of probabilities / fruit"]]
@@ -139,7 +139,7 @@ def table(examples: Sequence[Example]) -> str:
 
 
 def judged(example: Example, gate: Gate) -> tuple[float, float, float, float]:
-    """Precision, recall, F1, and how many fruit the probabilities promise for each one among the candidates."""
+    """Precision, recall, F1, and the sum of probabilities per fruit among the candidates."""
     probabilities = gate.probabilities(
         {**dict(zip(WEIGHED, example.features.T, strict=True)), "surest": example.surest}
     )

@@ -47,7 +47,7 @@ tyro = import_tyro()
 FloatArray = NDArray[np.float64]
 
 HELD = 0.5
-"""Weight of the squares of a ratio's weights and slopes beside the likelihood."""
+"""Weight of the squares of a ratio's weights and slopes relative to the likelihood."""
 COVERAGE = 0.9
 
 
@@ -62,16 +62,16 @@ class Options:
     first: int = FIRST_TRAINING_SEED
     """Seed of the first one; seeds below 1000 are for tests and tables."""
     test_seeds: int = 0
-    """Crowns of settings drawn at random, of seeds from 0 on, that the fitted intervals are then tested on."""
+    """Crowns of random settings, of seeds from 0 on, to test the fitted intervals on."""
     renders: Path | None = None
-    """Folder of rendered walks, as `make_orchard.py --scenes` writes them."""
+    """Folder of rendered trees, written by `make_orchard.py --scenes`."""
     out: Path = STORED
     """File to write."""
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """One scene. kind, family: as of `Case`; visible: true fruit that views show, and others that were found; total:
+    """One scene. kind, family: as in `Case`; visible: true fruit that views show, and others that were found; total:
     all true fruit."""
 
     kind: str
@@ -105,13 +105,13 @@ def main(options: Options) -> None:
 
 
 def drawn_cases(first: int, number: int) -> itertools.chain[Case]:
-    """A crown of each of so many settings drawn at random."""
+    """One crown for each of this many random settings."""
     seeds = range(first, first + number)
     return itertools.chain.from_iterable(crown_cases({"drawn": any_setting(seed)}, [seed]) for seed in seeds)
 
 
 def example(case: Case) -> list[Example]:
-    """What a scene tells of its count; nothing where nothing in it looks round."""
+    """The evidence of a scene; none if no part of it is round."""
     result = searched(case)
     if result is None:
         return []
@@ -125,10 +125,11 @@ def example(case: Case) -> list[Example]:
 
 
 def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Ratio]]:
-    """The ratio of greatest likelihood, and by family those that were fitted without it; crowns and walks weigh alike.
+    """The ratio of maximum likelihood, and by family those fitted without it; crowns and rendered trees have the same
+    weight.
 
-    All are stretched until nine tenths of the scenes lie within, each by a ratio that was fitted without its family:
-    true surfaces and trained scenes by stretches of their own.
+    All are stretched until nine tenths of the scenes are covered, each by a ratio fitted without its family, with
+    separate stretches for true surfaces and trained scenes.
     """
     families = sorted({example.family for example in examples})
     without = {family: _fit([e for e in examples if e.family != family], truth) for family in families}
@@ -163,29 +164,29 @@ def _log_ratio(example: Example, truth: int) -> float:
 
 
 def _needed(ratio: Ratio, example: Example, truth: int) -> float:
-    """The stretch at which the interval, half a fruit wider at either end, just holds the truth."""
+    """The stretch at which the interval, half a fruit wider at either end, just covers the truth."""
     number = ratio.likeliest(example.evidence)
     beyond = max(number / (truth + 0.5), (truth - 0.5) / number, 1.0)
     return float(np.log(beyond)) / (QUANTILE * ratio.deviation(example.evidence))
 
 
 def _weights(examples: Sequence[Example]) -> FloatArray:
-    """(E,) with crowns and walks alike in sum, 1 on the mean."""
+    """(E,) weights with equal sums for crowns and rendered trees, with a mean of 1."""
     rendered_scene = np.array([example.kind.startswith("walk") for example in examples])
     shares = np.where(rendered_scene, 1.0 / max(rendered_scene.sum(), 1), 1.0 / max((~rendered_scene).sum(), 1))
     return shares / shares.mean()
 
 
 def holds(ratio: Ratio, example: Example, truth: int) -> bool:
-    """Whether the interval holds the truth."""
+    """Whether the interval covers the truth."""
     low, high = ratio.interval(example.evidence)
     return low <= truth <= high
 
 
 def table(examples: Sequence[Example], without: Mapping[str, Mapping[str, Ratio]]) -> str:
-    """Markdown: by kind of scene, how often the intervals hold the truth and how wide they are, in truths.
+    """Markdown: by kind of scene, the coverage of the intervals and their widths relative to the truth.
 
-    without: by what is told and by family, the ratio that was fitted without it.
+    without: by target and by family, the ratio fitted without that family.
     """
     lines = [["scene", "scenes", "visible held", "width", "all held", "width"]]
     for kind in dict.fromkeys(example.kind for example in examples):

@@ -1,4 +1,4 @@
-"""Sums of pixels' features by blending weight, for every Gaussian (what lifting a picture's features needs)."""
+"""Sums of pixel features by blending weight for every Gaussian, used to lift features of images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One step of Adam over the Gaussians that a view drew (Kingma & Ba 2015, algorithm 1)."""
+"""One step of Adam over the Gaussians that a view rendered (Kingma & Ba 2015, algorithm 1)."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def adam_step(
 ) -> None:
     """Update tables (N, K) in place, only the rows of Gaussians that were drawn.
 
-    rates: learning rates of the first columns; those beyond are not moved. drawn: (N,) not 0 where a view drew it;
-    updates: (N,) how often each row was moved, this step included: both moments are corrected for their start at zero
-    by it, since a row that was seldom seen still holds young moments. Moments that begin later, of a new degree of the
-    harmonics or after a reset of opacities, are taken for old ones, as in 3DGS: their first steps are up to six times
-    the rate. corrections: `CORRECTIONS`.
+    rates: learning rates of the first columns; the others are not updated. drawn: (N,) not 0 if a view rendered it;
+    updates: (N,) number of updates of each row, this step included, for the bias correction of both moments: a row that
+    is rarely in view still has young moments. Moments that start later, of a new degree of the harmonics or after an
+    opacity reset, are treated as old ones, as in 3DGS: their first steps are up to six times the rate. corrections:
+    `CORRECTIONS`.
     """
     n = parameters.shape[0]
     counter = np.zeros(1, np.int64)

@@ -1,4 +1,4 @@
-"""Blending tiles front to back (see `tile_kernels` for the equation)."""
+"""Blending of tiles front to back (see `kernels.tile` for the equation)."""
 
 from __future__ import annotations
 
@@ -96,7 +96,8 @@ def blend(
 ) -> None:
     """Fill out (CHANNELS + C, H, W) from flat records (N · RECORD,), features (N, C) and the tiles' lists.
 
-    Tiles are handed out one at a time in `order`; each writes only its own pixels, so threads change nothing.
+    Tiles are scheduled one at a time in `order`; each writes only its own pixels, so the number of threads does not
+    matter.
     """
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):

@@ -1,4 +1,4 @@
-"""Blending's gradient, back to front from the final transmittance: one scalar stands for all that lies behind."""
+"""Gradient of blending, back to front from the final transmittance: one scalar represents everything behind."""
 
 from __future__ import annotations
 

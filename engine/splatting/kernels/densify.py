@@ -1,4 +1,4 @@
-"""What a view adds to the count of how hard the image pulls at each Gaussian."""
+"""The contribution of a view to the gradient statistics of each Gaussian."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def count_views(
     sums: NDArray[np.float32],
     counts: NDArray[np.float32],
 ) -> None:
-    """Add one view: lengths of pulls (N, 2), per pixel, to sums (N,) in half-images; 1 where drawn to counts (N,)."""
+    """Add one view: lengths of mean_gradients (N, 2), per pixel, to sums (N,) in half-images; 1 to counts (N,) if
+    rendered."""
     n = drawn.shape[0]
     for worker in prange(workers):
         for i in range(worker * n // workers, (worker + 1) * n // workers):

@@ -1,4 +1,4 @@
-"""An affine change of colour over an image, and its gradients, in a fixed order of sums."""
+"""An affine colour change of an image, and its gradients, in a fixed order of summation."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Blending weights summed by label: how much of every mask each Gaussian drew (what lifting masks' features needs).
+"""Blending weights summed by label: how much of every mask each Gaussian covers, used to lift features of masks.
 
-Every tile writes sums of its own pairs into its own part of the lists, and every Gaussian gathers its pairs in their
-order: no two threads write one number, and the bytes do not depend on how many there are.
+Every tile writes the sums of its own pairs to its own part of the lists, and every Gaussian gathers its pairs in order:
+no two threads write one number, and the bytes do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from .tile import CHANNELS, LOG2_FAINTEST, MAX_ALPHA, PIXELS, STOP, TRANSMITTANC
 def _number_labels(
     labels: NDArray[np.int32], x0: int, y0: int, local: NDArray[np.int32], found: NDArray[np.int32]
 ) -> int:
-    """Number a tile's labels as they come: local (PIXELS,) each pixel's number or -1, found what they stand for."""
+    """Number the labels of a tile in order of appearance: local (PIXELS,) each pixel's number or -1, found their
+    labels."""
     height, width = labels.shape
     count = 0
     local[:] = -1
@@ -131,10 +132,10 @@ def sum_labels(
     pair_labels: NDArray[np.int32],
     pair_sums: NDArray[np.float32],
 ) -> None:
-    """For every pair, the labels (H, W) it drew and Σ weight over the pixels of each.
+    """For every pair, the labels (H, W) it covers and Σ weight over the pixels of each.
 
-    places: (tiles,) where each tile's part of pair_labels and pair_sums (K,) begins, with room for as many entries as
-    its list times its labels. Pair p's are pair_counts[p] entries from pair_starts[p] on, both (P,).
+    places: (tiles,) where each tile's part of pair_labels and pair_sums (K,) begins, with room for its list times its
+    labels. Pair p has pair_counts[p] entries from pair_starts[p] on, both (P,).
     """
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
@@ -168,8 +169,8 @@ def gather_labels(
 ) -> None:
     """Sum the pairs' entries by Gaussian: those of Gaussian i go to out_starts[i] … out_starts[i + 1] - 1.
 
-    Labels lie below `highest`; starts, counts: each Gaussian's pairs. Where out_labels is empty, the numbers of entries
-    are written to out_starts[1:] and nothing else.
+    Labels lie below `highest`; starts, counts: of each Gaussian's pairs. If out_labels is empty, only the numbers of
+    entries are written, to out_starts[1:].
     """
     n = counts.shape[0]
     counter = np.zeros(1, np.int64)

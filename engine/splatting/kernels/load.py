@@ -1,7 +1,7 @@
-"""How many Gaussians a pixel blends (the paper's ℓ, eq. 4), a smooth stand-in of it, and the stand-in's gradient.
+"""The number of Gaussians that a pixel blends (the paper's ℓ, eq. 4), a smooth approximation of it, and its gradient.
 
-ℓ is a count and has no gradient. The stand-in counts a Gaussian as s(α) = α / (α + 1/16): nearly 1 where it matters,
-falling towards 0 in its skirts, and it is there that a Gaussian can shrink without changing the picture.
+ℓ is a count and has no gradient. The approximation counts a Gaussian as s(α) = α / (α + 1/16): nearly 1 where it
+matters, falling towards 0 at its edges, where it can shrink without changing the picture.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _measure_tile(
     scratch: NDArray[np.float32],
     loads: NDArray[np.float32],
 ) -> None:
-    """Scratch: last entry that counted, ℓ, stand-in."""
+    """Scratch: last entry that counted, ℓ, approximation."""
     x0, y0 = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
     scratch[:] = ZERO
     copy_in(planes[LAST], x0, y0, scratch, 0)
@@ -66,7 +66,8 @@ def measure_loads(
     planes: NDArray[np.float32],
     loads: NDArray[np.float32],
 ) -> None:
-    """Fill loads (2, H, W): how many Gaussians each pixel blended, and the stand-in. planes: what `blend` wrote."""
+    """Fill loads (2, H, W): how many Gaussians each pixel blended, and the approximation. planes: written by
+    `blend`."""
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
         scratch = np.empty(3 * PIXELS, np.float32)
@@ -90,7 +91,7 @@ def _tile_backward(
     scratch: NDArray[np.float32],
     moments: NDArray[np.float32],
 ) -> None:
-    """Scratch: last entry that counted, gradient of the stand-in."""
+    """Scratch: last entry that counted, gradient of the approximation."""
     x0, y0 = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
     copy_in(planes[LAST], x0, y0, scratch, 0)
     copy_in(gradient, x0, y0, scratch, PIXELS)
@@ -139,7 +140,8 @@ def loads_backward(
     gradient: NDArray[np.float32],
     moments: NDArray[np.float32],
 ) -> None:
-    """Add to moments (P, MOMENT), which `blend_backward` wrote, what the stand-in's gradient (H, W) pulls."""
+    """Add the contribution of the approximation's gradient (H, W) to moments (P, MOMENT), written by
+    `blend_backward`."""
     counter = np.zeros(1, np.int64)
     for _worker in prange(workers):
         scratch = np.empty(2 * PIXELS, np.float32)

@@ -1,8 +1,8 @@
-"""L1 and SSIM of an image against a photo, value and gradient in one go (SSIM: Wang et al. 2004).
+"""L1 and SSIM of an image against a photo, value and gradient in one pass (SSIM: Wang et al. 2004).
 
 SSIM's windows are Gaussians of 11×11 pixels with σ = 1.5, one colour channel at a time, pixels outside the image 0. The
-window is separable and its own adjoint, so the gradient takes three more blurs: with S = SSIM(μ, E[x²], E[xy]),
-dL/dx = W·∂S/∂μ + 2x·W·∂S/∂E[x²] + y·W·∂S/∂E[xy].
+window is separable and its own adjoint, so the gradient takes three more blurs: with S = SSIM(μ, E[x²], E[xy]), dL/dx =
+W·∂S/∂μ + 2x·W·∂S/∂E[x²] + y·W·∂S/∂E[xy].
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _fill_row(
     planes: NDArray[np.float32],
     at: int,
 ) -> None:
-    """Planes 0 image, 1 photo, 2 valid: where a pixel may not be used, the image is the photo there."""
+    """Planes 0 image, 1 photo, 2 valid: where a pixel may not be used, the image equals the photo."""
     width = photo.shape[2]
     for x in range(width):
         planes[1, at + x] = np.float32(photo[channel, y, x]) * np.float32(1 / 255)
@@ -178,7 +178,7 @@ def _stride(width: int) -> int:
 
 
 SCRATCH_PLANES = 14
-"""Padded planes of scratch that the loss needs."""
+"""Padded scratch planes of the loss."""
 
 
 @kernel
@@ -199,8 +199,8 @@ def l1_and_ssim(
     l1_weight · Σ|x - y| - ssim_weight · ΣSSIM.
 
     image, photo: (3, H, W); mask: (H, W) True where valid, or (0, 0) for all; moments: (2, 3, padded_size) the photo's
-    window means and variances, written unless `known`; scratch: (SCRATCH_PLANES, padded_size), zeros or of an earlier
-    call for the same size: the borders are never written.
+    window means and variances, written unless `known`; scratch: (SCRATCH_PLANES, padded_size), zeros or from an earlier
+    call with the same size, because the borders are never written.
     """
     height, width = photo.shape[1], photo.shape[2]
     stride = _stride(width)

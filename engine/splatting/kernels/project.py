@@ -38,10 +38,10 @@ from .records import (
 )
 
 LOW_PASS = np.float32(0.3)
-"""Variance in px² that every ellipse gains, so that none falls between pixels."""
+"""Variance in px² added to every ellipse, so that none falls between pixels."""
 MAX_QUATERNION_ERROR = np.float32(1e-24)
 THINNEST = np.float32(1e-6)
-"""Least share of the opacity that a Gaussian thinner than a pixel keeps when antialiased; below nothing is drawn."""
+"""Least share of the opacity of a Gaussian thinner than a pixel when antialiased; with less it is not drawn."""
 MARGIN = np.float32(0.3)
 FLOOR = np.float32(1e-12)
 HUGE = np.float32(1e12)
@@ -58,7 +58,7 @@ def _usable(
     quats: NDArray[np.float32],
     opacity_logits: NDArray[np.float32],
 ) -> bool:
-    """Whether a Gaussian's values are numbers that nothing below overflows with (fast arithmetic cannot tell)."""
+    """Whether the values of a Gaussian do not overflow below (fast arithmetic cannot detect it)."""
     good = abs(opacity_logits[i]) < HUGE
     for k in range(3):
         good = good and abs(means[i, k]) < HUGE and abs(log_scales[i, k]) < LARGEST_LOG_SCALE
@@ -81,7 +81,7 @@ def rotation(quats: NDArray[np.float32], i: int, r: NDArray[np.float32]) -> None
 
 @njit
 def limits(camera: NDArray[np.float32]) -> tuple[float, ...]:
-    """Range of x/z and y/z used in J: the image and 0.3 half-images around it, where the linearisation still holds."""
+    """Range of x/z and y/z used in J: the image and 0.3 half-images around it, where the linearisation is accurate."""
     fx, fy, cx, cy, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
     wide, high = MARGIN * HALF * width / fx, MARGIN * HALF * height / fy
     return -cx / fx - wide, (width - cx) / fx + wide, -cy / fy - high, (height - cy) / fy + high
@@ -127,7 +127,7 @@ def covariance(
         xx += p0 * p0
         xy += p0 * p1
         yy += p1 * p1
-        # det C as the sum of squares that it is (Cauchy and Binet): no difference of large numbers.
+        # det C as a sum of squares (Cauchy-Binet): no difference of large numbers.
         area += (q0 * p1 - q1 * p0) * (q0 * p1 - q1 * p0) + (o0 * p1 - o1 * p0) * (o0 * p1 - o1 * p0)
         q0, q1, o0, o1 = p0, p1, q0, q1
     return xx, xy, yy, area
@@ -148,10 +148,10 @@ def _project_one(
     r: NDArray[np.float32],
     record: NDArray[np.float32],
 ) -> bool:
-    """Write a Gaussian's ellipse (all but its colour); False when it cannot be seen."""
+    """Write a Gaussian's ellipse (all but its colour); False if it is not visible."""
     if not _usable(i, means, log_scales, quats, opacity_logits):
         return False
-    # From the camera's centre: far from the origin, R p + t would be a small difference of large numbers.
+    # Relative to the camera's centre: far from the origin, R p + t would be a small difference of large numbers.
     px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
     x, y, z = to_camera(camera, px, py, pz)
     log2_opacity = math.log2(max(ONE / (ONE + math.exp(-opacity_logits[i])), FLOOR))
@@ -218,11 +218,11 @@ def project(
     records: NDArray[np.float32],
     room: NDArray[np.int32],
 ) -> None:
-    """Fill records (N, RECORD) and room (N,): how many tiles each Gaussian's box meets, 0 for those not drawn.
+    """Fill records (N, RECORD) and room (N,): number of tiles that each Gaussian's box meets, 0 if not drawn.
 
     antialiased: opacity · √(det C / det(C + 0.3 I)) for opacity; offsets: (N, 2) px added to the projected means, or
-    (0, 2); camera: (21,) see `drawing.camera_values`; near: float32, depth up to which nothing is drawn; pair_alpha:
-    float32, α from which a Gaussian is listed in a tile, at least 1/255.
+    (0, 2); camera: (21,) see `render.camera_values`; near: float32, depth up to which nothing is drawn; pair_alpha:
+    float32, least α at which a Gaussian is listed in a tile, at least 1/255.
     """
     n = means.shape[0]
     terms = (degree + 1) * (degree + 1)

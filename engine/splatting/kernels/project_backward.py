@@ -32,7 +32,7 @@ def _color_backward(
     d_basis: NDArray[np.float32],
     d_sh: NDArray[np.float32],
 ) -> tuple[float, float, float]:
-    """Gradients of a colour: into `d_sh`, and with respect to the mean through the viewing direction."""
+    """Gradients of a colour: with respect to `d_sh`, and to the mean through the viewing direction."""
     x, y, z, inverse = direction(means, i, camera)
     basis(degree, x, y, z, values)
     for k in range((degree + 1) * (degree + 1)):
@@ -49,7 +49,7 @@ def _color_backward(
 
 @njit
 def _quaternion_backward(r: NDArray[np.float32], d: NDArray[np.float32], i: int, d_quats: NDArray[np.float32]) -> None:
-    """Gradient of the rotation matrix (flat, row by row) into the quaternion that was not yet of unit length."""
+    """Gradient of the rotation matrix (flat, row by row) with respect to the quaternion before normalisation."""
     w, x, y, z, scale = r[9], r[10], r[11], r[12], r[13]
     dw = TWO * (x * (d[7] - d[5]) + y * (d[2] - d[6]) + z * (d[3] - d[1]))
     dx = TWO * (y * (d[1] + d[3]) + z * (d[2] + d[6]) + w * (d[7] - d[5]) - TWO * x * (d[4] + d[8]))
@@ -64,7 +64,8 @@ def _quaternion_backward(r: NDArray[np.float32], d: NDArray[np.float32], i: int,
 
 @njit
 def _conic_to_covariance(record: NDArray[np.float32], g: NDArray[np.float32]) -> tuple[float, float, float]:
-    """Gradients of the conic K from the moments, pulled to the covariance K⁻¹: -K G K (xx, xy counted once, yy)."""
+    """Gradients of the conic K from the moments, with respect to the covariance K⁻¹: -K G K (xx, xy counted once,
+    yy)."""
     a, b, c = TWO * record[CONIC_A] / LOG2_E, record[CONIC_B] / LOG2_E, TWO * record[CONIC_C] / LOG2_E
     ga, gb, gc = HALF * g[3], HALF * g[4], HALF * g[5]
     t00, t01 = a * ga + b * gb, a * gb + b * gc
@@ -137,8 +138,8 @@ def _geometry_backward(
     d_offsets: NDArray[np.float32],
     pose: NDArray[np.float32],
 ) -> tuple[float, float, float]:
-    """Gradients of an ellipse: into scales, rotation and offset, and with respect to the position in the camera; the
-    camera's own are added to `pose` (see `poses.twist_gradient`)."""
+    """Gradients of an ellipse with respect to scales, rotation, offset and the position in the camera; those of the
+    camera are added to `pose` (see `poses.twist_gradient`)."""
     px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]
     x, y, _ = to_camera(camera, px, py, pz)
     z = record[DEPTH]
@@ -217,12 +218,12 @@ def project_backward(
     mean_gradients: NDArray[np.float32],
     pose_sums: NDArray[np.float32],
 ) -> None:
-    """Add up each Gaussian's pairs, in the order of its tiles, and pull the sums back to its parameters.
+    """Sum each Gaussian's pairs, in the order of its tiles, and propagate the sums to its parameters.
 
-    starts, counts: (N,) where each Gaussian's pairs begin in moments (P, MOMENT) and how many they are.
-    pulls: (N, 2) sums over pixels of the absolute gradients of the projected means. What is not drawn gets 0 in
-    d_offsets and pulls; its rows in the others stay as they were. pose_sums: (blocks, 15) see `poses.twist_gradient`,
-    by block of Gaussians, so that their order is fixed.
+    starts, counts: (N,) where each Gaussian's pairs begin in moments (P, MOMENT) and how many they are. mean_gradients:
+    (N, 2) sums over pixels of the absolute gradients of the projected means. Gaussians that were not drawn get 0 in
+    d_offsets and mean_gradients; their rows in the others stay unchanged. pose_sums: (blocks, 15) see
+    `poses.twist_gradient`, by block of Gaussians, so that the order is fixed.
     """
     n = means.shape[0]
     counter = np.zeros(1, np.int64)

@@ -1,4 +1,4 @@
-"""What blending reads of a Gaussian: the ellipse it makes on the image, its colour and depth, as one cache line.
+"""The record of a Gaussian for blending: its ellipse on the image, colour and depth, as one cache line.
 
 Exponents are powers of two: α(d) = 2^(log2 opacity - (A dx² + B dx dy + C dy²)).
 """
@@ -32,7 +32,7 @@ RECORD = 16
     SHRINK,
 ) = range(14)
 """Mean and conic of the ellipse, then half the sides of the box in which α ≥ 1/255; REACH: the exponent at the edge of
-where it is listed; SHRINK: by how much that is smaller than the box."""
+the region where it is listed; SHRINK: how much smaller that region is than the box."""
 
 TILE_WIDTH = LANES
 TILE_HEIGHT = 16
@@ -48,7 +48,7 @@ ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32
 def _band(record: NDArray[np.float32], top: float, bottom: float) -> tuple[float, float]:
     """Leftmost and rightmost x at which the ellipse α = τ meets the band top ≤ y ≤ bottom.
 
-    Without fast arithmetic, as all that ends in a tile's number: it would assume that nothing is NaN.
+    Without fast arithmetic, like everything that determines a tile's number: it would assume that nothing is NaN.
     """
     a, b, c, reach = record[CONIC_A], record[CONIC_B], record[CONIC_C], record[REACH]
     low, high = top - record[MEAN_Y], bottom - record[MEAN_Y]
@@ -102,7 +102,7 @@ def holds_mean(record: NDArray[np.float32], tile_row: int, tile_column: int) -> 
 
 @njit(fastmath=False)
 def box_tiles(record: NDArray[np.float32], width: int, height: int) -> int:
-    """How many tiles the box around the ellipse meets: at least as many as the ellipse."""
+    """Number of tiles that the box around the ellipse meets: at least as many as the ellipse."""
     left = max(math.ceil(record[MEAN_X] - record[HALF_WIDTH] - HALF - SLACK), 0)
     right = min(math.floor(record[MEAN_X] + record[HALF_WIDTH] - HALF + SLACK), width - 1)
     first, last = tile_rows(record, height)

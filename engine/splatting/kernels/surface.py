@@ -1,4 +1,4 @@
-"""How far away the surface is that a pixel shows: the depth at which half of the light has been stopped."""
+"""The front surface of a pixel: the depth at which half of the light has been stopped."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .records import DEPTH, HALF, RECORD, TILE_HEIGHT, TILE_WIDTH, ZERO
 from .tile import LOG2_FAINTEST, MAX_ALPHA, PIXELS, TRANSMITTANCE, copy_out, ellipse_over, start_tile
 
 NOTHING = np.float32(1e30)
-"""Depth of a pixel that shows no surface. Kernels reckon with finite numbers only."""
+"""Depth of a pixel without a surface. Kernels compute with finite numbers only."""
 
 
 @njit

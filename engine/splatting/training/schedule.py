@@ -20,10 +20,10 @@ from .parameters import Rates
 DENSIFY_GRADIENT = 4e-4
 """Mean absolute gradient of a projected position, in half-images, above which a Gaussian is cloned or split."""
 PRUNE_OPACITY = 0.005
-"""Densification removes Gaussians with less opacity than this."""
+"""Densification removes Gaussians with a lower opacity."""
 LEAST_OVERSIZE, OVERSIZE_GAUSSIANS = 0.1, 700
-"""The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more where fewer than 70,000
-Gaussians share the scene, since N of them cover it when their size goes with 1 / √N."""
+"""The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more with fewer than 70,000
+Gaussians, since N of them cover the scene if their size is proportional to 1 / √N."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class Schedule:
         return step / self.config.steps
 
     def rates(self, step: int) -> Rates:
-        """That of the means is in the scene's extent and falls exponentially to a hundredth; a short training needs
-        higher ones than 3DGS's 30,000 steps."""
+        """The rate of the means is relative to the scene extent and falls exponentially to a hundredth; a short
+        training needs higher ones than 3DGS's 30,000 steps."""
         config = self.config
         return Rates(
             means=config.means_rate * self.extent * 0.01 ** self.done(step),
@@ -61,7 +61,7 @@ class Schedule:
         )
 
     def rules(self, step: int) -> DrawRules:
-        """How the step's view is drawn: one degree of harmonics more with every sixth of the steps."""
+        """How the view of the step is rendered: one more degree of harmonics with every sixth of the steps."""
         config = self.config
         return DrawRules(
             sh_degree=min(config.sh_degree, int(6 * self.done(step))),
@@ -71,12 +71,12 @@ class Schedule:
         )
 
     def shrink(self, step: int) -> int:
-        """By how much the step's photo is made smaller: 2 in the coarse part of the training."""
+        """The divisor of the photo's size in this step: 2 in the coarse part of the training."""
         return 2 if self.done(step) < self.config.coarse_until else 1
 
     @cached_property
     def last_densified(self) -> int:
-        """The last step after which Gaussians may come and go."""
+        """The last step with densification."""
         return int(self.config.densify_until * self.config.steps)
 
     def densifies(self, step: int) -> bool:
@@ -89,7 +89,7 @@ class Schedule:
         return self.config.densify == "gradient" and step < self.last_densified
 
     def densifications_left(self, step: int) -> int:
-        """How many times Gaussians will come and go, that of this step included."""
+        """Number of remaining densifications, that of this step included."""
         return (self.last_densified - step) // self.config.densify_every + 1
 
     def resets_opacity(self, step: int) -> bool:
@@ -97,11 +97,11 @@ class Schedule:
         return every > 0 and step % every == 0 and step < self.last_densified
 
     def drops_unneeded(self, step: int) -> bool:
-        """Once, when no Gaussian comes any more."""
+        """Once, when densification has ended."""
         return self.config.drop_unneeded > 0 and step == min(self.last_densified + 1, self.config.steps)
 
     def forgives(self, step: int) -> bool:
-        """Whether the worst pixels are left out: not before the picture stands roughly."""
+        """Whether the worst pixels are left out: not before the scene is roughly trained."""
         return self.config.forgive > 0 and self.done(step) >= 0.5
 
     def checks(self, step: int) -> bool:
@@ -109,7 +109,8 @@ class Schedule:
         return every > 0 and step % every == 0 and step < self.config.steps
 
     def settled(self, step: int) -> bool:
-        """Whether quality now tells when to stop: before, it jumps as photos get their full size and Gaussians come."""
+        """Whether quality can decide about stopping: before, it jumps when photos get their full size and Gaussians are
+        added."""
         return self.shrink(step) == 1 and step > self.last_densified
 
     def densify_rules(self) -> DensifyRules:
@@ -124,6 +125,6 @@ class Schedule:
 
 
 def view_at(step: int, views: Sequence[int], seed: int) -> int:
-    """The photo of a step: every round shows all photos once, in an order drawn from (seed, round)."""
+    """The photo of a step: every round uses all photos once, in a random order from (seed, round)."""
     lap, place = divmod(step, len(views))
     return views[np.random.default_rng([seed, lap]).permutation(len(views))[place]]

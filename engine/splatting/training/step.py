@@ -1,4 +1,4 @@
-"""One step of training: a photo's view is drawn, compared, and the Gaussians behind it are moved."""
+"""One step of training: render the view of a photo, compare, and update the Gaussians in it."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from .schedule import Schedule
 SSIM_WEIGHT = 0.2
 """Weight of 1 - SSIM in the photometric loss; L1 has the rest (3DGS)."""
 HOLD_EVERY = 10
-"""Steps between two looks at Gaussians that have grown too large: they grow slowly."""
+"""Steps between two limits of the size of Gaussians: they grow slowly."""
 PATCH = 15
-"""Side in pixels of the windows that are forgiven as one: as wide as a leaf, so that fine texture is not."""
+"""Side in pixels of the windows that are ignored together: as wide as a leaf, so that fine texture is kept."""
 _BLACK = np.zeros(3, np.float32)
 
 
 class Step:
-    """What steps share: memory that is used again, and what the loss remembers of the photos."""
+    """What steps share: reused memory, and the loss's cache of photos."""
 
     def __init__(self, schedule: Schedule, extra: ExtraChannels | None = None) -> None:
         self.schedule = schedule
@@ -42,7 +42,8 @@ class Step:
         self.loss = PhotometricLoss(SSIM_WEIGHT, self.workspace)
 
     def take(self, state: TrainingState, picture: Picture) -> float:
-        """Draw, compare, move; come and go when it is time. Returns the loss of the picture and of further channels."""
+        """Render, compare, update; densify and prune when due. Returns the loss of the picture and of further
+        channels."""
         schedule, config, step = self.schedule, self.schedule.config, state.step
         drawn, parameter_gradients, loss = self._backward(state, picture, step)
         regularise(parameter_gradients, state.parameters, config, schedule.extent)
@@ -62,7 +63,7 @@ class Step:
     def _backward(
         self, state: TrainingState, picture: Picture, step: int
     ) -> tuple[NDArray[np.int32], dict[str, NDArray[Any]], float]:
-        """Which Gaussians the view drew (N,), the gradients by parameter, and the loss."""
+        """Which Gaussians the view rendered (N,), the gradients by parameter, and the loss."""
         workspace, rules, camera = self.workspace, self.schedule.rules(step), picture.camera
         if state.poses is not None:
             camera = state.poses.camera(picture.view, camera)
@@ -127,8 +128,8 @@ class Step:
 
 
 def unforgiven(image: NDArray[np.float32], picture: Picture, share: float) -> NDArray[np.bool_]:
-    """(H, W) pixels to learn from: all usable ones but the `share` that differ most, in patches (RobustNeRF, Sabour
-    et al. 2023): what moves between photos is seldom drawn twice alike."""
+    """(H, W) pixels to learn from: all usable ones except the `share` that differ most, in patches (RobustNeRF, Sabour
+    et al. 2023): what moves between photos rarely matches twice."""
     away = np.abs(image - picture.pixels.transpose(2, 0, 1) * np.float32(1 / 255)).mean(0)
     smooth = uniform_filter(away, PATCH, mode="nearest")
     use = np.ones(smooth.shape, bool) if picture.mask is None else picture.mask
@@ -142,7 +143,9 @@ def regularise(gradients: dict[str, NDArray[Any]], parameters: Parameters, confi
     scene extents (3DGS-MCMC; PhysGaussian)."""
     n = max(len(parameters), 1)
     gaussians = parameters.gaussians()
-    d_opacity_logits = torch.from_numpy(gradients["opacity_logits"])  # rows of Gaussians not drawn may hold anything
+    d_opacity_logits = torch.from_numpy(
+        gradients["opacity_logits"]
+    )  # rows of Gaussians that were not rendered contain arbitrary values
     d_log_scales = torch.from_numpy(gradients["log_scales"])
     if config.opacity_weight > 0:
         opacities = gaussians.opacities

@@ -35,7 +35,7 @@ from .step import Step
 
 @dataclass(frozen=True)
 class ViewScore:
-    """How well a photo that training never saw is drawn: PSNR in dB, SSIM."""
+    """Quality of a held-out photo: PSNR in dB, SSIM."""
 
     name: str
     psnr: float
@@ -44,11 +44,10 @@ class ViewScore:
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """Trained Gaussians and what is known of their quality.
+    """Trained Gaussians and their quality.
 
-    held_out: scores of the photos kept aside; steps: optimiser steps behind the Gaussians; checks: (step, held-out PSNR
-    in dB) measured on the way; cameras: the scene's, at the poses that were refined; channels: (N, C) the further
-    channels that were asked for, C = 0 where none were.
+    held_out: scores of held-out photos; steps: number of optimiser steps; checks: (step, held-out PSNR in dB) during
+    training; cameras: of the scene, at their refined poses; channels: (N, C) the further channels, C = 0 without any.
     """
 
     gaussians: Gaussians
@@ -60,22 +59,22 @@ class Training:
 
     @property
     def psnr(self) -> float | None:
-        """Mean over the photos kept aside, in dB; None where none was kept."""
+        """Mean over held-out photos, in dB; None without any."""
         return float(np.mean([score.psnr for score in self.held_out])) if self.held_out else None
 
     @property
     def ssim(self) -> float | None:
-        """Mean over the photos kept aside; None where none was kept."""
+        """Mean over held-out photos; None without any."""
         return float(np.mean([score.ssim for score in self.held_out])) if self.held_out else None
 
 
 Watch = Callable[[Gaussians, Scene], None]
-"""Shown what training has made so far, in the frame of the scene, and the scene; it must not keep the call long."""
+"""Receives the Gaussians trained so far, in the frame of the scene, and the scene; the call must be short."""
 WATCH_EVERY = 100
-"""Steps between two looks of a `Watch`."""
+"""Steps between two calls of a `Watch`."""
 
 LEAST_GAIN = 0.02
-"""dB of held-out PSNR below which a measurement counts as no progress."""
+"""Gain of held-out PSNR in dB below which a measurement counts as no progress."""
 
 
 def train(
@@ -87,11 +86,11 @@ def train(
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> Training:
-    """Train Gaussians on a scene's photos, and with `extra` further channels that they carry.
+    """Train Gaussians on the photos of a scene, and with `extra` further channels.
 
-    With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it takes
-    up from it: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or of
-    another scene is passed over, with a message to `progress`. `watch` is shown copies of the Gaussians on the way.
+    With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it
+    resumes: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or belongs
+    to another scene is ignored, with a message to `progress`. `watch` receives copies of the Gaussians.
 
     Raises:
         TrainingError: there is nothing to train on, settings contradict each other, memory does not suffice, or the
@@ -133,11 +132,11 @@ def _at(gaussians: Gaussians, offset: NDArray[np.float64]) -> Gaussians:
 
 
 COARSEST = 1e-3
-"""Largest step of single precision, in scene extents, at which Gaussians may be kept."""
+"""Largest acceptable step of single precision, in scene extents."""
 
 
 def require_digits(middle: NDArray[np.float64], extent: float) -> None:
-    """Refuse a scene so far from its origin that Gaussians there would lie on a coarse grid.
+    """Refuse a scene so far from its origin that Gaussians would lie on a coarse grid.
 
     Raises:
         TrainingError: it does; says how far away it is.
@@ -183,7 +182,7 @@ def _train(
     while state.step < config.steps:
         picture = _picture(shelf, state.step, views, schedule)
         blank = blank + 1 if picture.mask is not None and not picture.mask.any() else 0
-        if blank == 2 * len(views) - 1:  # a whole round is among them, whatever its order
+        if blank == 2 * len(views) - 1:  # includes a whole round, whatever its order
             raise TrainingError("The masks leave no pixel of any photo to learn from. White is what may be used")
         loss = step.take(state, picture)
         done = state.step
@@ -223,12 +222,12 @@ def _train(
 
 
 def _posed(state: TrainingState, scene: Scene, view: int) -> Camera:
-    """A view's camera at its pose so far."""
+    """A view's camera at its current pose."""
     return scene.cameras[view] if state.poses is None else state.poses.camera(view, scene.cameras[view])
 
 
 def _usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list[int]:
-    """The views whose photos have a pixel that may be used; all are read, so that a broken one is told of at once."""
+    """The views whose photos have a usable pixel; all are read, so that a broken one is reported at once."""
     usable = []
     for view in views:
         progress(0.0, "Reading the held-out photos")
@@ -249,7 +248,7 @@ def _start(
 
 
 def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Schedule) -> Picture:
-    """The step's photo; the next one is decoded meanwhile."""
+    """The photo of the step; the next one is decoded in the background."""
     picture = shelf.picture(view_at(step, views, schedule.config.seed), schedule.shrink(step))
     if step + 1 < schedule.config.steps:
         shelf.expect(view_at(step + 1, views, schedule.config.seed), schedule.shrink(step + 1))
@@ -257,14 +256,14 @@ def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Sched
 
 
 def stalled(checks: Sequence[float], patience: int) -> bool:
-    """Whether the last `patience` measurements (dB) brought nothing over those before."""
+    """Whether the last `patience` measurements (dB) gained nothing over earlier ones."""
     if patience == 0 or len(checks) <= patience:
         return False
     return max(checks[-patience:]) < max(checks[:-patience]) + LEAST_GAIN
 
 
 def finite(gaussians: Gaussians) -> Tensor:
-    """(N,) mask of the Gaussians that hold neither NaN nor infinity."""
+    """(N,) mask of the Gaussians without NaN or infinity."""
     rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in PARAMETERS]
     return torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1)
 
@@ -277,7 +276,7 @@ def _breakdown(step: int, reason: str) -> TrainingError:
 
 
 def held_out_views(scene: Scene, every: int) -> frozenset[int]:
-    """Every n-th view from the first on (as 3DGS does); none for 0, and never all."""
+    """Every n-th view, starting with the first (as in 3DGS); none for 0, and never all."""
     if every <= 1 or len(scene.cameras) < 2:
         return frozenset()
     return frozenset(range(0, len(scene.cameras), every))
@@ -298,7 +297,7 @@ def _drawable(state: TrainingState, config: TrainConfig) -> Gaussians:
 
 
 def _needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]) -> Tensor:
-    """(N,) mask of the Gaussians that some camera shows with more than `drop_unneeded` pixels' blending weight."""
+    """(N,) mask of the Gaussians to which some camera gives more than `drop_unneeded` pixels of blending weight."""
     gaussians = _drawable(state, config)
     most = torch.zeros(len(gaussians))
     for camera in cameras:

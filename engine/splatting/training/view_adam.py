@@ -1,4 +1,4 @@
-"""Adam for what belongs to one photo: its colours, its pose. Rows are moved when their photo is shown."""
+"""Adam for values of one photo: its colours, its pose. Rows are updated when their photo is used."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15
 class ViewMoments:
     """Adam's moments by view.
 
-    first, second: (V, …); updates: (V,) int32 how often each view was shown.
+    first, second: (V, …); updates: (V,) int32 how often each view was used.
     """
 
     first: NDArray[Any]
@@ -23,7 +23,7 @@ class ViewMoments:
     updates: NDArray[np.int32]
 
     def step(self, view: int, gradient: NDArray[np.float64], rate: float) -> NDArray[Any]:
-        """By how much to lower what belongs to one view; its moments take in the gradient."""
+        """The step for the values of one view; updates its moments with the gradient."""
         self.updates[view] += 1
         t = int(self.updates[view])
         self.first[view] = BETA_1 * self.first[view] + (1 - BETA_1) * gradient

@@ -1,1 +1,1 @@
-"""Driving Blender's window by events, as a person does, for the pictures of the user guide and for tests."""
+"""Controls Blender's window by simulated events, for the pictures of the user guide and for tests."""

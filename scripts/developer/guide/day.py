@@ -1,4 +1,4 @@
-"""An agronomist's day in the window, from import to export, by clicks and keys; a picture after every step."""
+"""A day of work in the window, from import to export, by clicks and keys; a picture after every step."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import bpy
 from guide.hand import LEFT, MOMENT, Hand, Steps
 
 WAIT = 0.3
-"""Seconds between two looks whether a job has ended."""
+"""Seconds between two checks whether a job has ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Day:
-    """What the day is about. pictures: their folder, None for none; check: told what is true after each step."""
+    """The inputs of the day. pictures: their folder, None for none; check: called with a fact after each step."""
 
     scene: Path
     work: Path
@@ -33,7 +33,7 @@ class Day:
 
 
 def live(hand: Hand, day: Day) -> Steps:
-    """Live through the day."""
+    """Run the whole day."""
     yield from import_scene(hand, day)
     yield from measure(hand, day)
     yield from reconstruct(hand, day)
@@ -44,7 +44,7 @@ def live(hand: Hand, day: Day) -> Steps:
 
 
 def settings() -> Any:
-    """`scene.fruitlangs`; asked anew each time, for undo makes old references stale."""
+    """`scene.fruitlangs`; read each time, because undo invalidates old references."""
     return bpy.context.window_manager.windows[0].scene.fruitlangs
 
 
@@ -90,7 +90,7 @@ def measure(hand: Hand, day: Day) -> Steps:
 
 
 def ends(hand: Hand) -> list[tuple[float, float]]:
-    """Where two sparse points near the middle of the view are drawn, far apart."""
+    """Positions of two sparse points near the middle of the view, far apart."""
     points = owned("points")[0]
     places = [hand.place_of(points.matrix_world @ vertex.co) for vertex in list(points.data.vertices)[:4000:7]]
     window = hand.region("WINDOW")
@@ -103,7 +103,7 @@ def ends(hand: Hand) -> list[tuple[float, float]]:
 
 
 def reconstruct(hand: Hand, day: Day) -> Steps:
-    """Train, watching the splats; Esc once, then on from there; a picture on the way."""
+    """Train while the splats are shown; Esc once, then continue; a picture on the way."""
     yield from start_training(hand, until=0.2)
     yield from hand.press("ESC", *hand.aside)
     yield from work_done(hand)
@@ -156,7 +156,7 @@ def count(hand: Hand, day: Day) -> Steps:
 
 
 def review(hand: Hand, day: Day) -> Steps:
-    """Go to the doubtful fruit, look at it in a photo, reject it, undo that, do it again; then the other tools."""
+    """Go to the uncertain fruit, view it in a photo, reject it, undo that, do it again; then use the other tools."""
     before = settings().result.count
     view = hand.area.spaces.active.region_3d
     tree = view.view_location.copy(), view.view_distance
@@ -206,7 +206,7 @@ def other_tools(hand: Hand, day: Day) -> Steps:
 
 
 def nearest_fruit(hand: Hand) -> tuple[float, float]:
-    """Where the fruit nearest to the middle of the view is drawn."""
+    """Position of the fruit nearest to the middle of the view."""
     window = hand.region("WINDOW")
     middle = window.x + 0.4 * window.width, window.y + 0.5 * window.height
     places = [hand.place_of(item.matrix_world.translation) for item in owned("fruit")]
@@ -222,10 +222,10 @@ def counted() -> int:
 
 
 def export(hand: Hand, day: Day) -> Steps:
-    """Write a table of what stands after the review, through its file dialog."""
-    yield from hand.find("fruitlangs.export_ply")  # the last one: all are in sight
+    """Write a table of the reviewed fruit with its file dialog."""
+    yield from hand.find("fruitlangs.export_ply")  # the last one: all are visible
     yield from picture(hand, day, "export")
-    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # in this window, where the hand is
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # in this window, where the pointer is
     yield from hand.push("fruitlangs.export_csv")
     yield 1.0
     browser = next(area for area in hand.window.screen.areas if area.type == "FILE_BROWSER")
@@ -245,7 +245,7 @@ def running() -> Any:
 
 
 def work_done(hand: Hand) -> Steps:
-    """Wait until no job is at work and its result is shown."""
+    """Wait until no job is running and its result is shown."""
     yield from hand.rest()
     while running() is not None:
         yield WAIT
@@ -253,7 +253,7 @@ def work_done(hand: Hand) -> Steps:
 
 
 def picture(hand: Hand, day: Day, name: str, *, rest: bool = True) -> Steps:
-    """Keep a picture, with the mouse out of the way unless a dialog would close."""
+    """Take a picture, with the pointer out of the way unless a dialog would close."""
     if day.pictures is not None:
         if rest:
             yield from hand.rest()

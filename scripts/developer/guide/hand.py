@@ -1,8 +1,7 @@
-"""A hand on mouse and keyboard of a Blender window, by Blender's own simulated events (`--enable-event-simulate`).
+"""Mouse and keyboard of a Blender window, by Blender's own simulated events (`--enable-event-simulate`).
 
-Everything here is a generator: each `yield` is the seconds that the window gets to live on before the next event.
-Buttons are found by moving over the sidebar and asking Blender what lies under the mouse, so that no position is
-written down anywhere.
+Everything here is a generator: each `yield` is the number of seconds before the next event. Buttons are found by moving
+over the sidebar and asking Blender what is under the pointer, so no position is hard-coded.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from mathutils import Vector
 Steps = Generator[float, None, Any]
 
 STEP = 9
-"""Pixels between two places that are asked what lies there."""
+"""Pixels between two tested positions."""
 WIDTH = 1280
 """Pixels of a picture."""
 MOMENT = 0.06
-"""Seconds in which Blender notices where the mouse is."""
+"""Seconds that Blender needs to notice the pointer."""
 PAGES, NOTCHES = 12, 5
-"""How often the sidebar is scrolled, and by how many notches of the wheel, before a button is not there."""
+"""How often the sidebar is scrolled, and by how many notches of the wheel, before a button counts as missing."""
 SCROLLED = 1.5
-"""Seconds in which Blender has worked off a whole scroll; what the mouse does meanwhile it notices late."""
+"""Seconds that Blender needs to process a whole scroll; it notices pointer movements late in that time."""
 KEYS = {" ": "SPACE", ",": "COMMA", ".": "PERIOD", "-": "MINUS"} | {
     str(digit): name
     for digit, name in enumerate(("ZERO", "ONE", "TWO", "THREE", "FOUR", "FIVE", "SIX", "SEVEN", "EIGHT", "NINE"))
@@ -36,7 +35,8 @@ KEYS = {" ": "SPACE", ",": "COMMA", ".": "PERIOD", "-": "MINUS"} | {
 
 
 LEFT, RIGHT = 0.25, 0.62
-"""Of the sidebar's width: where the first and the second button of a row are; a single one is at both."""
+"""Positions across the sidebar, as shares of its width: of the first and the second button of a row; a single one is at
+both."""
 
 
 class NotThere(RuntimeError):
@@ -44,7 +44,7 @@ class NotThere(RuntimeError):
 
 
 class Hand:
-    """Acts in one 3D viewport of a window. mouse: where it was last, pixels of the window."""
+    """Acts in one 3D viewport of a window. mouse: last position of the pointer, pixels of the window."""
 
     def __init__(self, window: bpy.types.Window, area: bpy.types.Area) -> None:
         self.window, self.area = window, area
@@ -52,19 +52,19 @@ class Hand:
 
     @property
     def aside(self) -> tuple[float, float]:
-        """A place in the viewport where nothing is."""
+        """An empty position in the viewport."""
         region = self.region("WINDOW")
         return region.x + 0.15 * region.width, region.y + 0.1 * region.height
 
     def rest(self) -> Steps:
-        """Take the mouse out of the sidebar."""
+        """Move the pointer out of the sidebar."""
         yield from self.move(*self.aside)
 
     def region(self, kind: str) -> bpy.types.Region:
         return next(region for region in self.area.regions if region.type == kind)
 
     def move(self, x: float, y: float) -> Steps:
-        """To a place in the window's pixels, from its lower left corner."""
+        """Move to a position in the window's pixels, from its lower left corner."""
         self.mouse = (x, y)
         self.window.event_simulate(type="MOUSEMOVE", value="NOTHING", x=int(x), y=int(y))
         yield MOMENT
@@ -85,14 +85,14 @@ class Hand:
         return region.x + x, region.y + y
 
     def press(self, key: str, x: float, y: float, **held: bool) -> Steps:
-        """Press and release a key while the mouse is there."""
+        """Press and release a key with the pointer there."""
         self.window.event_simulate(type=key, value="PRESS", x=int(x), y=int(y), **held)
         yield MOMENT
         self.window.event_simulate(type=key, value="RELEASE", x=int(x), y=int(y), **held)
         yield MOMENT
 
     def write(self, text: str, x: float, y: float) -> Steps:
-        """Type a text into the field that is being edited, over what it holds, and end with Enter."""
+        """Type a text into the field that is being edited, replacing its content, and finish with Enter."""
         yield from self.press("A", x, y, ctrl=True)
         for letter in text:
             key = KEYS.get(letter, letter.upper())
@@ -103,7 +103,8 @@ class Hand:
         yield from self.press("RET", x, y)
 
     def under_mouse(self) -> str:
-        """What the button under the mouse does ('fruitlangs.count') or holds ('prompt'); empty where there is none."""
+        """The operator ('fruitlangs.count') or property ('prompt') of the button under the pointer; empty if there is
+        none."""
         manager = bpy.context.window_manager
         manager.clipboard = ""
         with bpy.context.temp_override(window=self.window, area=self.area, region=self.region("UI")):
@@ -116,8 +117,8 @@ class Hand:
         return manager.clipboard
 
     def find(self, what: str, across: float = RIGHT) -> Steps:
-        """(x, y) in the window of a button of the sidebar that does or holds `what`: the first from here down, or else
-        from the top. across: of the sidebar's width, for a row of several buttons.
+        """(x, y) in the window of the button of the sidebar for `what`: the first below the current position, or else
+        from the top. across: share of the sidebar's width, for a row of several buttons.
 
         Raises:
             NotThere: there is none.
@@ -130,7 +131,7 @@ class Hand:
         raise NotThere(f"no button '{what}' in the sidebar")
 
     def _below(self, what: str, across: float) -> Steps:
-        """As `find`, from here down; None where there is none."""
+        """As `find`, below the current position; None if there is none."""
         region = self.region("UI")
         x = region.x + region.width * across
         for _ in range(PAGES):
@@ -138,7 +139,7 @@ class Hand:
             while y > region.y + STEP:
                 yield from self.move(x, y)
                 if what in self.under_mouse():
-                    return x, y - STEP // 2  # its very edge takes no click
+                    return x, y - STEP // 2  # its very edge does not accept clicks
                 y -= STEP
             for _ in range(NOTCHES):
                 yield from self.press("WHEELDOWNMOUSE", x, region.y + region.height / 2)
@@ -168,7 +169,7 @@ class Hand:
             bpy.ops.screen.screenshot(filepath=str(drawn), check_existing=False)
         image = bpy.data.images.load(str(drawn))
         if is_black(image):
-            # Some drivers, software ones among them, do not give back what they show; the display itself does.
+            # Some drivers, software ones among them, do not return what they show; the display itself does.
             bpy.data.images.remove(image)
             subprocess.run(["import", "-window", "root", str(drawn)], check=True)
             image = bpy.data.images.load(str(drawn))
@@ -181,7 +182,7 @@ class Hand:
 
 
 def is_black(image: bpy.types.Image) -> bool:
-    """Whether nothing at all is in a picture."""
+    """Whether a picture is completely black."""
     pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
     image.pixels.foreach_get(pixels)
     return not pixels.reshape(-1, 4)[:, :3].any()
