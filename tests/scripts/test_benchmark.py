@@ -74,10 +74,10 @@ def test_the_peer_draws_the_same_picture_and_pulls_the_same_way() -> None:
     assert float(torch.nn.functional.cosine_similarity(a, b, dim=0)) > 0.99
 
 
-def test_the_peers_loss_is_ours() -> None:
+def test_the_loss_of_the_baseline_equals_ours() -> None:
     random = np.random.default_rng(0)
     image, photo = random.random((3, 30, 40)).astype(np.float32), random.integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    ours = PhotometricLoss(0.2, Workspace()).pull(image, photo, None, np.empty_like(image))
+    ours = PhotometricLoss(0.2, Workspace()).backward(image, photo, None, np.empty_like(image))
     theirs = plain_rasterizer.loss(torch.from_numpy(image).permute(1, 2, 0), torch.from_numpy(photo).float() / 255)
     assert ours == pytest.approx(float(theirs), rel=1e-4)
 
@@ -137,15 +137,15 @@ def test_3dgs_as_published_learns_a_tiny_scene_and_ours_takes_as_many_gaussians(
     assert published_table([theirs, standard, ours]).count("| ours |") == 2
 
 
-def test_both_roads_of_the_language_are_timed_stage_by_stage(tmp_path: Path) -> None:
+def test_both_encoders_are_timed_stage_by_stage(tmp_path: Path) -> None:
     shelf = PhotoShelf(read_scene(SAMPLE, SMALL))
     write_ply(tmp_path / "gaussians.ply", first_gaussians(shelf, range(4), 0, 1000, 0))
     shelf.close()
     clip = write_clip(tmp_path / "clip")
     configs = [EmbedConfig(), EmbedConfig(encoder="clip", clip=str(clip), code_epochs=1)]
     rows = measure_language(SAMPLE, tmp_path / "gaussians.ply", configs, views=2)
-    assert {row.method for row in rows} == {"embedded", "clip, classical masks"}
-    by_name = {(row.method, row.name): row for row in rows}
+    assert {row.pipeline for row in rows} == {"embedded", "clip, classical masks"}
+    by_name = {(row.pipeline, row.name): row for row in rows}
     assert by_name["embedded", "encode a photo"].times == 2
     assert by_name["clip, classical masks", "find a photo's masks"].times == 2
     assert all(row.seconds >= 0.0 < row.peak for row in rows)
@@ -197,7 +197,7 @@ def test_a_setting_below_one_is_one_line() -> None:
 def test_counting_is_timed_from_the_size_to_what_is_told_of_the_fruit() -> None:
     rows = measure_counting([100_000])
     assert [row.name for row in rows] == ["size", "points", "fruit", "account", "describe", "ground", "interval"]
-    points, fruit = (int(word.replace(",", "")) for word in rows[0].method.split() if word[0].isdigit())
+    points, fruit = (int(word.replace(",", "")) for word in rows[0].pipeline.split() if word[0].isdigit())
     assert 0.95 < points / 100_000 < 1.05
     assert 650 < fruit < 800  # of 762 true ones
     with pytest.raises(CountingError, match="numbers of points from 1 on"):

@@ -163,10 +163,16 @@ def test_the_stage_that_loses_most_is_named() -> None:
     assert losses({COUNTING_ONLY: 1.0}).largest == ""
 
 
+def test_the_earlier_name_of_the_flag_of_stages_is_read() -> None:
+    parse = importlib.import_module("evaluate").parse
+    for flag in ("--stages", "--rungs"):
+        assert parse(["scene", "--out", "out", flag, TRUE_POSES, END_TO_END]).stages == (TRUE_POSES, END_TO_END)
+
+
 def test_means_leave_out_what_failed(scene: Path) -> None:
     truth = read_truth(scene / "truth.json")
     all_found = count_metrics(truth.centers, truth.diameters, truth)
-    common = {"species": "apple", "seed": 1, "ablation_stage": TRUE_POSES}
+    common = {"species": "apple", "seed": 1, "stage": TRUE_POSES}
     rows = [
         StageResult(scene="a", counted=5, near=all_found, **common),
         StageResult(scene="b", counted=None, failed="no", **common),

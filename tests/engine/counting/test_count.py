@@ -337,7 +337,7 @@ def test_a_mean_that_is_no_number_is_refused(small: sim.Simulation) -> None:
 def test_a_probability_outside_0_and_1_is_refused(small: sim.Simulation, wrong: float) -> None:
     bad = small.probability.copy()
     bad[3] = wrong
-    with pytest.raises(CountingError, match=f"{wrong:g}.*values from 0 to 1"):
+    with pytest.raises(CountingError, match=f"{wrong:g}.*not from 0 to 1"):
         counted(dataclasses.replace(small, probability=bad))
 
 
