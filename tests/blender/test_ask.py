@@ -48,7 +48,7 @@ def test_an_opened_result_shows_all_that_was_counted(opened, counted_balls):
     assert settings.answer.text.startswith(f"{fit:,} of {len(counted_balls.gaussians):,} Gaussians match")
 
 
-def test_another_word_changes_the_highlight_and_what_is_said_of_it(opened, counted_balls):
+def test_another_word_changes_the_highlight_and_its_text(opened, counted_balls):
     settings = bpy.context.scene.fruitlangs
     before, said = probability(), settings.answer.text
     settings.prompt = "grass"
@@ -57,7 +57,7 @@ def test_another_word_changes_the_highlight_and_what_is_said_of_it(opened, count
     assert settings.answer.text != said
 
 
-def test_what_is_answered_is_not_asked_again_and_an_old_problem_goes(opened, monkeypatch):
+def test_an_answered_prompt_is_not_computed_again_and_an_old_problem_is_cleared(opened, monkeypatch):
     settings = bpy.context.scene.fruitlangs
     before, said = probability(), settings.answer.text
     settings.answer.problem = "durian is no word"
@@ -79,13 +79,13 @@ def test_the_button_asks_again_without_stopping_the_window(opened, monkeypatch):
     np.testing.assert_allclose(probability(), before, atol=1e-6)
 
 
-def test_a_threshold_moved_before_anything_was_asked_tells_nothing(extension, counted):
+def test_a_threshold_moved_before_anything_was_asked_gives_nothing(extension, counted):
     written(counted)
     bpy.context.scene.fruitlangs.config.count.threshold = 0.7
     assert bpy.context.scene.fruitlangs.answer.text == ""
 
 
-def test_an_unknown_word_is_said_and_the_highlight_stays(opened):
+def test_an_unknown_word_is_reported_and_the_highlight_stays(opened):
     before = probability()
     bpy.context.scene.fruitlangs.prompt = "durian"
     with pytest.raises(RuntimeError, match="does not know the word 'durian'"):
@@ -142,7 +142,7 @@ def test_the_timer_answers_the_last_of_several_edits(opened):
     np.testing.assert_array_equal(by_timer, probability())
 
 
-def test_an_answer_to_words_edited_meanwhile_is_asked_anew(opened):
+def test_an_answer_to_words_that_were_edited_is_computed_again(opened):
     settings = bpy.context.scene.fruitlangs
     settings.prompt = "leaf"
     ask.ask_soon(bpy.context.scene)

@@ -276,7 +276,7 @@ def test_what_fails_after_the_file_dialog_is_reported_in_words(extension):
     assert text.startswith("The scene folder")
 
 
-def test_a_job_begun_while_the_file_dialog_was_open_is_told(extension, started):
+def test_a_job_begun_while_the_file_dialog_was_open_is_reported(extension, started):
     hold = threading.Event()
     started(lambda progress: hold.wait(5))
     item = Asking()

@@ -239,7 +239,7 @@ def test_decisions_that_waited_find_their_source_where_it_was_moved(reviewed, se
     assert len(settings.review.log) == 1
 
 
-def test_a_copy_of_a_scene_beside_the_first_is_another(reviewed, settings, tmp_path):
+def test_a_copy_of_a_scene_next_to_the_first_is_another(reviewed, settings, tmp_path):
     assert is_of_another(settings, shutil.copytree(reviewed, tmp_path / "copy" / "photos"))
 
 

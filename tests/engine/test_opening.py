@@ -122,7 +122,7 @@ def test_what_is_watched_lies_in_the_frame_of_the_scene(counted, balls, tmp_path
     np.testing.assert_array_equal(scene.cameras[0].center, made.scene.cameras[0].center)
 
 
-def test_another_up_direction_trains_nothing_anew(counted):
+def test_another_up_direction_trains_nothing_again(counted):
     config = dataclasses.replace(counted.config, scene=SceneConfig(up=(0.0, 0.0, 1.0)))
     again = count_scene(counted.out, ["apple"], counted.out.with_name("turned"), config=config)
     assert again.reused == ["train", "embed"]

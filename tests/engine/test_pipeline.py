@@ -46,14 +46,14 @@ def test_a_run_writes_every_file_of_the_contract_and_nothing_half_made(counted: 
     assert not list((counted.out / "cache").glob("publish-*"))
 
 
-def test_photos_that_were_read_smaller_are_told(counted: Result) -> None:
+def test_photos_that_were_read_smaller_are_reported(counted: Result) -> None:
     assert [notice for notice in counted.notices if "--scene.max-side" in notice] == [
         "photos with up to 480 pixels a side were read at 240; --scene.max-side sets it"
     ]
     assert max(camera.width for camera in counted.scene.cameras) == 240
 
 
-def test_cameras_that_the_photos_do_not_bear_out_are_told(counted: Result, tmp_path: Path) -> None:
+def test_cameras_that_the_photos_do_not_bear_out_are_reported(counted: Result, tmp_path: Path) -> None:
     assert not [notice for notice in counted.notices if "SSIM" in notice]
     scene = shutil.copytree(SAMPLE, tmp_path / "scene")
     photos = sorted((scene / "images").iterdir())
@@ -121,7 +121,7 @@ def test_every_gaussian_says_how_likely_it_is_and_whose(counted: Result) -> None
     assert "selection.safetensors" in document(counted.out)["files"]
 
 
-def test_a_count_of_other_things_between_takes_no_fruit_its_number(counted: Result, tmp_path: Path) -> None:
+def test_a_count_of_other_objects_between_takes_no_fruit_its_number(counted: Result, tmp_path: Path) -> None:
     shutil.copytree(counted.out, tmp_path / "out")
     nothing = count_scene(tmp_path / "out", ["sky"], tmp_path / "out", config=SMALL)
     assert nothing.fruit_count.count == 0

@@ -52,7 +52,7 @@ def test_cameras_that_training_moved_are_those_of_the_next_prompt_too(few_photos
         assert (ours.world_to_camera == theirs.world_to_camera).all()
 
 
-def test_pictures_that_cannot_be_made_are_told(copied: Path) -> None:
+def test_pictures_that_cannot_be_made_are_reported(copied: Path) -> None:
     content = json.loads((copied / "fruits.json").read_text())
     content["provenance"]["source"] = "/gone/photos"
     (copied / "fruits.json").write_text(json.dumps(content))

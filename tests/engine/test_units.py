@@ -113,7 +113,7 @@ def test_a_scale_given_outright_is_taken_as_it_is() -> None:
     assert (scale.metres_per_unit, scale.standard_error) == (0.25, None)
 
 
-def test_without_a_length_or_with_that_of_a_thing_cameras_and_points_tell_no_scale() -> None:
+def test_without_a_length_or_with_that_of_an_object_cameras_and_points_give_no_scale() -> None:
     assert scale_by_length(UnitsConfig(), NAMES, cameras()) is None
     assert scale_by_length(UnitsConfig(length=0.3, object="bucket"), NAMES, cameras()) is None
 
@@ -154,22 +154,22 @@ def test_the_longest_side_of_a_slanted_bar_is_its_length_at_any_scale(times: flo
     assert side(bar(1.0, times=times)) == pytest.approx(times * (1.0 + 2 * 0.005 * 1.17), rel=2e-3)
 
 
-def test_the_largest_of_several_things_is_measured() -> None:
+def test_the_largest_of_several_objects_is_measured() -> None:
     assert side(together(bar(0.4), bar(1.0, at=8.0), bar(0.6, at=-8.0))) == pytest.approx(side(bar(1.0)), rel=1e-6)
 
 
-def test_a_thing_that_a_leaf_hides_in_the_middle_is_measured_whole() -> None:
+def test_an_object_that_a_leaf_hides_in_the_middle_is_measured_whole() -> None:
     whole = bar(1.0)
     hidden = torch.arange(len(whole)) // 9
     assert side(whole.select((hidden < 24) | (hidden > 27))) == pytest.approx(side(whole), rel=1e-6)
 
 
-def test_haze_adds_nothing_to_a_thing() -> None:
+def test_haze_adds_nothing_to_an_object() -> None:
     haze = dataclasses.replace(bar(2.0), opacity_logits=torch.full((len(bar(2.0)),), -0.5))
     assert side(together(bar(1.0), haze)) == pytest.approx(side(bar(1.0)), rel=1e-6)
 
 
-def test_a_few_gaussians_are_no_thing() -> None:
+def test_a_few_gaussians_are_no_object() -> None:
     assert side(bar(1.0).select(torch.arange(9))) is None
     assert side(bar(1.0, spacing=0.9).select(torch.tensor([0, 9]))) is None
 
@@ -197,7 +197,7 @@ def test_people_read_millimetres_where_the_scale_is_known_and_scene_units_where_
     assert [three_digits(value) for value in (1234.5, 0.078349, 112.2)] == ["1230", "0.0783", "112"]
 
 
-def test_the_scale_is_told_with_its_error_where_there_is_one() -> None:
+def test_the_scale_is_reported_with_its_error_where_there_is_one() -> None:
     scale = {"metres_per_unit": 0.998, "measure": "gps", "of": "the GPS tags of 60 photos", "standard_error": 0.004}
     assert scale_text(scale) == "1 scene unit is 0.998 m ± 0.4 %, by the GPS tags of 60 photos"
     assert scale_text({**scale, "standard_error": None}) == "1 scene unit is 0.998 m, by the GPS tags of 60 photos"

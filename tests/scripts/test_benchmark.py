@@ -194,7 +194,7 @@ def test_a_setting_below_one_is_one_line() -> None:
     assert done.stderr.startswith("error: --threads")
 
 
-def test_counting_is_timed_from_the_size_to_what_is_told_of_the_fruit() -> None:
+def test_counting_is_timed_from_the_size_to_the_description_of_the_fruit() -> None:
     rows = measure_counting([100_000])
     assert [row.name for row in rows] == ["size", "points", "fruit", "account", "describe", "ground", "interval"]
     points, fruit = (int(word.replace(",", "")) for word in rows[0].pipeline.split() if word[0].isdigit())
@@ -204,7 +204,7 @@ def test_counting_is_timed_from_the_size_to_what_is_told_of_the_fruit() -> None:
         measure_counting([0])
 
 
-def test_of_six_thousand_fruit_the_size_is_told_as_of_one_crown() -> None:
+def test_of_six_thousand_fruit_the_size_is_that_of_one_crown() -> None:
     crown = one_crown()
     sizes = []
     for stack in (crown, crown.repeated(8)):

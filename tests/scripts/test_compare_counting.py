@@ -78,7 +78,7 @@ def test_scenes_need_a_folder_for_what_is_trained():
         compare_counting.main(compare_counting.Options(scenes=("apple-small:101",)))
 
 
-def test_ours_on_a_scene_counts_what_its_rung_counts(tmp_path: Path):
+def test_ours_on_a_scene_counts_what_its_ablation_stage_counts(tmp_path: Path):
     scene, config = ball_scene.write_scene(tmp_path / "balls", views=10), Config()
     crown = scene_crown(scene, tmp_path / "out", COUNTING_ONLY, config)
     truth = read_truth(scene / "truth.json")
@@ -130,13 +130,13 @@ def test_the_table_says_where_no_other_method_was_better():
     assert lines[3] == "| b | 0.850 | 2 of 2 |"
 
 
-def test_figures_are_means_over_crowns_and_what_nobody_measured_is_a_dash():
+def test_figures_are_means_over_crowns_and_missing_ones_are_a_dash():
     trials = [_trial(0, "a", doubles=1, precision=0.5), _trial(1, "a", doubles=2, precision=1.0)]
     assert figures_table(trials).splitlines()[2] == "| a | 0.750 | 0.000 | 0.000 | 15.0 | 0.0 | 100.0% | – | – |"
     assert figures_table(trials, by_setting=True).splitlines()[2].startswith("| sparse, a | 0.750 |")
 
 
-def test_what_a_class_of_visibility_has_is_told_over_all_fruit():
+def test_what_a_class_of_visibility_has_is_reported_over_all_fruit():
     few, many = (_trial(seed, "a") for seed in (0, 1))
     few = replace(few, classes=(replace(few.classes[0], visible=1, recall=1.0, center_error=0.1, diameter_error=0.1),))
     many = replace(many, classes=(replace(few.classes[0], visible=9, recall=1.0, center_error=0.2),))
@@ -145,7 +145,7 @@ def test_what_a_class_of_visibility_has_is_told_over_all_fruit():
     assert lines[3] == "| fruit | 10 |"
 
 
-def test_a_pair_is_told_apart_where_each_fruit_is_counted_once():
+def test_a_pair_is_distinguished_where_each_fruit_is_counted_once():
     truth = Truth(
         centers=np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 0, 0], [9.0, 0, 0], [10.0, 0, 0]]),
         diameters=np.ones(5),
@@ -204,7 +204,7 @@ def test_a_second_run_goes_on_with_the_first(tmp_path: Path, monkeypatch: pytest
         compare_counting.main(replace(options, methods=("c",)))
 
 
-def test_along_an_axis_one_thing_changes():
+def test_along_an_axis_one_object_changes():
     for levels in AXES.values():
         first = next(iter(levels.values()))
         for setting in levels.values():
@@ -226,7 +226,7 @@ def test_an_unknown_setting_is_one_line():
     assert done.stderr.startswith("error: unknown setting 'easy'")
 
 
-def test_how_much_of_a_fruit_is_visible_is_told_behind_leaves_as_in_front_of_them():
+def test_how_much_of_a_fruit_is_visible_is_reported_behind_leaves_as_in_front_of_them():
     crown = simulate(replace(FEW, fruits=(40, 40), leaves=5000, views=16, wrong=0.0), 6)
     counted = count_fruit(crown.gaussians, crown.probability, crown.cameras, CountConfig(), label="fruit")
     everything = replace(crown.truth, visible=np.ones(len(crown.truth.visible), bool))

@@ -217,7 +217,7 @@ def test_a_bpy_that_cannot_be_imported_costs_the_blend_and_says_why(first, tmp_p
     assert not (tmp_path / "out" / "scene.blend").exists()
 
 
-def test_pictures_that_cannot_be_made_are_told_at_the_end(first, tmp_path: Path) -> None:
+def test_pictures_that_cannot_be_made_are_reported_at_the_end(first, tmp_path: Path) -> None:
     out = shutil.copytree(first[0], tmp_path / "out")
     content = json.loads((out / "fruits.json").read_text())
     content["provenance"]["source"] = "/gone/photos"

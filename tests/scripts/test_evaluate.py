@@ -41,7 +41,7 @@ def visible(printed: str) -> str:
 @pytest.mark.parametrize(
     ("prompts", "true"), [(["apple", "pear"], "2"), (["red apple"], "1"), (["apples"], "1"), (["fruit"], "3")]
 )
-def test_a_count_is_measured_against_every_thing_its_prompts_name(prompts, true, tmp_path, capsys) -> None:
+def test_a_count_is_measured_against_every_object_its_prompts_name(prompts, true, tmp_path, capsys) -> None:
     measured(tmp_path, prompts)
     assert visible(capsys.readouterr().out) == true
 

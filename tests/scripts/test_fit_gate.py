@@ -32,14 +32,14 @@ def drawn(kind: str, family: str, seed: int, truth: float = 2.0) -> fit_gate.Exa
     return fit_gate.Example(kind, family, features, fruit, np.ones(400), int(fruit.sum()) + 10)
 
 
-def test_the_regression_finds_what_tells_fruit_and_what_does_not():
+def test_the_regression_finds_what_gives_fruit_and_what_does_not():
     gate = fit_gate.fit([drawn("sparse", f"crown {1000 + seed}", seed) for seed in range(6)])
     assert gate.linear[0] == pytest.approx(2.0, rel=0.15)
     assert np.abs(gate.linear[1:]).max() < 0.2
     assert np.abs(gate.quadratic).max() < 0.25
 
 
-def test_the_regression_finds_what_tells_fruit_only_together():
+def test_the_regression_finds_what_gives_fruit_only_together():
     rng = np.random.default_rng(0)
     features = rng.normal(size=(2000, len(WEIGHED)))
     fruit = 2.0 * features[:, 1] * features[:, 2] + rng.logistic(size=2000) > 0.0
@@ -48,7 +48,7 @@ def test_the_regression_finds_what_tells_fruit_only_together():
     assert np.abs(gate.linear).max() < 0.25
 
 
-def test_a_few_walks_weigh_as_much_as_many_crowns():
+def test_a_few_rendered_trees_weigh_as_much_as_many_crowns():
     crowns = [drawn("sparse", f"crown {1000 + seed}", seed) for seed in range(8)]
     gate = fit_gate.fit([*crowns, drawn("walk, encoder", "walk 1314", 9, truth=-2.0)])
     assert abs(gate.linear[0]) < 0.3
@@ -76,7 +76,7 @@ def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
     assert promised == pytest.approx(1.0, abs=0.1)
 
 
-def test_true_surfaces_of_a_rendered_walk_are_fitted_to_beside_what_was_trained_there(tmp_path: Path):
+def test_true_surfaces_of_a_rendered_tree_are_fitted_to_as_well_as_trained_ones(tmp_path: Path):
     ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK, seed=1003)
     ball_scene.write_scene(tmp_path / "1004", views=LEAST_WALK - 1, seed=1004)
     (case,) = surface_cases(tmp_path)
@@ -86,7 +86,7 @@ def test_true_surfaces_of_a_rendered_walk_are_fitted_to_beside_what_was_trained_
 
 
 @pytest.mark.parametrize("cases", [rendered_cases, surface_cases])
-def test_rendered_walks_of_seeds_for_tests_are_refused_before_anything_is_trained(
+def test_rendered_trees_of_seeds_for_tests_are_refused_before_anything_is_trained(
     tmp_path: Path, cases: Callable[[Path], Iterator[Case]]
 ):
     ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK, seed=1003)

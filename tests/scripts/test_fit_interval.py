@@ -30,7 +30,7 @@ def scene(seed: int, spread: float = 0.1, faint: float = 0.0) -> fit_interval.Ex
 SCENES = [scene(seed) for seed in range(1000, 1040)]
 
 
-def test_the_ratio_finds_what_tells_of_more_fruit_and_how_far_it_errs():
+def test_the_ratio_finds_what_gives_of_more_fruit_and_how_far_it_errs():
     ratio, _ = fit_interval.fit(SCENES, fit_interval.TRUTHS["visible"])
     assert ratio.weights[0] == pytest.approx(np.log(1.2) / 0.2, abs=0.35)
     assert ratio.weights[1:] == pytest.approx(np.zeros(len(TELLING) - 1), abs=0.05)

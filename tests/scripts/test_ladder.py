@@ -80,7 +80,7 @@ def test_a_second_run_takes_what_the_first_counted_and_writes_the_same_bytes(
     assert {name: (evaluated / name).read_bytes() for name in before} == before
 
 
-def test_other_settings_are_counted_anew(evaluated: Path, scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_settings_are_counted_again(evaluated: Path, scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(
         LadderStages, "run", lambda self, name, progress: asked.append(name) or (_ for _ in ()).throw(STOP)
@@ -95,7 +95,7 @@ def test_other_settings_are_counted_anew(evaluated: Path, scene: Path, monkeypat
 STOP = SceneError("stopped here")
 
 
-def test_a_rung_that_fails_is_no_count_and_the_others_go_on(scene: Path, tmp_path: Path) -> None:
+def test_a_stage_that_fails_is_no_count_and_the_others_continue(scene: Path, tmp_path: Path) -> None:
     broken = copied(scene, tmp_path / "broken")
     (broken / "depth" / "003.png").unlink()
     rows = climb(broken, tmp_path / "out", config=QUICK, stages=[COUNTING_ONLY, TRUE_MASKS])

@@ -112,7 +112,7 @@ def test_tags_flowers_and_posts_are_as_many_as_asked_for() -> None:
     assert lay_ground(np.random.default_rng(0), size=1.0, posts=0).posts == ()
 
 
-def test_things_take_turns_stand_or_hang_about_their_tree_and_move_nothing_else() -> None:
+def test_objects_take_turns_stand_or_hang_about_their_tree_and_move_nothing_else() -> None:
     bare, full = (plant(OrchardConfig(fruits=5, leaves=20, things=count)) for count in (0, 7))
     words = [thing.word for thing in full.things]
     assert len(words) == 7
@@ -123,7 +123,7 @@ def test_things_take_turns_stand_or_hang_about_their_tree_and_move_nothing_else(
     assert [f.body.center.tolist() for f in bare.fruits] == [f.body.center.tolist() for f in full.fruits]
 
 
-def test_every_third_close_up_looks_at_a_thing() -> None:
+def test_every_third_close_up_looks_at_an_object() -> None:
     config = OrchardConfig(close_ups=True, views=6)
     things = np.array([[6.0, 0.0, 0.5], [-6.0, 1.0, 0.2]])
     views = close_ups(np.random.default_rng(4), config, APPLE, PLACE.crown, [], things)
@@ -162,7 +162,7 @@ def test_a_half_ring_stays_on_its_side_and_a_ring_goes_around() -> None:
     assert lowest_and_highest_y("half-ring")[1] < 0.5
 
 
-def test_a_walk_along_the_row_goes_to_and_fro_at_two_heights() -> None:
+def test_a_path_along_the_row_goes_to_and_fro_at_two_heights() -> None:
     config = OrchardConfig(path="row", views=20, trees=3)
     place = Place(crown=np.array([[-2.4, -0.6, 0.5], [2.4, 0.6, 1.7]]), half_row=1.8, part=None)
     spots = np.array([v.position for v in camera_places(np.random.default_rng(0), config, APPLE, place)])

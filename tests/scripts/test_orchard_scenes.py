@@ -27,7 +27,7 @@ def test_a_flag_below_its_least_value_is_one_line_and_leaves_no_folder(
     assert not (tmp_path / "scene").exists()
 
 
-def test_a_python_without_bpy_is_told_how_to_install_it(tmp_path: Path) -> None:
+def test_a_python_without_bpy_is_informed_how_to_install_it(tmp_path: Path) -> None:
     code = "import runpy, sys; sys.modules['bpy'] = None; del sys.argv[0]; runpy.run_path(sys.argv[0], {}, '__main__')"
     command = [sys.executable, "-c", code, str(SCRIPT), "--out", str(tmp_path / "scene")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -52,7 +52,7 @@ def test_a_damaged_mark_of_a_scene_is_one_line(tmp_path: Path) -> None:
 
 
 @needs_bpy
-def test_an_interrupt_ends_the_walk_with_130(tmp_path: Path) -> None:
+def test_an_interrupt_ends_with_130(tmp_path: Path) -> None:
     command = [sys.executable, str(SCRIPT), "--out", str(tmp_path / "scene"), *TINY.split(), "--views", "500"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         assert process.stderr is not None
@@ -240,7 +240,7 @@ def test_a_scene_of_a_file_and_flags_keeps_the_settings_it_resolved_to(varied: P
 
 
 @needs_bpy
-def test_fruit_of_a_row_tell_their_tree_and_those_of_neighbours_are_never_visible(varied: Path) -> None:
+def test_fruit_of_a_row_give_their_tree_and_those_of_neighbours_are_never_visible(varied: Path) -> None:
     fruits = json.loads((varied / "truth.json").read_text())["fruits"]
     assert [f["id"] for f in fruits] == list(range(1, 73))
     assert [sum(f["tree"] == tree for f in fruits) for tree in (1, 2, 0)] == [12, 12, 48]
@@ -317,7 +317,7 @@ def test_the_row_is_compared_tree_by_tree_and_neighbours_belong_to_none(varied: 
 
 
 @needs_bpy
-def test_a_killed_walk_goes_on_to_the_same_bytes(varied: Path, tmp_path: Path) -> None:
+def test_a_killed_run_continues_to_the_same_bytes(varied: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     scene_file = str(varied.parent / "row.toml")
     assert make(out, "--scene", scene_file, "--fallen", "0", "--preview", "1").returncode == 0

@@ -68,7 +68,7 @@ def test_a_scene_that_does_not_say_what_grows_there_needs_a_prompt(scene: Path, 
         measure_tables(bare, tmp_path / "out", config=QUICK)
 
 
-def test_a_scene_of_the_papers_name_stands_beside_what_the_paper_printed() -> None:
+def test_a_scene_of_the_papers_name_stands_next_to_what_the_paper_printed() -> None:
     quality = dict.fromkeys(VARIANTS, Quality(ssim=0.5, psnr=20.0, fps=3.0))
     named = SceneTables(
         name="Tree01",

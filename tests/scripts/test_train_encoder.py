@@ -127,7 +127,7 @@ def test_the_seeds_of_the_scenes_are_read_and_those_of_tests_refused(renders: Pa
         training_seeds([tmp_path / "none"])
 
 
-def test_a_walk_is_calibrated_on_and_not_trained_on_and_its_seed_is_checked(photos: Path, tmp_path: Path):
+def test_a_rendered_tree_is_calibrated_on_and_not_trained_on_and_its_seed_is_checked(photos: Path, tmp_path: Path):
     walk = tmp_path / "renders" / "2"
     (walk / "images").mkdir(parents=True)
     for number in range(LEAST_WALK):
@@ -149,7 +149,7 @@ def test_held_out_scenes_are_no_training_scenes(renders: Path):
     assert [picture.seed for picture in train] == list(range(1065, 1072))
 
 
-def test_a_scene_is_held_out_whatever_other_scenes_lie_beside_it():
+def test_a_scene_is_held_out_whatever_other_scenes_lie_next_to_it():
     seeds = range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + 1000)
     held_out = [training_config(seed) for seed in seeds if is_held_out(seed)]
     assert len(held_out) == len(seeds) // 11 // 8 * 8
@@ -203,7 +203,7 @@ def test_no_fruit_is_content_with_any_word_of_the_surroundings():
         assert (float(concept_loss(logits.log_softmax(1), labels)) < 0.01) == (word not in FRUITS)
 
 
-def test_a_pixel_outside_all_boxes_that_is_surely_fruit_hardly_teaches():
+def test_a_pixel_outside_all_boxes_that_is_certainly_fruit_has_little_weight():
     labels = torch.full((1, 8, 8), NOT_FRUIT)
     mean_gradients = []
     for sure in (4.0, 9.0):
@@ -240,7 +240,7 @@ def test_ignored_pixels_teach_nothing():
     assert not logits.grad[:, :, 4:].any()
 
 
-def test_the_calibration_of_lifted_gaussians_finds_the_middle_and_is_never_too_sure():
+def test_the_calibration_of_lifted_gaussians_finds_the_middle_and_is_never_overconfident():
     rng = np.random.default_rng(0)
     fruit = rng.random(4000) < 0.1
     margins = np.where(fruit, 1.0, -3.0) + rng.normal(0.0, 0.6, 4000)
@@ -252,7 +252,7 @@ def test_the_calibration_of_lifted_gaussians_finds_the_middle_and_is_never_too_s
     assert intersection_over_union([scene], calibration) > 0.97
 
 
-def test_walks_are_judged_by_the_calibration_of_the_others():
+def test_rendered_trees_are_judged_by_the_calibration_of_the_others():
     rng = np.random.default_rng(0)
     fruit = rng.random(4000) < 0.2
     near = LiftedScene(np.where(fruit, 2.0, -2.0) + rng.normal(0.0, 1.0, 4000), fruit, np.ones(4000))
@@ -265,7 +265,7 @@ def test_walks_are_judged_by_the_calibration_of_the_others():
     assert lifted_measures([near], Calibration()) is None
 
 
-def test_true_probabilities_have_no_calibration_error_and_too_sure_ones_have():
+def test_true_probabilities_have_no_calibration_error_and_overconfident_ones_have():
     rng = np.random.default_rng(1)
     probability = rng.beta(0.3, 2.0, 60_000)
     truth = rng.random(60_000) < probability
@@ -283,7 +283,7 @@ def test_true_probabilities_have_no_calibration_error_and_too_sure_ones_have():
     assert judged(probability, np.zeros(60_000, bool), 0.1) is None
 
 
-def test_a_words_worst_rival_is_named_and_words_of_few_pixels_are_left_out():
+def test_the_most_confused_word_is_named_and_words_of_few_pixels_are_left_out():
     truth = np.array(["leaf"] * 200 + ["grass"] * 200 + ["sky"] * 200 + ["tag"] * 5)
     leaf = np.concatenate([np.linspace(0.4, 1.0, 200), np.linspace(0.2, 0.8, 200), np.zeros(205)])
     found = distinctions({"leaf": leaf, "grass": -leaf, "sky": np.zeros(605), "tag": leaf}, truth)
@@ -292,7 +292,7 @@ def test_a_words_worst_rival_is_named_and_words_of_few_pixels_are_left_out():
     assert "tag" not in found
 
 
-def test_a_general_word_has_no_rival_among_what_it_stands_for():
+def test_a_general_word_is_not_compared_with_those_it_includes():
     truth = np.array(["leaf"] * 200 + ["grass"] * 200 + ["sky"] * 200)
     plant = np.concatenate([np.linspace(0.4, 1.0, 400), np.linspace(0.2, 0.8, 200)])
     found = distinctions({"grass": plant, "sky": -plant, "plant": plant}, truth, general={"plant": ("leaf", "grass")})
@@ -305,7 +305,7 @@ def test_colour_words_agree_with_what_people_call_colours():
     assert min(each.auc for each in found.values()) >= 0.8
 
 
-def test_fruit_without_a_box_counts_against_the_encoder_until_a_person_marks_it(tmp_path: Path):
+def test_fruit_without_a_box_counts_against_the_encoder_until_the_user_marks_it(tmp_path: Path):
     fruit, missed = np.array([True, True, False, False]), np.array([False, False, True, False])
     concepts = torch.zeros(4, len(CONCEPTS))
     concepts[:, LEAF] = 0.9

@@ -198,7 +198,7 @@ def test_scipy_fits_the_numpy_of_each_blender():
     assert versions == {"4.2": "1.15.3", "4.5": "1.17.1", "5.1": "1.17.1"}
 
 
-def test_the_script_says_what_is_missing_and_installs_only_when_told(tmp_path, wheels):
+def test_the_script_says_what_is_missing_and_installs_only_on_request(tmp_path, wheels):
     program = tmp_path / "program.py"
     program.write_text(
         "import runpy, sys\n"
@@ -291,7 +291,7 @@ def test_preferred_checkpoints_stand_where_the_scene_left_the_default(extension,
     assert read_config(settings).embed.clip == "another/checkpoint"
 
 
-def test_clearing_deletes_what_was_chosen_and_nothing_beside_it(extension, monkeypatch, tmp_path):
+def test_clearing_deletes_what_was_chosen_and_nothing_next_to_it(extension, monkeypatch, tmp_path):
     kernels, checkpoints = tmp_path / "cache", tmp_path / "checkpoints"
     for folder in (kernels / "kernels-0123", kernels / "someone-elses", checkpoints / "openai" / "clip"):
         folder.mkdir(parents=True)

@@ -134,7 +134,7 @@ def test_a_wheel_of_numpy_is_never_packed(build, tmp_path):
     assert not [name for name in zipfile.ZipFile(build("4.5")).namelist() if "numpy" in name]
 
 
-def test_what_a_zip_holds_is_said_by_size(build):
+def test_what_a_zip_holds_is_listed_by_size(build):
     table = importlib.import_module("build_extension").contents_table(build("4.5"))
     assert "MB  engine/" in table
     assert "MB  grafting 1.0" in table

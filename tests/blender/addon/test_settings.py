@@ -164,7 +164,7 @@ def test_no_or_a_vanished_scene_folder_is_an_error(extension):
         conversions.source_folder(settings)
 
 
-def test_a_ply_is_a_source_and_its_results_go_beside_it(extension, tmp_path):
+def test_a_ply_is_a_source_and_its_results_go_next_to_it(extension, tmp_path):
     (tmp_path / "tree.ply").write_bytes(b"ply")
     settings = bpy.context.scene.fruitlangs
     settings.source = str(tmp_path / "tree.ply")
@@ -182,7 +182,7 @@ def test_paths_are_kept_relative_to_the_blend(extension, tmp_path):
     assert conversions.result_folder(settings) == tmp_path / "tree_fruit"
 
 
-def test_results_go_beside_the_scene_when_the_blend_was_never_saved(extension):
+def test_results_go_next_to_the_scene_when_the_blend_was_never_saved(extension):
     settings = bpy.context.scene.fruitlangs
     settings.source = "/data/row7"
     assert conversions.result_folder(settings) == Path("/data/row7_fruit")

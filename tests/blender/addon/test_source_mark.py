@@ -12,7 +12,7 @@ from fruitlangs.operators.settings.source_mark import has_mark, source_mark
 @pytest.mark.parametrize(
     "file", ["images/IMG_1.JPG", "IMG 1.png", "images/left/IMG_1.jpg", "transforms.json", "images.bin"]
 )
-def test_a_folder_is_known_again_where_it_was_moved_and_told_from_another_like_it(tmp_path, file):
+def test_a_folder_is_known_again_where_it_was_moved_and_distinguished_from_another_like_it(tmp_path, file):
     here, other = tmp_path / "here", tmp_path / "other"
     for folder in (here, other):
         (folder / file).parent.mkdir(parents=True)

@@ -88,7 +88,7 @@ def test_a_count_that_ends_in_edit_mode_is_shown_all_the_same(extension, counted
     assert len(owned_objects(bpy.context.scene, "fruit")) == 3
 
 
-def test_a_count_that_ends_leaves_a_person_in_the_edit_mode_of_another_scene(extension, counted, result_of, tmp_path):
+def test_a_count_that_ends_leaves_the_user_in_the_edit_mode_of_another_scene(extension, counted, result_of, tmp_path):
     first, second = bpy.context.scene, bpy.data.scenes.new("Row 2")
     target = Target(first)
     bpy.context.window.scene = second
@@ -110,7 +110,7 @@ def test_a_count_that_ends_leaves_the_edit_mode_of_its_scene_in_another_window(e
     assert len(owned_objects(first, "fruit")) == 3
 
 
-def test_gaussians_in_edit_mode_are_not_written_and_it_is_said(extension, counted_balls, tmp_path):
+def test_gaussians_in_edit_mode_are_not_written_and_it_is_reported(extension, counted_balls, tmp_path):
     open_balls(counted_balls, tmp_path)
     item = owned_object(bpy.context.scene, "gaussians")
     bpy.context.view_layer.objects.active = item
@@ -136,7 +136,7 @@ MEASURING = ("measure", "set_length", "set_ground", "add_region")
 
 
 @pytest.mark.parametrize("name", [*ON_A_SCENE, *ON_FRUIT, *MEASURING])
-def test_a_linked_scene_is_said_to_be_one_before_anything_is_done_in_it(extension, tmp_path, name):
+def test_a_linked_scene_is_reported_before_anything_is_done_in_it(extension, tmp_path, name):
     bpy.context.scene.name = "Orchard"
     bpy.context.scene.fruitlangs.source = str(tmp_path)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
@@ -148,7 +148,7 @@ def test_a_linked_scene_is_said_to_be_one_before_anything_is_done_in_it(extensio
         getattr(bpy.ops.fruitlangs, name)()
 
 
-def test_all_that_a_run_keeps_beside_its_results_is_what_can_be_cleared(extension, counted_balls, tmp_path):
+def test_all_that_a_run_keeps_next_to_its_results_is_what_can_be_cleared(extension, counted_balls, tmp_path):
     bpy.context.scene.fruitlangs.out = str(counted_balls.out)
     kept = sorted(path for path in (counted_balls.out / "cache").iterdir() if path.name != "source.txt")
     assert kept == work_caches(bpy.context.scene) != []

@@ -57,7 +57,7 @@ def test_one_step_is_next_and_each_that_is_not_done_says_what_it_needs(settings,
     assert "Enter a prompt in step 3" in sentence("count")
 
 
-def test_after_a_count_the_review_is_next_where_fruit_are_doubtful_and_says_how_many(count):
+def test_after_a_count_the_review_is_next_where_fruit_are_uncertain_and_says_how_many(count):
     count(probability=0.7)
     assert states() == ["done", "done", "done", "done", "next", "ready"]
     assert sentence("review").startswith("3 fruit below 0.80 are not reviewed yet")

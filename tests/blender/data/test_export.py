@@ -68,7 +68,7 @@ def test_the_table_has_the_corrected_fruit(reviewed, tmp_path):
     assert [float(row["x_units"]) for row in rows] == pytest.approx([4.0, 1.6], rel=1e-5)
 
 
-def test_a_size_that_a_person_gave_has_no_deviation_in_the_table(reviewed, tmp_path):
+def test_a_size_that_the_user_gave_has_no_deviation_in_the_table(reviewed, tmp_path):
     fruit(1).scale *= 2.0
     export("export_csv", tmp_path / "a.csv")
     rows = list(csv.DictReader((tmp_path / "a.csv").open(encoding="utf-8")))
@@ -99,7 +99,7 @@ def test_obj_has_an_object_for_each_corrected_fruit(reviewed, tmp_path):
     assert sorted(body.volume for body in bodies)[1] == pytest.approx(np.pi / 6 * 0.6**3, rel=0.1)
 
 
-def test_ply_tells_every_vertex_its_fruit(reviewed, tmp_path):
+def test_ply_gives_every_vertex_its_fruit(reviewed, tmp_path):
     export("export_ply", tmp_path / "a.ply")
     vertices = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
     assert set(vertices["fruit_id"].tolist()) == {1, 3}
@@ -135,7 +135,7 @@ def test_usd_has_the_corrected_objects_where_blender_shows_them(reviewed, tmp_pa
     assert np.prod(size) == pytest.approx(0.6**3, rel=0.05)
 
 
-def test_the_report_tells_the_corrected_count_and_every_decision(reviewed, tmp_path):
+def test_the_report_gives_the_corrected_count_and_every_decision(reviewed, tmp_path):
     assert export("export_report", tmp_path / "a.html") == {"FINISHED"}
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "machine 3, after review 2" in text
@@ -144,7 +144,7 @@ def test_the_report_tells_the_corrected_count_and_every_decision(reviewed, tmp_p
     assert "data:image/jpeg;base64" in text
 
 
-def test_a_report_tells_no_folders_and_no_deviation_of_a_size_that_a_person_gave(reviewed, tmp_path):
+def test_a_report_gives_no_folders_and_no_deviation_of_a_size_that_the_user_gave(reviewed, tmp_path):
     fruit(1).scale *= 2.0
     export("export_report", tmp_path / "a.html")
     text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", (tmp_path / "a.html").read_text(encoding="utf-8"))
@@ -153,7 +153,7 @@ def test_a_report_tells_no_folders_and_no_deviation_of_a_size_that_a_person_gave
     assert "<td>400</td>" in text.replace(' class="number"', "")
 
 
-def test_the_report_of_what_nobody_reviewed_does_not_speak_of_a_review(shown, tmp_path):
+def test_the_report_of_a_count_without_review_does_not_mention_one(shown, tmp_path):
     export("export_report", tmp_path / "a.html")
     assert "after review" not in (tmp_path / "a.html").read_text(encoding="utf-8")
 
@@ -181,7 +181,7 @@ def test_a_still_from_a_camera_that_is_not_there_says_so(shown, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "suffix"), ALL)
-def test_what_cannot_be_written_is_said_in_plain_words(shown, tmp_path, name, suffix):
+def test_what_cannot_be_written_is_reported_plainly(shown, tmp_path, name, suffix):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(RuntimeError, match="cannot be written"):
         export(name, tmp_path / "file" / f"a{suffix}")
@@ -235,7 +235,7 @@ def test_an_export_without_a_file_name_or_into_a_folder_says_what_to_do(shown, t
         export("export_csv", "//a.csv")
 
 
-def test_files_are_proposed_beside_the_blend_and_before_that_beside_the_results(shown, tmp_path):
+def test_files_are_proposed_next_to_the_blend_and_before_that_next_to_the_results(shown, tmp_path):
     shown.fruitlangs.source = str(tmp_path / "row 7")
     assert default_path(shown, ".csv") == tmp_path / "row 7_fruit.csv"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "tree.blend"))

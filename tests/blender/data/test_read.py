@@ -43,7 +43,7 @@ def test_fruit_come_back_as_they_were_counted(shown):
     assert found.mean_diameter == pytest.approx(0.2)
 
 
-def test_a_fruit_that_a_person_moved_and_scaled_is_read_as_it_stands(shown):
+def test_a_fruit_that_the_user_moved_and_scaled_is_read_as_it_stands(shown):
     fruit(2).location.x = 9.0
     fruit(2).scale *= 1.5
     found = read_fruits(bpy.context.scene).fruits[1]
@@ -64,7 +64,7 @@ def test_rejected_fruit_are_left_out_and_the_interval_is_the_corrected_one(shown
     assert found.interval[1] == 4
 
 
-def test_what_is_told_of_all_fruit_holds_until_a_review(shown):
+def test_the_estimate_with_hidden_fruit_holds_until_a_review(shown):
     told = bpy.context.scene.fruitlangs.result
     told.total, told.total_low, told.total_high = 4.5, 3, 6
     assert read_fruits(bpy.context.scene).total_interval == (3, 6)
@@ -78,7 +78,7 @@ def test_a_copy_of_a_fruit_has_a_number_of_its_own(shown):
     assert [each.id for each in read_fruits(bpy.context.scene).fruits] == [1, 2, 4, 3]
 
 
-def test_trees_are_told_by_their_fruit(shown):
+def test_trees_are_reported_by_their_fruit(shown):
     fruit(1)["tree"], fruit(3)["tree"] = 2, 2
     (tree,) = read_fruits(bpy.context.scene).trees
     assert (tree.number, tree.count) == (2, 2)
@@ -135,7 +135,7 @@ def test_sparse_points_come_back(extension, counted):
 
 @pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
 @pytest.mark.parametrize("size", [(300, 200), (200, 300)])
-def test_a_camera_of_a_persons_own_sees_what_blender_sees_through_it(shown, fit, size):
+def test_a_camera_of_the_users_own_sees_what_blender_sees_through_it(shown, fit, size):
     bpy_scene = bpy.context.scene
     own = bpy.data.objects.new("Mine", bpy.data.cameras.new("Mine"))
     bpy_scene.collection.objects.link(own)

@@ -63,7 +63,7 @@ def numbers() -> list[int]:
     return sorted(item["id"] for item in standing(bpy.context.scene))
 
 
-def test_the_line_tells_the_machines_count_before_anything_was_reviewed(shown):
+def test_the_line_gives_the_machines_count_before_anything_was_reviewed(shown):
     assert review_line(shown) == "machine 3, interval 2–5"
 
 
@@ -220,7 +220,7 @@ def test_a_fruit_that_gets_the_label_it_has_keeps_its_name(shown):
     assert fruit(2).name == "apple.002"
 
 
-def test_what_cannot_be_done_is_said_and_changes_nothing(shown, monkeypatch):
+def test_what_cannot_be_done_is_reported_and_changes_nothing(shown, monkeypatch):
     def missing(*_):
         raise ModuleNotFoundError("No module named 'sklearn'", name="sklearn")
 
@@ -281,7 +281,7 @@ def test_fruit_of_a_linked_file_are_nobodys_here(shown, tmp_path):
     assert not bpy.ops.fruitlangs.next_doubtful.poll()
 
 
-def test_next_doubtful_goes_from_the_least_likely_upwards_and_skips_what_was_looked_at(shown):
+def test_next_uncertain_goes_from_the_least_likely_upwards_and_skips_reviewed_fruit(shown):
     visited = []
     for _ in range(4):
         bpy.ops.fruitlangs.next_doubtful()
@@ -330,7 +330,7 @@ def test_what_was_decided_on_apples_says_nothing_of_pears_and_holds_when_apples_
     assert numbers() == [2, 3, 4]
 
 
-def test_a_recount_keeps_a_made_fruit_where_and_as_large_as_a_person_put_it_since(shown, again):
+def test_a_recount_keeps_a_made_fruit_where_and_as_large_as_the_user_put_it_since(shown, again):
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     select(4)
     bpy.ops.fruitlangs.relabel_fruit(label="ripe apple")
@@ -370,7 +370,7 @@ def test_a_recount_that_renumbers_keeps_decisions_by_place(shown, again, counted
     assert [item["id"] for item in owned_objects(shown, "fruit") if item.get(REVIEW) == "rejected"] == [11]
 
 
-def test_a_decision_about_a_fruit_that_is_gone_is_said_and_stays_in_the_log(shown, again, counted):
+def test_a_decision_about_a_fruit_that_is_gone_is_reported_and_stays_in_the_log(shown, again, counted):
     select(3)
     bpy.ops.fruitlangs.confirm_fruit()
     again(counted.fruit_count.fruits[:2])
@@ -495,7 +495,7 @@ def test_an_export_logs_what_was_done_by_hand_and_undo_takes_both_back(shown, tm
     assert told(bpy.context.scene) == [("reject", "deleted", [1, 2], [])]
 
 
-def test_numbers_of_fruit_that_persons_made_are_never_given_twice(shown):
+def test_numbers_of_fruit_that_users_made_are_never_given_twice(shown):
     select(2, 3)
     bpy.ops.fruitlangs.merge_fruit()
     bpy.ops.fruitlangs.split_fruit(parts=2)
@@ -546,14 +546,14 @@ def test_a_review_is_in_the_saved_file(shown, tmp_path):
     np.testing.assert_allclose(entry.before[0].center, [1.3, 2.0, 3.0], atol=1e-6)
 
 
-def test_a_fruit_that_a_person_moved_is_decided_on_where_it_stands(shown):
+def test_a_fruit_that_the_user_moved_is_decided_on_where_it_stands(shown):
     fruit(1).location.x = 9.0
     select(1)
     bpy.ops.fruitlangs.confirm_fruit()
     assert read_log(shown)[0].before[0].center[0] == pytest.approx(9.0)
 
 
-def test_rows_tell_number_size_probability_share_and_kind(shown):
+def test_rows_give_number_size_probability_share_and_kind(shown):
     assert cells(fruit(2), metric=False) == ["2 apple", "0.2", "0.60", "25%", "single"]
     assert (head(metric=True)[1], cells(fruit(1), metric=True)[1]) == ("Ø mm", "100")
     assert len(head(metric=False)) == len(cells(fruit(2), metric=False))

@@ -104,11 +104,11 @@ def test_a_blend_of_the_command_line_holds_the_audit_without_the_extension(count
     assert read_audit(bpy.context.scene) == [KEPT, FLAT]
 
 
-def test_a_fruits_own_cluster_is_told_before_those_merged_into_it(shown):
+def test_a_fruits_own_cluster_is_reported_before_those_merged_into_it(shown):
     assert about_fruit(read_audit(bpy.context.scene), 2) == [KEPT, BESIDE]
 
 
-def test_the_panel_tells_why_the_active_fruit_was_counted_in_millimetres(shown):
+def test_the_panel_shows_why_the_active_fruit_was_counted_in_millimetres(shown):
     activate(2)
     assert drawn().texts[:2] == [
         "split, 900 points, fruit 1, 2: 2 touching spheres; mean diameter 300 mm",
@@ -116,7 +116,7 @@ def test_the_panel_tells_why_the_active_fruit_was_counted_in_millimetres(shown):
     ]
 
 
-def test_the_panel_says_where_the_audit_tells_nothing_of_a_fruit(shown):
+def test_the_panel_says_where_the_audit_gives_nothing_of_a_fruit(shown):
     bpy.context.view_layer.objects.active = None
     assert drawn().texts[0] == "Select a fruit to see why it was counted"
     item = activate(3)

@@ -72,7 +72,7 @@ def test_a_nearer_photo_behind_leaves_comes_last_or_not_at_all():
     assert 0.2 < shares[0] < 0.8
 
 
-def test_what_is_behind_the_fruit_and_its_own_skin_hide_nothing():
+def test_what_is_behind_the_fruit_and_its_own_surface_hide_nothing():
     cameras = [camera_at((2, 0, 0)), camera_at((0, 3, 0))]
     assert chosen(cameras, wall((-0.3, 0.0, 0.0), 0.5)) == [0, 1]
     assert chosen(cameras, wall((RADIUS, 0.0, 0.0), 0.08)) == [0, 1]
@@ -84,7 +84,7 @@ def test_a_fruit_that_the_frame_cuts_is_worth_its_part():
     assert 0.3 < sights[0].share < 0.8
 
 
-def test_how_wide_a_fruit_is_in_a_photo_is_told_in_its_pixels():
+def test_how_wide_a_fruit_is_in_a_photo_is_reported_in_its_pixels():
     assert best_sights([camera_at((2, 0, 0))], np.zeros(3), RADIUS, None)[0].pixels == pytest.approx(20.0)
 
 
@@ -199,7 +199,7 @@ def own_balls(balls, tmp_path) -> Path:
     return Path(shutil.copytree(balls, tmp_path / "orchard" / "balls"))
 
 
-def test_a_photo_that_is_gone_is_told_in_words(extension, own_balls):
+def test_a_missing_photo_is_reported(extension, own_balls):
     scene = bpy.context.scene
     show_scene(bpy.context, scene, read_scene(own_balls))
     item = owned_objects(scene, "camera")[0]
@@ -224,7 +224,7 @@ def test_a_camera_that_never_had_a_photo_says_so_and_what_to_do(shown):
     assert "import the scene again" in shown.camera[PROBLEM]
 
 
-def test_a_photo_put_back_is_shown_after_loading_whatever_was_said_when_saving(shown, tmp_path):
+def test_a_photo_put_back_is_shown_after_loading_whatever_was_reported_when_saving(shown, tmp_path):
     item = owned_objects(shown, "camera")[0]
     item[PROBLEM] = "The photo is gone"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -340,7 +340,7 @@ def test_a_window_lives_on_while_a_photo_is_undistorted(bent_balls, window, monk
     assert background_of(second) is None
 
 
-def test_a_photo_that_cannot_be_undistorted_in_a_window_is_told_in_words(bent_balls, window):
+def test_a_photo_that_cannot_be_undistorted_in_a_window_is_reported(bent_balls, window):
     item = owned_objects(bpy.context.scene, "camera")[0]
     data = Path(item[FILE]).read_bytes()
     Path(item[FILE]).write_bytes(data[: len(data) // 2])

@@ -52,7 +52,7 @@ def test_what_is_shown_of_another_source_does_not_place_it(shown, counted, tmp_p
     np.testing.assert_allclose(shown(tmp_path / "two")[0].matrix, right, atol=1e-6)
 
 
-def test_a_shown_scene_of_the_source_stays_where_a_person_put_it(shown, counted, tmp_path):
+def test_a_shown_scene_of_the_source_stays_where_the_user_put_it(shown, counted, tmp_path):
     write_root(bpy.context.scene, counted.scene).matrix_basis = Matrix.Translation((9.0, 9.0, 9.0))
     bpy.context.view_layer.update()
     bpy.context.scene.fruitlangs.result.source = str(tmp_path)

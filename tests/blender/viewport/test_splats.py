@@ -32,7 +32,7 @@ def test_covariances_are_the_engines(counted):
     np.testing.assert_allclose(full(packed), counted.gaussians.covariances.numpy(), rtol=1e-4, atol=1e-9)
 
 
-def test_ellipses_are_those_of_the_engines_twin(counted):
+def test_ellipses_are_those_of_the_engines_reference(counted):
     """What the vertex shader does, in NumPy: J from rows of the projection matrix, Blender's axes."""
     from dataclasses import replace
 
@@ -301,7 +301,7 @@ def changes(monkeypatch):
     return changes
 
 
-def test_sparse_points_are_read_anew_when_their_radius_changed(changes, counted):
+def test_sparse_points_are_read_again_when_their_radius_changed(changes, counted):
     item = imported(counted)
 
     def widen():
@@ -338,7 +338,7 @@ def test_nodes_of_an_older_version_are_renewed_and_keep_their_inputs(extension, 
     assert get_input(item.modifiers[0], "Highlight")
 
 
-def test_a_changed_mesh_is_read_anew_and_a_moved_object_is_not(changes, counted):
+def test_a_changed_mesh_is_read_again_and_a_moved_object_is_not(changes, counted):
     item = written(counted)
 
     def answer():

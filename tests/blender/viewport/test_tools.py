@@ -80,7 +80,7 @@ def test_a_picked_ground_stays_when_the_scene_is_written_again(shown, counted):
     assert (root.matrix_basis @ Vector(np.reshape(flat, (3, 3)).mean(0).tolist())).z == pytest.approx(0.0, abs=1e-5)
 
 
-def test_up_is_on_the_side_of_the_cameras_and_a_line_tells_none():
+def test_up_is_on_the_side_of_the_cameras_and_a_line_gives_none():
     ground = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_allclose(plane_up(ground, np.array([0.3, 0.3, 5.0])), [0, 0, 1])
     np.testing.assert_allclose(plane_up(ground, np.array([0.3, 0.3, -5.0])), [0, 0, -1])

@@ -196,7 +196,7 @@ def test_given_trees_of_a_counted_zero_have_no_fruit_each(small: sim.Simulation)
     np.testing.assert_array_equal(np.concatenate([tree.position for tree in trees]), PLACES)
 
 
-def test_trees_that_no_fruit_tells_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
+def test_trees_without_fruit_are_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
     nothing = dataclasses.replace(small, probability=np.full(len(small.gaussians), 0.31))
     result = counted(nothing, dataclasses.replace(CONFIG, trees=3))
     assert (result.count, len(result.trees)) == (0, 0)
@@ -204,7 +204,7 @@ def test_trees_that_no_fruit_tells_are_a_counted_zero_that_says_so(small: sim.Si
 
 
 @pytest.mark.parametrize(("wanted", "trees"), [({"tree_places": PLACES}, [0, 0, 0]), ({"trees": 3}, [])])
-def test_trees_of_leaves_that_are_no_fruit_are_told_like_those_of_nothing(wanted: dict, trees: list[int]) -> None:
+def test_trees_without_fruit_are_reported_like_those_without_points(wanted: dict, trees: list[int]) -> None:
     tree = sim.simulate(sim.Setting(fruit=1, sheets=5, floaters=0, leaves=0, views=8), seed=3)
     on_fruit = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1) < 0.7
     leaves = dataclasses.replace(tree, probability=np.where(on_fruit, 0.1, tree.probability))
@@ -223,7 +223,7 @@ def test_trees_that_stand_above_one_another_are_refused(small: sim.Simulation) -
 
 
 @pytest.mark.parametrize(("sure", "seen"), [(0.5, 1), (0.0, 0)])
-def test_a_faint_fruit_counts_where_a_part_of_it_is_sure(sure: float, seen: int) -> None:
+def test_a_faint_fruit_counts_if_a_part_of_it_is_certain(sure: float, seen: int) -> None:
     tree = sim.simulate(sim.Setting(fruit=3, sheets=0, floaters=0, leaves=0, views=8), seed=3)
     distance = np.linalg.norm(tree.gaussians.means.numpy() - tree.truth.centers[0], axis=1)
     on_fruit = distance < 0.6 * tree.truth.diameters[0]
@@ -260,7 +260,7 @@ def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(sma
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])
-def test_a_given_diameter_that_is_not_the_scenes_is_told_and_one_that_is_near_it_is_not(
+def test_a_given_diameter_that_is_not_the_scenes_is_reported_and_one_that_is_near_it_is_not(
     small: sim.Simulation, factor: float
 ) -> None:
     own = small.truth.mean_diameter
@@ -405,6 +405,6 @@ def joined(first: Gaussians, second: Gaussians) -> Gaussians:
     return Gaussians(**pairs)
 
 
-def test_no_diameter_is_told_more_surely_than_the_spread_of_sizes_allows(small_count: FruitCount) -> None:
+def test_no_deviation_of_a_diameter_is_below_what_the_spread_of_sizes_allows(small_count: FruitCount) -> None:
     told = np.array([fruit.diameter_sd / fruit.diameter for fruit in small_count.fruits])
     assert told.min() > UNTOLD * SPREADS[0]

@@ -74,7 +74,7 @@ EXPECTED = [False] * 4 + [True] * 3
 
 
 @pytest.mark.parametrize(("slope", "bump"), [(0.0, 0.0), (0.3, 0.0), (0.0, 0.12), (-0.25, 0.1)])
-def test_fallen_fruit_are_told_on_level_sloping_and_uneven_ground(slope: float, bump: float) -> None:
+def test_fallen_fruit_are_reported_on_level_sloping_and_uneven_ground(slope: float, bump: float) -> None:
     hanging = CROWN + np.stack([0 * CROWN[:, 0], 0 * CROWN[:, 0], slope * CROWN[:, 1]], axis=1)
     assert told(orchard(slope, bump), np.vstack([hanging, fallen_on(slope, bump)])) == EXPECTED
 
@@ -93,7 +93,7 @@ def test_moving_turning_and_scaling_the_scene_leaves_fallen_fruit_alone(seed: in
     assert told(moved, scale * (centers + shift) @ turn.T, turn @ UP, scale) == EXPECTED
 
 
-def test_without_a_ground_nothing_is_told() -> None:
+def test_without_a_ground_nothing_is_reported() -> None:
     gaussians = orchard()
     crown = gaussians.select(gaussians.means[:, 2] > 0.2)
     assert told(crown, CROWN) == [None] * 4
@@ -101,7 +101,7 @@ def test_without_a_ground_nothing_is_told() -> None:
     assert lying_on_ground(gaussians, [], np.zeros((0, 3)), np.zeros(0), UP) == []
 
 
-def test_a_fruit_far_beyond_the_ground_that_is_seen_is_not_told() -> None:
+def test_a_fruit_far_beyond_the_ground_that_is_seen_is_not_reported() -> None:
     assert told(orchard(), np.vstack([CROWN, fallen_on(), [[40.0, 0.0, 0.04]]])) == [*EXPECTED, None]
 
 

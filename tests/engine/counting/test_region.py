@@ -89,7 +89,7 @@ def test_the_audit_says_how_many_fruit_at_the_border_lie_outside(tree: sim.Simul
     assert sorted(own) == [fruit.id for fruit in part.fruits]
 
 
-def test_a_region_beside_a_fruits_centre_holds_none_of_it(tree: sim.Simulation, whole: FruitCount) -> None:
+def test_a_region_next_to_a_fruits_centre_holds_none_of_it(tree: sim.Simulation, whole: FruitCount) -> None:
     rightmost = whole.fruits[int(whole.centers[:, 0].argmax())]
     result = counted(tree, dataclasses.replace(boxed(rightmost.center[0] + 0.2, FAR), diameter=1.0))
     assert result.count == 0
@@ -102,7 +102,7 @@ def test_a_region_that_holds_everything_changes_nothing(tree: sim.Simulation, wh
     assert result.audit == whole.audit
 
 
-def test_what_is_told_of_clusters_and_of_small_fruit_goes_with_them_into_a_region() -> None:
+def test_reasons_of_clusters_and_small_fruit_go_with_them_into_a_region() -> None:
     clusters = split_by_template(sampled(), 1.0)
     clusters = dataclasses.replace(clusters, small=frozenset({2}))
     assert [clusters.findings[number][:14] for number in range(3)] == ["a single fruit"] * 3

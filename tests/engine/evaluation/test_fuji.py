@@ -185,7 +185,7 @@ def test_points_that_fix_no_sphere_name_their_apple(orchard: Path) -> None:
         read_pfuji(orchard, "2018_01")
 
 
-def test_half_seen_spheres_beside_a_leaf_are_found_with_and_without_their_radius() -> None:
+def test_half_seen_spheres_next_to_a_leaf_are_found_with_and_without_their_radius() -> None:
     center = [3.0, -2.0, 1.0]
     for seed in range(30):
         points = shell(center, 0.08, seed=seed, noise=0.002)

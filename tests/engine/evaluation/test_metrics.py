@@ -125,7 +125,7 @@ def test_a_truth_without_a_field_names_the_field(tmp_path: Path) -> None:
         read_truth(tmp_path / "truth.json")
 
 
-def test_visible_and_total_truth_are_told_apart() -> None:
+def test_visible_and_total_truth_are_distinguished() -> None:
     metrics = measure(ROW[:2], truth_of(ROW, [True, True, False]))
     assert (metrics.visible, metrics.total) == (2, 3)
     assert (metrics.relative_count_error, metrics.relative_total_error) == (0.0, pytest.approx(-1 / 3))
@@ -144,7 +144,7 @@ def test_a_judgement_names_every_prediction_and_every_visible_fruit_once() -> No
     assert judgement.missed.tolist() == [3]
 
 
-def test_errors_are_told_by_visible_fraction() -> None:
+def test_errors_are_reported_by_visible_fraction() -> None:
     truth = Truth(ROW, np.ones(3), np.ones(3, bool), np.array([0.15, 0.3, 1.0]))
     judgement = judge(ROW[1:] + [0.1, 0, 0], np.array([1.2, 1.0]), truth)
     little, some, most = (by_visibility(judgement, truth, (0.1, 0.25, 0.5, 1.0))[k] for k in range(3))

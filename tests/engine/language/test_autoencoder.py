@@ -29,7 +29,7 @@ def masks(many: int = 600, seed: int = 0) -> Tensor:
     return functional.normalize(near, dim=-1)
 
 
-def test_features_come_back_and_can_be_told_apart():
+def test_features_come_back_and_can_be_distinguished():
     trained = train_autoencoder(masks(), QUICK)
     unseen = masks(100, seed=7)
     codes = trained.encode(unseen)

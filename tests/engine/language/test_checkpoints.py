@@ -67,7 +67,7 @@ def test_an_absent_checkpoint_is_an_error_that_says_what_to_put_where_and_asks_n
         assert part in said
 
 
-def test_a_checkpoint_put_where_the_error_said_is_found_under_its_name(clip, own_folder):
+def test_a_checkpoint_put_where_the_error_says_is_found_under_its_name(clip, own_folder):
     shutil.copytree(clip, own_folder / ABSENT)
     assert open_checkpoint(CLIP, ABSENT, allow_download=False).identity.startswith("no-such-clip-")
 
@@ -77,7 +77,7 @@ def test_what_is_neither_a_folder_nor_a_name_is_an_error(name):
     assert "which is not a folder" in refusal(name)
 
 
-def test_a_pickle_is_refused_and_the_conversion_told_works(copy):
+def test_a_pickle_is_refused_and_the_reported_conversion_works(copy):
     torch.save(load_file(copy / "model.safetensors"), copy / "pytorch_model.bin")
     (copy / "model.safetensors").unlink()
     said = refusal(copy)

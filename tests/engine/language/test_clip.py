@@ -60,7 +60,7 @@ def test_capitals_blanks_and_articles_do_not_matter_and_typos_are_words(encoder)
     assert not torch.allclose(plain, wrong)
 
 
-def test_a_text_does_not_depend_on_those_beside_it(encoder):
+def test_a_text_does_not_depend_on_those_next_to_it(encoder):
     alone, beside = encoder.encode_text(["fig"]), encoder.encode_text(["fig", "persimmon"])
     assert torch.allclose(alone[0], beside[0], atol=1e-6)
 
@@ -125,7 +125,7 @@ def test_words_are_read_once_however_many_gaussians_they_are_asked_of(encoder, m
     assert texts_read(12) == texts_read(1)
 
 
-def test_a_word_is_read_once_and_alike_beside_other_words(encoder, monkeypatch):
+def test_a_word_is_read_once_and_alike_next_to_other_words(encoder, monkeypatch):
     model, read = encoder.checkpoint.model, []
     whole = model.get_text_features
     monkeypatch.setattr(model, "get_text_features", lambda tokens: read.append(tokens) or whole(tokens))

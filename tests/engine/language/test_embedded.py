@@ -73,7 +73,7 @@ def test_the_same_picture_gives_the_same_features(tiny: EmbeddedEncoder):
     assert torch.equal(tiny.encode_dense(image), tiny.encode_dense(image.copy()))
 
 
-def test_a_question_about_a_thing_is_the_networks_probability_when_uncalibrated(weights: Path, tiny: EmbeddedEncoder):
+def test_a_question_about_an_object_is_the_networks_probability_when_uncalibrated(weights: Path, tiny: EmbeddedEncoder):
     plain = EmbeddedEncoder(tiny.network, Calibration(), "plain")
     image = _noise(32, 32)
     pixels = torch.from_numpy(image).permute(2, 0, 1).float() / 255.0

@@ -83,7 +83,7 @@ def reference_loss(drawn: Tensor, view: SegmentedView, semantics: Semantics) -> 
 
 
 @pytest.mark.parametrize("push", [False, True])
-def test_the_gradient_of_the_codes_agrees_with_the_twin(scene: Scene, semantics: Semantics, push: bool):
+def test_the_gradient_of_the_codes_agrees_with_the_reference(scene: Scene, semantics: Semantics, push: bool):
     gaussians, camera, view = random_gaussians(60, 0, 4), scene.cameras[1], segmented(scene)[1]
     codes = torch.randn(60, 6, generator=torch.Generator().manual_seed(2))
     arrays, rules, workspace = Parameters.start(gaussians).arrays(), DrawRules(sh_degree=0), Workspace()
@@ -118,7 +118,7 @@ def close(ours: np.ndarray, theirs: Tensor, tolerance: float) -> bool:
     return float((torch.from_numpy(ours).double() - theirs).abs().max() / theirs.abs().max()) < tolerance
 
 
-def test_the_loss_of_a_drawn_view_is_that_of_the_twin(scene: Scene, semantics: Semantics):
+def test_the_loss_of_a_drawn_view_is_that_of_the_reference(scene: Scene, semantics: Semantics):
     camera, view = scene.cameras[2], segmented(scene)[2]
     drawn = torch.randn(6, camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     gradient = np.empty_like(drawn.numpy())

@@ -49,7 +49,7 @@ def test_fruit_is_the_sum_over_the_fruit_words(encoder: EmbeddedEncoder):
     assert float(relevancy(features, encoder, ["fruit"])) == pytest.approx(0.9, abs=2e-3)
 
 
-def test_a_colour_and_a_thing_must_both_hold(encoder: EmbeddedEncoder):
+def test_a_colour_and_an_object_must_both_hold(encoder: EmbeddedEncoder):
     features = _features(_feature("red", apple=0.9), _feature("green", apple=0.9), _feature("red", leaf=0.9))
     red, green, leaf = relevancy(features, encoder, ["red apple"]).tolist()
     other_fruit_colours = 0.05 * (len(FRUIT_COLOURS) - 1) / (len(COLOURS) - 1)
@@ -110,14 +110,14 @@ def test_features_of_another_encoder_are_refused(encoder: EmbeddedEncoder):
         relevancy(features, encoder, ["apple"])
 
 
-def test_a_doubtful_fruit_is_what_the_scene_bears(encoder: EmbeddedEncoder):
+def test_an_uncertain_fruit_is_of_the_kind_of_the_scene(encoder: EmbeddedEncoder):
     sure, doubtful = _feature("red", apple=0.8, peach=0.1), _feature("red", apple=0.4, peach=0.5)
     alone = relevancy(_features(doubtful), encoder, ["apple"])
     among = relevancy(_features(doubtful, *[sure] * 20, weight=1000.0), encoder, ["apple"])
     assert float(alone[0]) < 0.5 < 0.8 < float(among[0])
 
 
-def test_a_sure_fruit_of_another_kind_stays_itself(encoder: EmbeddedEncoder):
+def test_a_certain_fruit_of_another_kind_stays_itself(encoder: EmbeddedEncoder):
     apple, pear = _feature("red", apple=0.9, pear=0.02), _feature("green", pear=0.9, apple=0.02)
     features = _features(*[apple] * 5, pear, weight=1000.0)
     assert float(relevancy(features, encoder, ["pear"])[-1]) > 0.8
@@ -138,7 +138,7 @@ def test_the_shares_of_kinds_are_those_of_the_fruit(encoder: EmbeddedEncoder):
     assert float(shares[CONCEPTS.index("pear")]) == pytest.approx(0.25, abs=0.03)
 
 
-def test_many_doubtful_fruit_do_not_rule_out_the_kind_that_is_asked_for(encoder: EmbeddedEncoder):
+def test_many_uncertain_fruit_do_not_rule_out_the_kind_that_is_asked_for(encoder: EmbeddedEncoder):
     doubtful = [_feature("red", peach=0.4, pear=0.45)] * 500
     features = _features(*doubtful, weight=1e4)
     assert float(relevancy(features, encoder, ["peach"]).min()) > 0.25  # nearly 0 if 500 alike were 500 proofs
@@ -151,7 +151,7 @@ def test_the_kind_that_is_asked_for_must_be_seen(encoder: EmbeddedEncoder):
     assert float(relevancy(features, encoder, ["orange"]).min()) > 0.8
 
 
-def test_what_is_looked_away_from_is_not_believed_to_be_there(encoder: EmbeddedEncoder):
+def test_a_prior_applies_to_prompts_and_not_to_negatives(encoder: EmbeddedEncoder):
     features = _features(*[_feature("red", apple=0.5, peach=0.3)] * 50, weight=1e4)
     asked = answers_by_level(features, encoder, ["peach"])[0, 0, 0]
     avoided = answers_by_level(features, encoder, [], ["peach"])[0, 0, 0]

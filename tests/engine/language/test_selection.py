@@ -108,7 +108,7 @@ def test_a_threshold_beyond_any_cosine_is_refused():
         CountConfig(tau_pos=1.5)
 
 
-def test_each_word_is_answered_at_the_level_that_is_surest_of_it():
+def test_each_word_uses_the_level_with_the_highest_confidence():
     apple_seen = [[1.0, 0.0, 0.2, 0.0], [0.0, 0.0, 0.7, 0.7]]
     leaf_seen = [[0.6, 0.0, 0.6, 0.5], [0.0, 0.0, 1.0, 0.0]]
     given = features(leaf_seen, apple_seen)

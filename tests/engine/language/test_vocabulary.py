@@ -59,7 +59,7 @@ def test_an_unknown_adjective_is_refused_by_its_name():
         parse("shiny apple")
 
 
-def test_two_things_in_one_prompt_are_refused():
+def test_two_objects_in_one_prompt_are_refused():
     with pytest.raises(VocabularyError, match="More than one object"):
         parse("apple leaf")
 
@@ -79,7 +79,7 @@ def test_a_phrase_is_within_every_wider_one():
     assert not parse("red").within(parse("apple"))
 
 
-def test_a_narrower_thing_beside_a_wider_one_is_what_is_meant():
+def test_a_narrower_word_next_to_a_wider_one_is_what_is_meant():
     assert parse("apple fruit") == parse("apple")
     assert parse("citrus fruit").concepts == ("lemon", "orange")
 

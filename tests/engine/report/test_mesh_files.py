@@ -70,7 +70,7 @@ def test_no_fruit_gives_a_valid_file_without_meshes(suffix: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_folder_that_cannot_be_written_is_told(suffix: str, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot be written"):
         WRITERS[suffix](tmp_path / "file" / f"fruits.{suffix}", TWO, None)
@@ -89,7 +89,7 @@ def test_the_obj_has_one_object_a_fruit_without_spaces_in_its_name(tmp_path: Pat
     assert names == ["o fruit_0001_red_apple", "o fruit_0007_red_apple"]
 
 
-def test_the_obj_finds_the_colours_of_its_fruit_beside_it(tmp_path: Path) -> None:
+def test_the_obj_finds_the_colours_of_its_fruit_next_to_it(tmp_path: Path) -> None:
     write_obj(tmp_path / "fruits.obj", TWO, None)
     loaded = trimesh.load(tmp_path / "fruits.obj", group_material=False, split_object=True)
     colors = {tuple(mesh.visual.material.diffuse[:3].tolist()) for mesh in loaded.geometry.values()}
@@ -106,7 +106,7 @@ def test_normals_of_the_obj_stand_on_its_faces_and_point_outward(tmp_path: Path)
     assert mesh.volume > 0
 
 
-def test_every_vertex_and_face_of_the_ply_tells_its_fruit(tmp_path: Path) -> None:
+def test_every_vertex_and_face_of_the_ply_gives_its_fruit(tmp_path: Path) -> None:
     write_fruit_meshes_ply(tmp_path / "fruits.ply", TWO, None)
     read = PlyData.read(str(tmp_path / "fruits.ply"))
     vertex, face = read["vertex"], read["face"]

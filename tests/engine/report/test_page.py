@@ -55,7 +55,7 @@ def page(folder: Path, fruit_count=TWO, **changes) -> Reader:
     return reader
 
 
-def test_the_page_tells_the_count_in_the_words_of_the_other_files(tmp_path: Path) -> None:
+def test_the_page_gives_the_count_in_the_words_of_the_other_files(tmp_path: Path) -> None:
     text = page(tmp_path).text
     assert count_text(TWO) in text
     assert "1 hanging, 1 on the ground" in text
@@ -100,13 +100,13 @@ def test_the_page_needs_no_other_file_and_no_network(tmp_path: Path) -> None:
     assert "url(" not in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_zero_tells_its_reason(tmp_path: Path) -> None:
+def test_a_zero_gives_its_reason(tmp_path: Path) -> None:
     settings = {"config": {"count": {"threshold": 0.5}}}
     assert nothing_found(NO_FRUIT, 0.5, None) in page(tmp_path, NO_FRUIT, provenance=settings).text
     assert "highest probability .31 is below .50" in page(tmp_path, NO_FRUIT, still=None).text
 
 
-def test_what_a_person_decided_stands_beside_the_count(tmp_path: Path) -> None:
+def test_what_the_user_decided_stands_next_to_the_count(tmp_path: Path) -> None:
     reviewed = Reviewed(line="3 apples after review", interval=(3, 4), decisions=["rejected 7: a leaf", "added 9"])
     text = page(tmp_path, reviewed=reviewed).text
     assert "3 apples after review (90 % interval 3–4)" in text
@@ -131,7 +131,7 @@ def test_how_it_was_made_is_folded(tmp_path: Path) -> None:
     assert "red apple, pear" in reader.text
 
 
-def test_a_list_of_records_is_told_without_brackets(tmp_path: Path) -> None:
+def test_a_list_of_records_is_reported_without_brackets(tmp_path: Path) -> None:
     records = [{"view": "1.jpg", "psnr": 23.1}, {"view": "9.jpg", "psnr": 24.0}]
     assert "view 1.jpg psnr 23.1, view 9.jpg psnr 24.0" in page(tmp_path, provenance={"held_out": records}).text
 
@@ -143,7 +143,7 @@ def test_the_same_count_gives_the_same_page(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_bytes() == first
 
 
-def test_a_strip_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+def test_a_strip_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     (tmp_path / "view_1.png").write_text("no picture")
     with pytest.raises(OutputError, match=r"view_1\.png cannot be read"):
         page(tmp_path, strips=[tmp_path / "view_1.png"])
@@ -173,14 +173,14 @@ def test_the_template_is_part_of_the_package() -> None:
     assert any(requirement.startswith("jinja2") for requirement in settings["project"]["dependencies"])
 
 
-def test_a_zero_without_settings_is_told_by_the_largest_clusters_alone(tmp_path: Path) -> None:
+def test_a_zero_without_settings_is_reported_by_the_largest_clusters_alone(tmp_path: Path) -> None:
     many = [AuditEntry(number, "dropped", f"reason {number}", (0.0, 1.0, 2.0), 10 + number) for number in range(50)]
     text = page(tmp_path, dataclasses.replace(NO_FRUIT, audit=many)).text
     assert "reason 49; reason 48; reason 47" in text
     assert "reason 46" not in text
 
 
-def test_fruit_that_a_person_rejected_all_were_found_nevertheless(tmp_path: Path) -> None:
+def test_fruit_that_the_user_rejected_all_were_found_nevertheless(tmp_path: Path) -> None:
     found = AuditEntry(0, "kept", "one sphere", (0.0, 1.0, 2.0), 400, (1,))
     text = page(tmp_path, dataclasses.replace(NO_FRUIT, audit=[found])).text
     assert "every counted fruit was rejected" in text

@@ -123,7 +123,7 @@ def test_what_is_not_known_of_a_fruits_place_is_empty_in_every_table(tmp_path: P
     assert [(row["fallen"], row["tree"]) for row in rows] == [("", ""), ("false", "1")]
 
 
-def test_people_are_told_where_fruit_are() -> None:
+def test_people_read_where_fruit_are() -> None:
     assert location_text(placed()) == ["1 hanging, 1 on the ground", "1 on tree 1, 0 on tree 2, 1 on none of them"]
     assert location_text(two_fruit()) == ["hanging or fallen: unknown, because no ground is visible"]
     half = dataclasses.replace(placed(), trees=(), fruits=[placed().fruits[0], two_fruit().fruits[1]])

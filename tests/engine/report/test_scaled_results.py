@@ -147,13 +147,13 @@ def test_an_unknown_photo_costs_no_training(few_photos: Path, tmp_path: Path) ->
     assert not (tmp_path / "cache").exists()
 
 
-def test_an_unknown_thing_costs_no_training(few_photos: Path, tmp_path: Path) -> None:
+def test_an_unknown_object_costs_no_training(few_photos: Path, tmp_path: Path) -> None:
     with pytest.raises(VocabularyError, match="nearest known: bucket"):
         count_scene(few_photos, ["fruit"], tmp_path, config=config(length=0.3, object="bukket"))
     assert not (tmp_path / "cache").exists()
 
 
-def test_a_thing_that_is_not_in_the_scene_is_an_error_that_says_how_near_it_came(
+def test_an_object_that_is_not_in_the_scene_is_an_error_that_says_how_near_it_came(
     counted: Result, tmp_path: Path
 ) -> None:
     with pytest.raises(SceneError, match=r"The scene has no ladder to measure: \d .*highest probability is 0\.\d\d"):
@@ -161,7 +161,7 @@ def test_a_thing_that_is_not_in_the_scene_is_an_error_that_says_how_near_it_came
     assert not (tmp_path / "fruits.json").exists()
 
 
-def test_a_thing_that_is_in_the_scene_gives_its_scale(counted: Result, tmp_path: Path) -> None:
+def test_an_object_that_is_in_the_scene_gives_its_scale(counted: Result, tmp_path: Path) -> None:
     short, long = (
         count_scene(counted.out, ["fruit"], tmp_path, config=config(length=length, object="leaf"))
         for length in (1.0, 4.0)

@@ -74,13 +74,13 @@ def test_the_outline_is_that_of_the_ellipsoids_own_points() -> None:
     assert np.linalg.norm(half, axis=0) == pytest.approx((high - low) / 2, rel=0.01)
 
 
-def test_a_fruit_behind_the_camera_or_beside_the_picture_has_no_outline() -> None:
+def test_a_fruit_behind_the_camera_or_next_to_the_picture_has_no_outline() -> None:
     camera = camera_at([0.0, -1.0, 0.0])
     for place in ([0.0, -2.0, 0.0], [5.0, 0.0, 0.0]):
         assert projected(np.array(place), RADIUS * np.eye(3), camera) is None
 
 
-def test_a_fruit_behind_a_wall_is_hidden_and_one_beside_it_is_not() -> None:
+def test_a_fruit_behind_a_wall_is_hidden_and_one_next_to_it_is_not() -> None:
     fruits = [ball(1, [0.0, 0.0, 0.0]), ball(2, [0.4, 0.0, 0.0])]
     found = ellipses(solid(skin(fruits), wall(-0.3, half=0.15)), fruits, camera_at([0.0, -1.0, 0.0]))
     assert {each.id: each.hidden for each in found} == {1: True, 2: False}
@@ -161,7 +161,7 @@ def test_no_number_stands_on_another_nor_outside_the_picture() -> None:
         assert apart.all()
 
 
-def test_a_lone_number_stands_beside_its_fruit_without_a_line() -> None:
+def test_a_lone_number_stands_next_to_its_fruit_without_a_line() -> None:
     (label,) = place_labels(
         np.array([[100.0, 100.0]]), np.array([[10.0, 10.0]]), np.array([[20.0, 12.0]]),
         width=200, height=200, taken=np.zeros((0, 4)),

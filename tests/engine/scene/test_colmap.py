@@ -88,7 +88,7 @@ def test_photos_in_another_folder_are_read_from_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["photo_1.png", "photo_1.png.png"])
-def test_masks_beside_the_photos_are_used(tmp_path: Path, name: str) -> None:
+def test_masks_next_to_the_photos_are_used(tmp_path: Path, name: str) -> None:
     write_model(tmp_path)
     (tmp_path / "masks").mkdir()
     Image.fromarray(np.repeat([[0, 255]], 24, axis=0).repeat(16, axis=1).astype(np.uint8)).save(
@@ -116,7 +116,7 @@ def test_one_missing_photo_is_named_with_its_path(tmp_path: Path) -> None:
         read_colmap(tmp_path)
 
 
-def test_missing_photos_are_all_said_to_be_missing(tmp_path: Path) -> None:
+def test_missing_photos_are_all_reported_missing(tmp_path: Path) -> None:
     write_model(tmp_path)
     shutil.rmtree(tmp_path / "images")
     with pytest.raises(SceneError, match="No folder images next to"):
@@ -243,7 +243,7 @@ def test_a_lens_without_focal_length_is_named(tmp_path: Path) -> None:
         read_colmap(tmp_path)
 
 
-def test_points_that_are_not_finite_are_left_out_and_said(tmp_path: Path) -> None:
+def test_points_that_are_not_finite_are_left_out_and_reported(tmp_path: Path) -> None:
     overwrite(write_model(tmp_path) / "points3D.bin", 16, [np.nan])
     messages: list[str] = []
     scene = read_colmap(tmp_path, progress=lambda _, message: messages.append(message))
@@ -262,7 +262,7 @@ def test_a_distorted_model_is_undistorted_and_masked(tmp_path: Path) -> None:
     assert mask[12, 16]
 
 
-def test_a_million_points_are_checked_in_one_walk(tmp_path: Path) -> None:
+def test_a_million_points_are_checked_in_one_pass(tmp_path: Path) -> None:
     # the walk is linear: were it not, this would not end
     folder = write_model(tmp_path, points=0)
     record = np.zeros(1_000_000, dtype=[("id", "<u8"), ("rest", "u1", 35), ("track", "<u8")])

@@ -85,7 +85,7 @@ def test_a_tag_is_read_as_it_was_written(tag: GpsTag, tmp_path: Path) -> None:
     assert read.altitude == tag.altitude
 
 
-def test_a_photo_without_tags_or_without_a_fix_tells_no_place(tmp_path: Path) -> None:
+def test_a_photo_without_tags_or_without_a_fix_gives_no_place(tmp_path: Path) -> None:
     place = entries(GpsTag(48.0, 11.0, 500.0))
     for gps in (None, {TAG.GPSLatitude: place[TAG.GPSLatitude]}, {**place, TAG.GPSStatus: "V"}):
         assert read_gps(write(tmp_path / "a.jpg", gps)) is None
@@ -163,7 +163,7 @@ def test_the_stated_error_holds_for_a_receiver_that_drifts() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(off)) / np.mean(np.square(stated))) < 1.5
 
 
-def test_a_phone_around_a_small_tree_is_not_believed(tmp_path: Path) -> None:
+def test_gps_of_a_phone_around_a_small_tree_is_not_used(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).normal(0.0, 3.0, (40, 3))
     found = measured(tmp_path, ring(), [tag_at(*place) for place in ring() + noise])
     assert found.scale is None
@@ -186,11 +186,11 @@ def test_too_few_tags_or_all_of_one_place_are_a_notice(tags: list, said: str, tm
     assert said in found.notices[0]
 
 
-def test_photos_without_any_tag_are_nothing_to_tell(tmp_path: Path) -> None:
+def test_photos_without_any_tag_give_no_notice(tmp_path: Path) -> None:
     assert measured(tmp_path, ring(4), [None] * 4) == GpsScale(notices=[])
 
 
-def test_a_walk_at_one_height_needs_no_altitudes(tmp_path: Path) -> None:
+def test_a_capture_at_one_height_needs_no_altitudes(tmp_path: Path) -> None:
     flat = ring() * [1.0, 1.0, 0.0]
     found = measured(tmp_path, 0.5 * flat, [tag_at(east, north, None) for east, north, _ in flat])
     assert found.scale is not None
@@ -204,7 +204,7 @@ def test_a_photo_without_altitude_is_left_out_where_others_have_one(tmp_path: Pa
     assert found.scale.of == "the GPS tags of 36 photos"
 
 
-def test_a_photo_whose_tags_make_no_sense_is_told_and_the_others_count(tmp_path: Path) -> None:
+def test_a_photo_whose_tags_make_no_sense_is_reported_and_the_others_count(tmp_path: Path) -> None:
     tags = [tag_at(*place) for place in ring(12)]
     tags[5] = GpsTag(97.0, 11.0, 500.0)
     found = measured(tmp_path, ring(12), tags)

@@ -32,7 +32,7 @@ def degrees_off(up: np.ndarray) -> float:
 RING = [camera(yaw, -10.0 + (yaw % 50)) for yaw in range(0, 360, 15)]
 
 
-def test_a_level_walk_around_gives_up() -> None:
+def test_level_cameras_around_a_tree_give_up() -> None:
     assert degrees_off(up_direction(RING)) < 1e-4
 
 

@@ -123,7 +123,7 @@ def test_another_result_gets_the_cameras_of_an_earlier_one(walk: Path, tmp_path:
     assert dump_cameras(kept.read(SceneConfig())) == dump_cameras(first.read(SceneConfig()))
 
 
-def test_a_mask_beside_photos_without_a_model_is_used(walk: Path, tmp_path: Path) -> None:
+def test_a_mask_next_to_photos_without_a_model_is_used(walk: Path, tmp_path: Path) -> None:
     shutil.copytree(walk, tmp_path / "walk")
     (tmp_path / "walk" / "masks").mkdir()
     Image.fromarray(np.tile(np.uint8([0, 255]), (HEIGHT, WIDTH // 2))).save(tmp_path / "walk" / "masks" / "walk 2.png")
@@ -269,11 +269,11 @@ def test_photos_alone_lie_in_the_folder_or_in_images(place: str, tmp_path: Path)
     assert photos_alone(tmp_path) is None
 
 
-def test_a_short_walk_is_matched_in_all_pairs() -> None:
+def test_a_short_capture_is_matched_in_all_pairs() -> None:
     assert pairs_to_match(5, PhotosConfig()) == [(i, j) for i in range(5) for j in range(i + 1, 5)]
 
 
-def test_a_long_walk_is_matched_with_its_neighbours_and_closed() -> None:
+def test_a_long_capture_is_matched_with_its_neighbours_and_closed() -> None:
     pairs = pairs_to_match(100, PhotosConfig(exhaustive_up_to=10, overlap=3))
     assert {(i, i + step) for i in range(97) for step in (1, 2, 3)} <= set(pairs)
     assert (0, 90) in pairs

@@ -50,7 +50,7 @@ def test_a_stray_point_stays_small(tmp_path: Path) -> None:
     assert float(scales.max()) <= 0.1 + 1e-6
 
 
-def test_a_large_cloud_is_thinned_evenly_and_told(tmp_path: Path) -> None:
+def test_a_large_cloud_is_thinned_evenly_and_reported(tmp_path: Path) -> None:
     dense = np.random.default_rng(0).random((20_000, 3)) * [0.5, 1.0, 1.0]
     sparse = np.random.default_rng(1).random((2_000, 3)) * [0.5, 1.0, 1.0] + [0.5, 0.0, 0.0]
     imported = read_imported_ply(cloud(tmp_path, np.concatenate([dense, sparse])), most_points=3000)
@@ -60,7 +60,7 @@ def test_a_large_cloud_is_thinned_evenly_and_told(tmp_path: Path) -> None:
     assert left < 0.75 * len(imported.gaussians)  # of the cloud's points 0.91 lie there
 
 
-def test_points_that_are_not_finite_are_left_out_and_told(tmp_path: Path) -> None:
+def test_points_that_are_not_finite_are_left_out_and_reported(tmp_path: Path) -> None:
     points = grid()
     points[3, 1], points[7, 2] = np.nan, np.inf
     imported = read_imported_ply(cloud(tmp_path, points))

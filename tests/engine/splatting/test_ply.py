@@ -104,7 +104,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         read_ply(tmp_path / "none.ply")
 
 
-def test_a_point_cloud_is_told_from_gaussians(tmp_path: Path) -> None:
+def test_a_point_cloud_is_distinguished_from_gaussians(tmp_path: Path) -> None:
     header = (
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     )

@@ -26,13 +26,13 @@ def doubled(gaussians: Gaussians) -> Gaussians:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_values_and_gradients_agree_with_the_twin(degree: int) -> None:
+def test_values_and_gradients_agree_with_the_reference(degree: int) -> None:
     errors = compare_with_reference(random_gaussians(60, degree, seed=degree), ring_camera(), seed=degree)
     assert set(errors) >= {"color", "depth", "alpha", "features", "d means", "d sh", "d quats", "d offsets"}
     assert max(errors.values()) < 1e-4, errors
 
 
-def test_values_and_gradients_of_antialiased_drawing_agree_with_the_twin() -> None:
+def test_values_and_gradients_of_antialiased_drawing_agree_with_the_reference() -> None:
     gaussians = random_gaussians(80, 1, seed=5, log_scale=-3.5)  # many smaller than a pixel
     errors = compare_with_reference(replace(gaussians, antialiased=True), ring_camera(), seed=5)
     assert max(errors.values()) < 1e-3, errors
@@ -77,7 +77,7 @@ def test_the_load_of_a_pixel_is_how_many_gaussians_it_blends() -> None:
         assert measure_load(gaussians, camera, fewer).tiles.sum() < load.tiles.sum()
 
 
-def test_gaussians_beside_and_behind_the_camera_agree_with_the_twin() -> None:
+def test_gaussians_next_to_and_behind_the_camera_agree_with_the_reference() -> None:
     gaussians = random_gaussians(80, 1, seed=4, log_scale=-1.0)
     gaussians.means[:40, 2] -= 3.5
     gaussians.means[:20] *= torch.tensor([4.0, 3.0, 1.0])
@@ -85,7 +85,7 @@ def test_gaussians_beside_and_behind_the_camera_agree_with_the_twin() -> None:
     assert max(errors.values()) < 1e-3, errors
 
 
-def test_opaque_stacks_stop_as_in_the_twin() -> None:
+def test_opaque_stacks_stop_as_in_the_reference() -> None:
     gaussians = random_gaussians(300, 0, seed=6, log_scale=-1.5)
     gaussians.opacity_logits.add_(4.0)
     camera = ring_camera(width=33, height=21, focal=30.0)
@@ -94,7 +94,7 @@ def test_opaque_stacks_stop_as_in_the_twin() -> None:
     assert max(errors.values()) < 1e-3, errors
 
 
-def test_sums_by_blending_weight_agree_with_the_twin() -> None:
+def test_sums_by_blending_weight_agree_with_the_reference() -> None:
     gaussians, camera = random_gaussians(60, 0, seed=3), ring_camera()
     target = torch.randn(camera.height, camera.width, 70, generator=torch.Generator().manual_seed(1))
     lifted = accumulate(gaussians, camera, target)

@@ -86,7 +86,7 @@ def test_loads_count_the_gaussians_that_a_pixel_blends() -> None:
     torch.testing.assert_close(torch.from_numpy(loads[1]).double(), soft, rtol=1e-3, atol=0.07)
 
 
-def test_the_gradient_of_the_loads_agrees_with_the_twin() -> None:
+def test_the_gradient_of_the_loads_agrees_with_the_reference() -> None:
     gaussians, camera = random_gaussians(60, 0, seed=4), ring_camera()
     weights = torch.randn(camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     nothing = np.zeros((5, camera.height, camera.width), np.float32)
@@ -112,7 +112,7 @@ def test_unevenness_is_deviation_over_mean_with_its_gradient() -> None:
     assert unevenness(np.ones((3, 3), np.float32))[0] == 0.0
 
 
-def test_the_gradient_of_a_pose_agrees_with_the_twins_differences() -> None:
+def test_the_gradient_of_a_pose_agrees_with_the_references_differences() -> None:
     gaussians, camera = random_gaussians(60, 2, seed=7), ring_camera(0.3)
     weights = torch.randn(
         camera.height, camera.width, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)
@@ -172,7 +172,7 @@ def test_the_gradient_of_an_exposure_reaches_the_image() -> None:
     np.testing.assert_allclose(gradient, expected, rtol=1e-5)
 
 
-def test_a_photo_kept_aside_is_compared_in_its_own_colours() -> None:
+def test_a_photo_held_out_is_compared_in_its_own_colours() -> None:
     random = np.random.default_rng(2)
     image = random.random((12, 10, 3)).astype(np.float32)
     photo = np.rint(255 * (0.2 + 0.6 * image)).astype(np.uint8)

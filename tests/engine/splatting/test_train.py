@@ -227,7 +227,7 @@ def test_a_photo_of_another_size_than_its_camera_is_named(scene: Scene) -> None:
         train(replace(scene, images=images), QUICK)
 
 
-def test_a_broken_photo_that_is_kept_aside_is_named_before_the_first_step(scene: Scene) -> None:
+def test_a_broken_photo_that_is_held_out_is_named_before_the_first_step(scene: Scene) -> None:
     images = list(scene.images)
     images[4] = ArrayPhoto("broken.png", np.zeros((10, 10, 3), np.uint8))
     assert 4 in held_out_views(scene, QUICK.holdout_every)
@@ -340,7 +340,7 @@ def test_half_the_steps_may_be_coarse(scene: Scene, uninterrupted: Training) -> 
     assert not same(coarse.gaussians, uninterrupted.gaussians)
 
 
-def test_training_stops_when_the_photos_kept_aside_gain_nothing(scene: Scene) -> None:
+def test_training_stops_when_the_photos_held_out_gain_nothing(scene: Scene) -> None:
     frozen = replace(
         QUICK, means_rate=0, scales_rate=0, quats_rate=0, opacity_rate=0, sh_rate=0, sh_rest_rate=0, densify_until=0
     )
@@ -448,7 +448,7 @@ def test_one_photo_alone_is_trained(scene: Scene) -> None:
     assert len(training.gaussians) > 0
 
 
-def test_a_photo_kept_aside_that_is_masked_out_is_not_measured(scene: Scene) -> None:
+def test_a_photo_held_out_that_is_masked_out_is_not_measured(scene: Scene) -> None:
     blind = [ArrayPhoto(photo.name, photo.pixels(), np.zeros((48, 64), bool)) for photo in scene.images[:1]]
     config = replace(QUICK, steps=2, exposure=True)
     training = train(replace(scene, images=[*blind, *scene.images[1:]]), config)

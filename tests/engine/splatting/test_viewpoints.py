@@ -63,7 +63,7 @@ def test_up_is_away_from_the_ground_however_the_frame_is_turned(up: np.ndarray) 
     assert found @ up > math.cos(math.radians(2))
 
 
-def test_a_cloud_without_a_ground_tells_no_up() -> None:
+def test_a_cloud_without_a_ground_gives_no_up() -> None:
     gaussians = round_gaussians(ball((0, 0, 0)), 0.02)
     assert up_from_ground(gaussians, find_subject(gaussians)) is None
 

@@ -33,7 +33,7 @@ def test_a_fruit_that_moved_by_less_than_half_a_diameter_keeps_its_number():
     assert number(LINE + 0.4, np.arange(4), 1.0, small).tolist() == [10, 11, 12, 13]
 
 
-def test_one_sphere_about_many_fruit_takes_the_number_of_none_beside_its_middle():
+def test_one_sphere_about_many_fruit_takes_the_number_of_none_next_to_its_middle():
     known = as_known([1, 2, 3, 4], LINE, 4)
     assert number(np.array([[1.5, 0.6, 0.0]]), np.arange(1), 5.0, known).tolist() == [5]
 

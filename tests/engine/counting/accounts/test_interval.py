@@ -53,7 +53,7 @@ def test_a_ratio_is_read_as_it_was_written():
     "doubtful",
     [replace(SURE, variance=100.0), *(replace(SURE, covariates=np.eye(len(TELLING))[place]) for place in range(3))],
 )
-def test_doubtful_candidates_and_hidden_places_widen_the_interval(doubtful: Evidence):
+def test_uncertain_candidates_and_hidden_places_widen_the_interval(doubtful: Evidence):
     assert width(doubtful) > 1.1 * width(SURE)
 
 
@@ -85,13 +85,13 @@ def test_the_count_lies_within_its_interval_and_no_more_are_visible_than_there_a
     assert sure.total >= n
 
 
-def test_nobody_is_surer_of_all_fruit_than_of_the_visible_ones_among_them():
+def test_the_interval_of_all_fruit_is_never_narrower_than_that_of_the_visible_ones():
     faint = Evidence(1000.0, 50.0, np.array([0.05, TRAINED, 0.0]))
     sure = estimate(faint, 1000)
     assert np.divide(*sure.total_interval) <= np.divide(*sure.visible) + 0.002
 
 
-def test_of_few_fruit_nothing_is_surer_than_half_a_fruit():
+def test_the_interval_of_a_few_fruit_is_at_least_half_a_fruit_wide():
     low, high = stored_ratios()[0].interval(replace(SURE, expected=3.0))
     assert low <= 3.0 <= high
 
@@ -107,7 +107,7 @@ def counted(tree: sim.Simulation, config: CountConfig) -> FruitCount:
     )
 
 
-def test_a_count_says_how_sure_it_is(tree: sim.Simulation):
+def test_a_count_has_intervals(tree: sim.Simulation):
     result = counted(tree, CountConfig())
     assert result.interval is not None
     assert result.total_interval is not None
@@ -126,7 +126,7 @@ def test_of_a_region_only_its_own_fruit_are_expected(tree: sim.Simulation):
     assert part.interval[1] < whole.interval[0]
 
 
-def test_every_tree_of_a_row_says_how_sure_its_count_is(tree: sim.Simulation):
+def test_every_tree_of_a_row_has_intervals(tree: sim.Simulation):
     whole, row = counted(tree, CountConfig()), counted(tree, CountConfig(trees=2))
     assert row.interval == whole.interval
     assert sum(each.count for each in row.trees) == row.count
@@ -143,7 +143,7 @@ def test_every_tree_of_a_row_says_how_sure_its_count_is(tree: sim.Simulation):
     assert sum(each.total or 0.0 for each in row.trees) == pytest.approx(whole.total, rel=0.2)
 
 
-def test_a_published_road_tells_no_interval_and_claims_none(tree: sim.Simulation):
+def test_a_published_method_gives_no_interval(tree: sim.Simulation):
     result = counted(tree, CountConfig(method="template"))
     assert (result.interval, result.total, result.total_interval) == (None, None, None)
     assert count_text(result) == f"{result.count} visible fruit"
@@ -167,7 +167,7 @@ def test_the_audit_for_people_lists_every_cluster_under_its_verdict():
     assert told in text
 
 
-def test_the_audit_tells_lengths_in_millimetres_where_the_scale_is_known_and_says_so_at_its_head():
+def test_the_audit_gives_lengths_in_millimetres_where_the_scale_is_known_and_says_so_at_its_head():
     entry = AuditEntry(0, "kept", "one sphere", (0.0, 0.5, 1.0), 400, (1,), 0.08)
     text = audit_text(FruitCount([], [entry], 1.0, None), prompt="apple", metres_per_unit=0.5).splitlines()
     assert text[1] == "Places are x y z in the frame of the scene, in scene units; diameters are in mm."

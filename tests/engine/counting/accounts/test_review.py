@@ -33,7 +33,7 @@ def test_a_decision_holds_for_the_fruit_that_is_there_whatever_its_number_is_now
     assert found.lost == []
 
 
-def test_a_decision_about_a_fruit_no_longer_found_is_told_and_changes_nothing():
+def test_a_decision_about_a_fruit_no_longer_found_is_reported_and_changes_nothing():
     gone = decision("reject", [ball(9, "apple", np.array([50.0, 0, 0]), 0.1)])
     found = replay([gone], row(2))
     assert (found.standings, found.lost) == (["", ""], [gone])
@@ -147,7 +147,7 @@ def test_an_interval_holds_the_count_and_never_widens(given_probabilities, data)
         assert low == after
 
 
-def test_looking_at_doubtful_fruit_narrows_more_than_at_sure_ones():
+def test_reviewing_uncertain_fruit_narrows_more_than_certain_ones():
     p = np.array([0.99] * 50 + [0.55] * 10)
     sure, doubtful = np.arange(60) < 10, np.arange(60) >= 50
     by_sure = corrected_interval(60, (50, 70), p, sure, 0, 60)
@@ -155,7 +155,7 @@ def test_looking_at_doubtful_fruit_narrows_more_than_at_sure_ones():
     assert by_doubtful[0] > by_sure[0] >= 50
 
 
-def test_fruit_that_a_person_adds_are_no_longer_among_the_missed():
+def test_fruit_that_the_user_adds_are_no_longer_among_the_missed():
     assert corrected_interval(10, (9, 14), np.full(10, 0.9), np.zeros(10, bool), 0, 12)[1] == 14
     assert corrected_interval(10, (9, 14), np.full(10, 0.9), np.zeros(10, bool), 0, 17)[1] == 17
 
@@ -172,7 +172,7 @@ def test_one_fruit_merged_with_itself_is_itself():
     assert np.linalg.det(twice.axes) > 0.0
 
 
-def test_two_halves_beside_each_other_merge_to_something_long_between_them():
+def test_two_halves_next_to_each_other_merge_to_something_long_between_them():
     two = [ball(1, "apple", np.array([x, 0.0, 0.0]), 0.1) for x in (-0.05, 0.05)]
     whole = merged(two, 3)
     np.testing.assert_allclose(whole.center, 0.0, atol=1e-12)

@@ -68,7 +68,7 @@ def weighed(threshold: float = 0.5, probability: float = 1.0, **changes: float) 
     return stored_gate().probabilities(features), features
 
 
-def test_a_whole_fruit_is_almost_surely_one():
+def test_a_whole_fruit_is_almost_certain():
     assert weighed()[0].min() > 0.95
 
 
@@ -84,13 +84,13 @@ def test_a_whole_fruit_is_almost_surely_one():
         ({"free": 0.5}, "on points of better fruit (50% are its own)"),
     ],
 )
-def test_what_speaks_against_a_fruit_lowers_its_chance_and_is_named(changes: dict[str, float], told: str):
+def test_what_counts_against_a_fruit_lowers_its_probability_and_is_named(changes: dict[str, float], told: str):
     probabilities, features = weighed(**changes)
     assert probabilities[1] < probabilities[0]
     assert stored_gate().reason(features, 1).startswith(told)
 
 
-def test_the_gate_is_told_how_much_is_behind_what_speaks_for_a_fruit():
+def test_the_classifier_knows_how_much_evidence_supports_a_fruit():
     _, features = weighed(looked=19.0, shell=0.7)
     assert features["looked"] == pytest.approx(np.log([401.0, 20.0, 401.0]))
     assert features["shell"] == pytest.approx([1.0, 0.7, 1.0])
@@ -117,7 +117,7 @@ def test_points_of_which_each_is_there_twice_are_as_curved():
     assert curvatures(replace(found, owners=found.owners[twice]), doubled) == pytest.approx(curvatures(found, surface))
 
 
-def test_one_point_tells_no_curvature():
+def test_one_point_gives_no_curvature():
     found, surface = candidates()
     alone = found.owners.copy()
     alone[51:100] = -1
@@ -157,7 +157,7 @@ def test_a_feature_farther_out_than_any_weighs_no_more_than_the_farthest():
     assert scores[1:] == pytest.approx(scores[0])
 
 
-def test_a_sphere_that_is_more_even_than_any_it_was_fitted_to_is_surely_a_fruit():
+def test_a_sphere_more_even_than_any_of_the_fit_is_certainly_a_fruit():
     assert weighed(residual=0.004)[0][1] > 0.95
 
 

@@ -38,7 +38,7 @@ def own_distances(chosen: Gaussians, positions: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.einsum("gij,pgi->pgj", axes, offsets) / scales, axis=2)
 
 
-def test_points_lie_on_their_gaussians_skin_and_outside_all_others():
+def test_points_lie_on_their_gaussians_surface_and_outside_all_others():
     chosen = gaussians()
     points = sampled(chosen)
     distances = own_distances(chosen, points.positions)

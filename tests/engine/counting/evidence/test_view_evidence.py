@@ -33,7 +33,7 @@ def test_a_sphere_that_nothing_hides_is_seen_whole_by_every_view():
     assert seen.free[0] == pytest.approx(2 * SPOTS * RIM**2, abs=2)
 
 
-def test_half_a_sphere_behind_a_leaf_gives_half_the_free_looks_and_is_as_solid():
+def test_half_a_sphere_behind_a_leaf_has_half_the_free_spots_and_is_as_solid():
     seen = view_evidence(picture(np.where(RIGHT, 3.0, SURFACE), np.where(RIGHT, 0.0, 1.0)))
     assert seen.visible_fractions[0] == pytest.approx(0.5, abs=0.05)
     assert seen.free[0] == pytest.approx(0.5 * SPOTS * RIM**2, abs=2)
@@ -46,7 +46,7 @@ def test_a_sphere_that_a_view_looks_through_is_not_solid_however_freely_it_is_lo
     assert seen.free[0] == pytest.approx(SPOTS * RIM**2, abs=2)
 
 
-def test_where_no_view_has_a_free_look_nothing_speaks_against_a_sphere():
+def test_without_a_free_spot_in_any_view_nothing_counts_against_a_sphere():
     seen = view_evidence(picture(3.0, 0.0))
     assert (seen.free[0], seen.solidity[0], seen.probabilities[0]) == (0.0, 1.0, 1.0)
     assert seen.visible_fractions[0] == 0.0

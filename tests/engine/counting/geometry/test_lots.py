@@ -28,7 +28,7 @@ def test_what_is_drawn_fills_the_unit_interval():
     assert np.sort(starts, axis=0) == pytest.approx(np.repeat(np.linspace(0, 1, 4000)[:, None], 3, axis=1), abs=0.03)
 
 
-def test_rounding_of_single_precision_moves_hardly_any_place_to_another_lot():
+def test_rounding_of_single_precision_moves_hardly_any_position_to_another_stream():
     rounded = PLACES.astype(np.float32).astype(np.float64)
     same = (RandomStreams.draw(PLACES, 0).starts == RandomStreams.draw(rounded, 0).starts).all(axis=1)
     assert same.mean() > 0.99

@@ -79,7 +79,7 @@ def test_balls_in_a_chain_are_split(method, count: int) -> None:
     assert off(found, chain) < 0.25
 
 
-def test_the_papers_road_splits_more_than_six_and_fruitnerf_does_not() -> None:
+def test_the_papers_method_splits_more_than_six_and_fruitnerf_does_not() -> None:
     row = np.outer(np.arange(9), [1.0, 0.0, 0.0])
     assert len(split_by_template(balls(row), 1.0, ball()).spheres) == 9
     assert len(cluster_as_fruitnerf(balls(row), 1.0).spheres) == 6
@@ -199,7 +199,7 @@ def tree() -> sim.Simulation:
 
 
 @pytest.mark.parametrize("method", ["template", "fruitnerf"])
-def test_a_counted_tree_tells_kinds_and_reasons(tree: sim.Simulation, method) -> None:
+def test_a_counted_tree_gives_kinds_and_reasons(tree: sim.Simulation, method) -> None:
     config = CountConfig(method=method, sample_budget=4000)
     counted = count_fruit(
         tree.gaussians, tree.probability, tree.cameras, config, label="apple", visibility=tree.visibility

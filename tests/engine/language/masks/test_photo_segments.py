@@ -90,7 +90,7 @@ def test_what_is_kept_is_not_made_again_and_is_the_same_bits(tmp_path):
 
 
 @pytest.mark.parametrize("change", ["photo", "mask", "segmenter", "encoder"])
-def test_another_photo_mask_segmenter_or_encoder_is_made_anew(tmp_path, change):
+def test_another_photo_mask_segmenter_or_encoder_is_made_again(tmp_path, change):
     inner = np.arange(WIDTH) < np.full((HEIGHT, 1), WIDTH - 1)
     list(segmented_views(scene(1, inner), Quarters(), MeanColour(), tmp_path))
     given, segmenter, encoder = scene(1, inner), Quarters(), MeanColour()
@@ -121,7 +121,7 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path):
     assert not list(tmp_path.rglob("*.part*"))
 
 
-def test_a_damaged_view_on_disk_is_made_anew(tmp_path):
+def test_a_damaged_view_on_disk_is_made_again(tmp_path):
     segmenter = Quarters()
     list(segmented_views(scene(1), segmenter, MeanColour(), tmp_path))
     (path,) = tmp_path.rglob("*.safetensors")
@@ -177,7 +177,7 @@ def test_progress_rises_to_one_within_and_between_views(tmp_path, monkeypatch):
     assert len(told) == 2 * (1 + 3) + 1
 
 
-def test_the_whole_crop_road_runs_on_a_checkpoint_from_disk(tmp_path):
+def test_the_whole_crop_pipeline_runs_on_a_checkpoint_from_disk(tmp_path):
     encoder = ClipEncoder.open(str(write_clip(tmp_path / "tiny")))
     (view,) = segmented_views(scene(1), ClassicalSegmenter(), encoder, tmp_path / "cache")
     assert view.labels.max() + 1 == len(view.vectors) > 3

@@ -79,7 +79,7 @@ def test_masks_are_where_they_were_in_a_photo_of_another_size_and_shape():
     assert len(rows) == pytest.approx(np.pi * (9 * 240 / 64) ** 2, rel=0.05)
 
 
-def test_twins_of_a_level_are_one_mask_and_what_lies_on_a_larger_mask_is_not_hidden():
+def test_duplicates_of_a_level_are_one_mask_and_what_lies_on_a_larger_mask_is_not_hidden():
     twins, spot = [disc(30, 30, 20)] * 3, [disc(30, 30, 8)] * 3
     model = Known(spot, twins, [disc(31, 30, 20)] * 3)
     labels = segmenter(model).segment(black(SIDE, SIDE)).labels[0]
@@ -89,7 +89,7 @@ def test_twins_of_a_level_are_one_mask_and_what_lies_on_a_larger_mask_is_not_hid
 
 
 @pytest.mark.parametrize("fault", ["unsure", "unsteady", "small"])
-def test_a_mask_that_is_unsure_unsteady_or_small_is_left_out(fault):
+def test_a_mask_that_is_uncertain_unstable_or_small_is_left_out(fault):
     good = disc(32, 32, 20)
     mask = {"unsure": good, "unsteady": good / 40.0, "small": disc(32, 32, 5)}[fault]
     model = Known([mask] * 3, predicted=0.69 if fault == "unsure" else 0.71)
