@@ -2,9 +2,9 @@
 
 Kernel files write `from ...compiled.jit import kernel, njit, prange`; nothing else imports numba's decorators.
 
-- Machine code is cached in the user's cache folder, under a name that contains a hash of every source file that compiles
-  kernels: Numba itself does not notice when a function that a cached one calls has changed. If that folder cannot be
-  written, kernels are compiled again in each process.
+- Machine code is cached in the user's cache folder, under a name that contains a hash of every source file that
+  compiles kernels: Numba itself does not notice when a function that a cached one calls has changed. If that folder
+  cannot be written, kernels are compiled again in each process.
 - Numba's `workqueue` threads abort the process when two Python threads run kernels at once. `omp` or `tbb` are
   requested, and until one of them is known to be active, `kernel` runs one parallel kernel at a time.
 """

@@ -18,34 +18,34 @@ _CARD = """\
 
 A small convolutional network that gives every pixel of a photo one of {concepts} words, with a calibrated
 probability. It ships with FruitLangs, needs no download and no GPU, and takes about half a second of two CPU cores
-for a 480×360 photo. Written by `scripts/train_encoder.py`; the figures below are of the weights beside this card.
+for a 480×360 photo. Written by `scripts/train_encoder.py`; the figures are those of the weights next to this card.
 
 Words: {words_known}; colours, measured from the pixels and not learnt: {colours}.
 
 ## Figures
 
-All on pictures that it was not trained on.
+All were measured on pictures that were not used for training.
 
 {table}
 
 - *Photos*: validation photos, pixels ranked by the probability of "fruit": AUC and average precision. Positive: the
   central 0.6 ellipse of each box; negative: outside 1.1 times every box. Boxes are weak labels and fruit of background
-  rows is often unboxed, so these are lower bounds; *seen*: without such fruit, 659 places marked by eye (in crowded
-  photos from what is red) and kept in `fitting/encoder/unboxed.csv`; *boxes*: whole boxes against all else; *redness*:
-  the first protocol for red minus green, a colour rule.
-- *Pasted word*: fruit of one validation set pasted into photos of the other sets; share of its pixels whose likeliest
-  fruit word, of all {fruits}, is right.
+  rows often has no box, so these are lower bounds; *seen*: without such fruit, 659 places marked by eye (in crowded
+  photos by their red colour) and listed in `fitting/encoder/unboxed.csv`; *boxes*: whole boxes against everything else;
+  *redness*: the same as the first for red minus green, a colour rule.
+- *Pasted word*: fruit of one validation set pasted into photos of the other sets; share of its pixels whose most
+  probable fruit word, of all {fruits}, is right.
 - *Renders*: IoU, precision and recall of the fruit's word at P ≥ 0.5 against exact masks, also asked of scenes with
-  another fruit. As in use, a scene's kinds of fruit are weighed by their shares of all its pictures.
+  another fruit. As in use, the kinds of fruit of a scene are weighted by their share of all its pictures.
 
 Where fruit is hard to see (renders; "mixed species": {guests} fruit of other kinds pasted into each picture):
 
 {conditions}
 
-How well every word is told from its worst rival: the AUC of its probability on its pixels against those of the word
-it is most easily taken for; {general} stand for several words and are told from
-the others. Colours are measured on the named colours of the XKCD survey. {judged} words are judged, {good} of them
-reach 0.8; {unjudged}.
+How well every word is distinguished from the word it is most often confused with: the AUC of its probability on its
+pixels against those of the other; {general} stand for several words and are compared
+with the others. Colours are measured on the named colours of the XKCD survey. {judged} words are
+evaluated, {good} of them reach 0.8; {unjudged}.
 
 {words}
 
@@ -61,19 +61,19 @@ Temperature {pixel_temperature:.3f}, bias {pixel_bias:.3f}; temperature of the k
 {lifted}
 ## Training
 
-Trained in {number} (a later run goes on from the weights of the earlier one, and is repeatable only from
-those); {held_out} renders were held out from the last one, of scenes whose seeds are kept for it
-(one round through the species of every eleven), so more renders never bring one of them into training.
+Trained in {number} (a later run continues from the weights of the earlier one and is repeatable only from
+those); {held_out} renders were held out from the last one, of scenes whose seeds are reserved for it
+(one round through the species of every eleven), so additional renders never add one of them to the training.
 
 {runs}
 
-Two commands make the renders and train on them, and calibrate on the walks among the renders:
+Two commands generate the renders, train on them, and calibrate on the whole trees among them:
 
     python scripts/make_orchard.py --scenes 1300:1404 --out RENDERS
     python scripts/train_encoder.py --renders RENDERS --photos PHOTOS --steps 6000 --out NEW/embedded.safetensors
 
-Seeds of the rendered scenes are listed in the JSON file beside the weights and in the weights' header; they
-start at 1000, and the sample orchard and the test scenes are not among them.
+The seeds of the rendered scenes are listed in the JSON file next to the weights and in their header; they start at
+1000, and the sample orchard and the test scenes are not among them.
 
 ## Data and credits
 
@@ -81,31 +81,31 @@ Rendered scenes come from `scripts/make_orchard.py` of this repository. The phot
 sets were used, all under the Creative Commons Attribution 4.0 International licence
 (https://creativecommons.org/licenses/by/4.0/); no endorsement by their authors is implied. Changes: 640×640 tiles were
 selected, re-encoded as JPEG without EXIF, boxes were converted from YOLO text to pixel corners and slivers under 2 px
-dropped; in training they were cropped, scaled, recoloured, blurred and mixed by pasting.
+dropped; for training they were cropped, scaled, recoloured, blurred and mixed by pasting.
 
 - **AppleBBCH81** (apples on trees, LatHort orchard, Dobele, Latvia; Kaggle account projectlzp201910094, 2024),
-  https://www.kaggle.com/datasets/projectlzp201910094/applebbch81, by way of
+  https://www.kaggle.com/datasets/projectlzp201910094/applebbch81, from
   https://github.com/ai-agriculture-circuits-and-systems/AppleBBCH81. Described in "Autonomous Yield Estimation System
   for Small Commercial Orchards Using UAV and AI", Drones 2024, 8(12), 734, doi 10.3390/drones8120734.
-- **Pear640** (pears on trees), https://www.kaggle.com/datasets/projectlzp201910094/pear640, by way of
+- **Pear640** (pears on trees), https://www.kaggle.com/datasets/projectlzp201910094/pear640, from
   https://github.com/ai-agriculture-circuits-and-systems/Pear640. Sergejs Kodors, Marks Sondors, Gunārs Lācis, Edgars
   Rubauskis, Ilmārs Apeināns, Imants Zarembo, "Rapid prototyping of pear detection neural network with YOLO architecture
   in photographs", Environment. Technology. Resources., Rezekne 2023, vol. 1, pp. 81-85, doi 10.17770/etr2023vol1.7293.
 - **CherryBBCH81** (mostly green cherry fruitlets, LatHort orchard, Dobele, Latvia),
-  https://www.kaggle.com/datasets/projectlzp201910094/cfruitlets81-640, by way of
+  https://www.kaggle.com/datasets/projectlzp201910094/cfruitlets81-640, from
   https://github.com/ai-agriculture-circuits-and-systems/CherryBBCH81. Ilmārs Apeināns, Marks Sondors, Lienīte
   Litavniece, Sergejs Kodors, Imants Zarembo, Daina Feldmane, "Cherry Fruitlet Detection using YOLOv5 or YOLOv8?",
   Environment. Technology. Resources., Rezekne 2024, vol. 2, pp. 29-33, doi 10.17770/etr2024vol2.8013.
 
 ## Limits
 
-- Real photos taught it apples, pears and cherries from one region and season; it knows other fruit from renders only.
-- Words of the surroundings come from renders, "background" from drawn cloths and walls; in photos they were only known
-  as "no fruit".
-- Small green fruit in shade is missed often, touching fruit merges, glossy branches may light up.
-- It finds fruit better than it names it: two-coloured apples, plums, peaches and mangoes are taken for each other.
-  Where a tree bears one kind, `fruit` asks for less and finds more.
-- It names a fruit by what 10 to 250 pixels of it look like; fruit below about 8 pixels is not seen.
+- It learnt apples, pears and cherries from real photos of one region and season, and other fruit from renders only.
+- It learnt words of the surroundings from renders, and "background" from drawn cloths and walls; in photos they were
+  only labelled "no fruit".
+- Small green fruit in shade is often missed, touching fruit merges, and glossy branches may be taken for fruit.
+- It finds fruit better than it names them: bicoloured apples, plums, peaches and mangoes are confused with each other.
+  If a tree has one kind, the word `fruit` finds more.
+- It recognises fruit of 10 to 250 pixels; fruit below about 8 pixels is not found.
 - Any other object is "background" or one of the words above; there is no word for people, nets, tools or animals.
 """
 
@@ -177,18 +177,18 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
 
 def _lifted(document: Mapping[str, Any]) -> str:
     lifted, calibration = document["lifted"], document["calibration"]
-    if lifted["walks"] == 0:
-        return "The weights carry this calibration of pixels; none was made on lifted Gaussians.\n"
+    if lifted["scenes"] == 0:
+        return "The weights use this calibration of pixels; none was made for lifted Gaussians.\n"
     made = (
-        "The weights carry another calibration, made where it is used: on Gaussians of rendered walks, into which the\n"
+        "The weights use another calibration, made for their use: on Gaussians of rendered trees, into which the\n"
         f"features of many views were lifted, for a share of fruit of {lifted['fruit_share']}: temperature "
         f"{calibration['temperature']:.3f}, bias {calibration['bias']:.3f}.\n"
     )
-    if lifted["walks"] == 1:
-        return made + "It was made on one walk, so there was no other to judge it by.\n"
+    if lifted["scenes"] == 1:
+        return made + "It was made on one tree, so it could not be evaluated on another.\n"
     return made + (
-        f"Each of {lifted['walks']} walks "
-        f"was judged by the calibration of the others: calibration error {lifted['calibration_error']:.3f}; the\n"
+        f"Each of {lifted['scenes']} trees "
+        f"was evaluated with the calibration of the others: calibration error {lifted['calibration_error']:.3f}; the\n"
         f"Gaussians with P(fruit) ≥ 0.5 and the true ones overlap by IoU {lifted['iou']:.3f}.\n"
     )
 

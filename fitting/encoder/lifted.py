@@ -55,7 +55,7 @@ class LiftedMeasures:
     """Means over rendered trees of the calibration error of "fruit" (see `reliability`) and of
     `intersection_over_union`."""
 
-    rendered_scenes: int
+    scenes: int
     calibration_error: float
     iou: float
 

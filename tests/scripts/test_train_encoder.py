@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import train_encoder
 from PIL import Image
 
 from fruitlangs.engine.errors import ConfigError, EncoderError, FormatError
@@ -17,6 +16,7 @@ from fruitlangs.engine.evaluation.calibration import BINS
 from fruitlangs.engine.language.encoders.embedded import Calibration, EmbeddedEncoder, read_weights, save_weights
 from fruitlangs.engine.language.encoders.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
+from fruitlangs.fitting import train_encoder
 from fruitlangs.fitting.encoder.batches import CROP, Material, _crop, make_batch
 from fruitlangs.fitting.encoder.confusable import colour_distinctions, distinctions
 from fruitlangs.fitting.encoder.learning import Course, learn
@@ -326,7 +326,7 @@ def test_a_tiny_run_writes_weights_that_open_their_figures_and_a_card(
     monkeypatch.setattr(train_encoder, "WIDTHS", (4, 4, 4, 4))
     monkeypatch.setattr(train_encoder, "DEPTHS", (0, 0, 0, 0))
     for name in ("a", "b"):
-        train_encoder.main(
+        train_encoder.train_encoder(
             train_encoder.Options(
                 renders=renders, photos=photos, out=tmp_path / name / "w.safetensors", steps=2, batch=2, processes=1
             )
@@ -430,7 +430,7 @@ def test_random_weights_are_never_written(photos: Path, tmp_path: Path):
         ({"rate": 0.0}, "--rate 0: give more than 0"),
     ):
         with pytest.raises(ConfigError, match=message):
-            train_encoder.main(train_encoder.Options(photos=photos, out=tmp_path / "w.safetensors", **nothing))
+            train_encoder.train_encoder(train_encoder.Options(photos=photos, out=tmp_path / "w.safetensors", **nothing))
     assert not any(tmp_path.iterdir())
 
 

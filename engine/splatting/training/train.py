@@ -99,15 +99,15 @@ def train(
         OutputError: the checkpoint cannot be written.
         Cancelled: `progress` asked for it; the last checkpoint stays.
     """
-    aside = held_out_views(scene, config.holdout_every)
-    views = [view for view in range(len(scene.cameras)) if view not in aside]
+    held_out = held_out_views(scene, config.holdout_every)
+    views = [view for view in range(len(scene.cameras)) if view not in held_out]
     if not views:
         raise TrainingError("The scene has no photo to train on. Give at least one")
     middle = scene.middle
     require_digits(middle, scene.extent)
     require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
-    kept_aside = _usable(PhotoShelf(scene, limit=0), sorted(aside), progress)
-    if config.patience > 0 and (config.check_every == 0 or not kept_aside):
+    measured = _usable(PhotoShelf(scene, limit=0), sorted(held_out), progress)
+    if config.patience > 0 and (config.check_every == 0 or not measured):
         raise TrainingError(
             "--train.patience needs measurements of held-out photos: give --train.check-every, and a"
             " --train.holdout-every that keeps some"
@@ -117,7 +117,8 @@ def train(
     shelf = PhotoShelf(near)
     try:
         shown = None if watch is None else lambda gaussians: watch(_at(gaussians, middle), scene)
-        training = _train(near, config, shelf, views, kept_aside, checkpoint, key, extra, shown, progress)
+        photos = _Photos(shelf, views, measured)
+        training = _train(near, config, photos, _Saved(checkpoint, key), extra, shown, progress)
     finally:
         shelf.close()
     cameras = (
@@ -160,20 +161,35 @@ def _shifted(scene: Scene, offset: NDArray[np.float64]) -> Scene:
     return replace(scene, cameras=cameras, points=np.asarray(scene.points, np.float64) + offset)
 
 
+@dataclass(frozen=True, eq=False)
+class _Photos:
+    """The cached photos, and which views are trained on and which are held out for measurement."""
+
+    shelf: PhotoShelf
+    trained: Sequence[int]
+    held_out: Sequence[int]
+
+
+@dataclass(frozen=True)
+class _Saved:
+    """Where checkpoints are written, None for nowhere, and the key that they must have."""
+
+    file: Path | None
+    key: str
+
+
 def _train(
     scene: Scene,
     config: TrainConfig,
-    shelf: PhotoShelf,
-    views: Sequence[int],
-    kept_aside: Sequence[int],
-    checkpoint: Path | None,
-    key: str,
+    photos: _Photos,
+    saved: _Saved,
     extra: ExtraChannels | None,
     watch: Callable[[Gaussians], None] | None,
     progress: Progress,
 ) -> Training:
+    shelf, views = photos.shelf, photos.trained
     channels = 0 if extra is None else extra.count
-    state = _resume(checkpoint, key, progress) or _start(shelf, views, config, channels, progress)
+    state = _resume(saved, progress) or _start(shelf, views, config, channels, progress)
     if not all_compiled():
         progress(0.0, "Compiling for this computer, about 15 s (first run only)")
     schedule = Schedule(config, scene)
@@ -197,20 +213,20 @@ def _train(
         if watch is not None and done % WATCH_EVERY == 0:
             so_far = _drawable(state, config)
             watch(so_far.select(finite(so_far)))
-        if schedule.checks(done) and kept_aside:
-            scores = _scores(_drawable(state, config), shelf, kept_aside, config)
+        if schedule.checks(done) and photos.held_out:
+            scores = _scores(_drawable(state, config), shelf, photos.held_out, config)
             quality = float(np.mean([score.psnr for score in scores]))
             state.checks.append((done, quality))
             progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {quality:.2f} dB")
             if stalled([checked for at, checked in state.checks if schedule.settled(at)], config.patience):
                 break
-        if checkpoint is not None and done % config.checkpoint_every == 0 and done < config.steps:
-            write_checkpoint(checkpoint, state, key)
+        if saved.file is not None and done % config.checkpoint_every == 0 and done < config.steps:
+            write_checkpoint(saved.file, state, saved.key)
     trained = _drawable(state, config)
     whole = finite(trained)
     gaussians = trained.select(whole)
     progress(0.96, "Measuring the held-out photos")
-    held_out = _scores(gaussians, shelf, kept_aside, config)
+    held_out = _scores(gaussians, shelf, photos.held_out, config)
     return Training(
         gaussians=gaussians,
         held_out=held_out,
@@ -282,11 +298,11 @@ def held_out_views(scene: Scene, every: int) -> frozenset[int]:
     return frozenset(range(0, len(scene.cameras), every))
 
 
-def _resume(checkpoint: Path | None, key: str, progress: Progress) -> TrainingState | None:
-    if checkpoint is None or not checkpoint.exists():
+def _resume(saved: _Saved, progress: Progress) -> TrainingState | None:
+    if saved.file is None or not saved.file.exists():
         return None
     try:
-        return read_checkpoint(checkpoint, key)
+        return read_checkpoint(saved.file, saved.key)
     except TrainingError as error:
         progress(0.0, f"starting again: {error}")
         return None
