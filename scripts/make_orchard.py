@@ -97,7 +97,7 @@ def make(command: Command) -> None:
     for config in configs:
         check(config)
     if command.preview < 0:
-        raise OrchardError(f"Preview is {command.preview}: give the number of views, or 0 for all")
+        raise OrchardError(f"--preview is {command.preview}: give the number of views, or 0 for all")
     for package in ("bpy", "pycolmap"):
         if importlib.util.find_spec(package) is None:
             install = f'"{sys.executable}" -m pip install {package}'

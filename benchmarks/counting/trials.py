@@ -86,7 +86,7 @@ def read_trials(path: Path) -> list[Trial]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"{path} is damaged ({error}). Move it away, and what it holds is counted again") from error
+        raise FormatError(f"{path} is damaged ({error}). Move it away; its crowns are counted again") from error
 
 
 def _trial(row: Mapping[str, str]) -> Trial:

@@ -55,7 +55,7 @@ class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
         if not super().poll(context):
             return False
         if owned_object(context.scene, "gaussians") is None:
-            cls.poll_message_set("There are no Gaussians to draw; count again or import the result")
+            cls.poll_message_set("There are no Gaussians to draw. Count again or import the result")
             return False
         return True
 

@@ -29,7 +29,7 @@ LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
 """Progress and duration of a job above which the remaining time is shown."""
 
 LEAVE_EDITING = "Leave Edit Mode first (Tab)"
-LINKED = "This scene is linked from another file; make it local first"
+LINKED = "This scene is linked from another file. Make it local first"
 
 Work = Callable[[Progress], Any]
 
@@ -198,9 +198,9 @@ def describe_error(error: BaseException) -> str:
     if isinstance(error, ImportError):
         return f"A Python package is missing or broken: {error}. The Fruit tab says how to install what is needed"
     if isinstance(error, MemoryError):
-        return "Out of memory; use smaller photos (downscale) or fewer Gaussians"
+        return "Out of memory. Use smaller photos (downscale) or fewer Gaussians"
     traceback.print_exception(error)
-    return f"Unexpected {type(error).__name__}: {error}. The system console has the details; please report it"
+    return f"Unexpected {type(error).__name__}: {error}. The system console has the details. Please report it"
 
 
 class JobOperator:

@@ -18,7 +18,7 @@ from ..settings.settings import result_folder
 
 STAGES = ("photos-", "train-", "embed-", "imported-", "segments-", "publish-")
 """Prefixes of the folders of a run in the cache of its results."""
-LOST = "Training goes on from the start; what was reconstructed and not counted cannot be asked until then"
+LOST = "Training starts again; a scene without a count needs it before the next prompt"
 """The consequence of deleting the cached stages of a scene."""
 
 

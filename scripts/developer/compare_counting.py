@@ -67,9 +67,9 @@ def main(options: Options) -> None:
         raise ConfigError("--scenes needs --out, and goes without --along and --settings")
     all_settings = AXES[options.along] if options.along else SETTINGS
     if unknown := [name for name in options.settings if name not in all_settings]:
-        raise ConfigError(f"Unknown setting '{unknown[0]}'. There are {', '.join(all_settings)}")
+        raise ConfigError(f"Unknown setting '{unknown[0]}'. Use one of {', '.join(all_settings)}")
     if unknown := [name for name in options.methods if name not in METHODS]:
-        raise ConfigError(f"Unknown method '{unknown[0]}'. There are {', '.join(METHODS)}")
+        raise ConfigError(f"Unknown method '{unknown[0]}'. Use one of {', '.join(METHODS)}")
     if options.out is not None:
         require_writable(options.out)
     if options.scenes:

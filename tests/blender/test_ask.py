@@ -119,7 +119,7 @@ def replaced_by(file, means) -> None:
 def test_features_of_as_many_other_gaussians_are_refused_and_the_highlight_stays(opened, counted_balls):
     before = probability()
     replaced_by(opened / "features.safetensors", counted_balls.gaussians.means)
-    with pytest.raises(RuntimeError, match=r"other Gaussians than those shown.* press Reconstruct or count again"):
+    with pytest.raises(RuntimeError, match=r"other Gaussians than those shown.* Press Reconstruct or count again"):
         bpy.ops.fruitlangs.ask()
     np.testing.assert_array_equal(probability(), before)
 

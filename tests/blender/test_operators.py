@@ -284,7 +284,7 @@ def test_reconstructing_others_takes_the_count_away_and_says_so(reconstruct, set
     reconstruct(0.4 if other == "scale" else None, dataclasses.replace(counted.gaussians, means=means))
     assert owned_objects(bpy.context.scene, "fruit") == []
     assert settings.result.count == -1
-    assert "count again" in settings.result.notices
+    assert "Count again" in settings.result.notices
 
 
 def test_a_count_of_nothing_goes_with_its_gaussians_too(

@@ -173,7 +173,7 @@ def test_trials_come_back_as_they_were_written(tmp_path: Path, crown: Simulation
     assert trials_csv(read_trials(tmp_path / "trials.csv")) == trials_csv(trials)
     assert read_trials(tmp_path / "trials.csv")[0].metrics == trials[0].metrics
     (tmp_path / "trials.csv").write_text("setting,seed\nsparse,0\n")
-    with pytest.raises(FormatError, match="move it away"):
+    with pytest.raises(FormatError, match="Move it away"):
         read_trials(tmp_path / "trials.csv")
 
 
@@ -200,7 +200,7 @@ def test_a_second_run_goes_on_with_the_first(tmp_path: Path, monkeypatch: pytest
     compare_counting.main(replace(options, first=5, methods=("b",)))
     assert counted == ["a", "b"] * 3 + ["b"]
     assert "| a |" not in (tmp_path / "counting.md").read_text()
-    with pytest.raises(ConfigError, match=r"Unknown method 'c'. There are a, b"):
+    with pytest.raises(ConfigError, match=r"Unknown method 'c'. Use one of a, b"):
         compare_counting.main(replace(options, methods=("c",)))
 
 
@@ -223,7 +223,7 @@ def test_an_unknown_setting_is_one_line():
     command = [sys.executable, str(ROOT / "scripts" / "developer" / "compare_counting.py"), "--settings", "easy"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: unknown setting 'easy'")
+    assert done.stderr.startswith("error: Unknown setting 'easy'")
 
 
 def test_how_much_of_a_fruit_is_visible_is_reported_behind_leaves_as_in_front_of_them():

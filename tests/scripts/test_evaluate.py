@@ -46,7 +46,7 @@ def test_a_count_is_measured_against_every_object_its_prompts_name(prompts, true
     assert visible(capsys.readouterr().out) == true
 
 
-@pytest.mark.parametrize(("prompts", "said"), [(["red"], "names no fruit"), (["lemon"], "The truth has no lemon")])
+@pytest.mark.parametrize(("prompts", "said"), [(["red"], "names no fruit"), (["lemon"], "the truth has no lemon")])
 def test_prompts_without_any_true_fruit_are_an_error(prompts, said, tmp_path) -> None:
     with pytest.raises(FruitLangsError, match=said):
         measured(tmp_path, prompts)

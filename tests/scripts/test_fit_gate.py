@@ -101,5 +101,5 @@ def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
     command = [sys.executable, str(ROOT / "scripts" / "developer" / "fit_gate.py"), "--first", "3", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: seeds below 1000 are for tests and tables")
+    assert done.stderr.startswith("error: Seeds below 1000 are for tests and tables")
     assert json.loads(out.read_text()) == {"kept": True}

@@ -85,5 +85,5 @@ def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: seeds below 1000 are for tests and tables")
+    assert done.stderr.startswith("error: Seeds below 1000 are for tests and tables")
     assert not (tmp_path / "i").exists()

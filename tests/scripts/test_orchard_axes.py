@@ -233,7 +233,7 @@ def test_a_scene_file_overrides_the_scene_that_it_extends(tmp_path: Path) -> Non
         ("close_ups = 1", "close_ups is 1: give true or false"),
         ("extends = 3", "extends is 3"),
         ("fruits = ", "is no TOML"),
-        ('extends = "nowhere"', "scene nowhere cannot be found"),
+        ('extends = "nowhere"', "Scene nowhere cannot be found"),
         ('extends = "scene"', "extends itself"),
     ],
 )

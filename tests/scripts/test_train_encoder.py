@@ -160,7 +160,7 @@ def test_a_scene_is_held_out_whatever_other_scenes_lie_next_to_it():
 def test_scenes_that_earlier_runs_learnt_from_are_not_measured_on(renders: Path):
     _, held_out = train_encoder.split_scenes(read_renders(renders))
     train_encoder.check_unseen(held_out, train_encoder.Past([], [1071, 1073]))
-    with pytest.raises(ConfigError, match=r"learnt from seed 1072.*take these scenes out"):
+    with pytest.raises(ConfigError, match=r"learnt from seed 1072.*Take these scenes out"):
         train_encoder.check_unseen(held_out, train_encoder.Past([], [1072]))
 
 

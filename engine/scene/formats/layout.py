@@ -69,10 +69,10 @@ def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[
     missing = [path for path in paths if not path.is_file()]
     if missing:
         if len(missing) == len(paths):
-            which = f"none of the model's {len(paths)} photos"
+            which = f"None of the model's {len(paths)} photos was found"
         else:
-            which = f"{len(missing)} of the model's {len(paths)} photos not"
-        raise SceneError(f"{which} found. First {missing[0]}. Put them there")
+            which = f"{len(missing)} of the model's {len(paths)} photos are missing"
+        raise SceneError(f"{which}, first {missing[0]}. Put them there")
     return paths
 
 

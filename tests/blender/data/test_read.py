@@ -85,7 +85,7 @@ def test_trees_are_reported_by_their_fruit(shown):
 
 
 def test_before_a_count_there_are_no_fruit_to_read(extension):
-    with pytest.raises(CountingError, match="count first"):
+    with pytest.raises(CountingError, match="Count first"):
         read_fruits(bpy.context.scene)
 
 

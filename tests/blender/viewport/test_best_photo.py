@@ -221,7 +221,7 @@ def test_a_camera_that_never_had_a_photo_says_so_and_what_to_do(shown):
         del item[FILE]
     assert bpy.ops.fruitlangs.best_photo() == {"FINISHED"}
     assert "no photo for the camera" in shown.camera[PROBLEM]
-    assert "import the scene again" in shown.camera[PROBLEM]
+    assert "Import the scene again" in shown.camera[PROBLEM]
 
 
 def test_a_photo_put_back_is_shown_after_loading_whatever_was_reported_when_saving(shown, tmp_path):

@@ -363,7 +363,7 @@ def test_a_direction_up_that_is_none_is_refused(small: sim.Simulation, up: list[
 
 def test_gaussians_that_all_lie_in_one_place_are_refused(small: sim.Simulation) -> None:
     means = torch.ones_like(small.gaussians.means)
-    with pytest.raises(CountingError, match=rf"all {len(means)} Gaussians lie at the same position, 1 1 1. Train"):
+    with pytest.raises(CountingError, match=rf"All {len(means)} Gaussians lie at the same position, 1 1 1. Train"):
         counted(dataclasses.replace(small, gaussians=dataclasses.replace(small.gaussians, means=means)))
 
 
@@ -376,7 +376,7 @@ def test_no_gaussians_and_no_cameras_are_refused(small: sim.Simulation) -> None:
     none = small.gaussians.select(torch.zeros(0, dtype=torch.long))
     with pytest.raises(CountingError, match="no Gaussians"):
         counted(dataclasses.replace(small, gaussians=none, probability=np.zeros(0)))
-    with pytest.raises(CountingError, match="No cameras"):
+    with pytest.raises(CountingError, match="There are no cameras"):
         counted(dataclasses.replace(small, cameras=[]))
 
 

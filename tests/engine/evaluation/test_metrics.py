@@ -108,7 +108,7 @@ def test_truth_is_read_by_label(tmp_path: Path) -> None:
     (tmp_path / "truth.json").write_text(json.dumps({"fruits": fruits}))
     assert len(read_truth(tmp_path / "truth.json", {"pear", "plum"}).centers) == 1
     assert len(read_truth(tmp_path / "truth.json").centers) == 2
-    with pytest.raises(FormatError, match="The truth has no plum, only apple, pear"):
+    with pytest.raises(FormatError, match="the truth has no plum, only apple, pear"):
         read_truth(tmp_path / "truth.json", {"plum"})
 
 

@@ -82,7 +82,7 @@ def test_one_autoencoder_serves_all_levels_or_each_has_its_own():
 
 
 def test_no_feature_to_learn_from_is_refused():
-    with pytest.raises(EncoderError, match="no mask"):
+    with pytest.raises(EncoderError, match="No mask"):
         train_autoencoder(torch.zeros(0, 24), QUICK)
 
 

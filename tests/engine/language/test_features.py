@@ -93,7 +93,7 @@ def test_missing_features_are_a_format_error(tmp_path: Path):
 def test_features_of_the_former_format_are_a_format_error_that_says_what_to_do(tmp_path: Path):
     header = {"format": "fruitlangs-features-1", "encoder_id": "x"}
     write_tensors(tmp_path / FILE, {"vectors": torch.rand(7, 3), "weights": torch.rand(7)}, header)
-    with pytest.raises(FormatError, match="count again from the photos"):
+    with pytest.raises(FormatError, match="Count again from the photos"):
         load_features(tmp_path / FILE)
 
 

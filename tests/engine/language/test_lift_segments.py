@@ -149,7 +149,7 @@ def test_a_vector_that_is_not_finite_is_refused_with_its_view_and_mask(gaussians
 
 def test_a_label_without_a_vector_is_refused(gaussians: Gaussians):
     view = segmented(ring_camera(), 0)
-    with pytest.raises(SceneError, match="give each mask one"):
+    with pytest.raises(SceneError, match="Give each mask one"):
         lifted(gaussians, [SegmentedView(view.labels, view.vectors[:-1])])
 
 
@@ -169,7 +169,7 @@ def test_labels_of_another_size_than_the_cameras_are_refused(gaussians: Gaussian
 def test_views_with_other_levels_are_refused(gaussians: Gaussians):
     view = segmented(ring_camera(), 0)
     fewer = SegmentedView(np.where(view.labels[:2] < len(view.vectors), view.labels[:2], -1), view.vectors)
-    with pytest.raises(SceneError, match="segment all photos the same way"):
+    with pytest.raises(SceneError, match="Segment all photos the same way"):
         lifted(gaussians, [view, fewer])
 
 

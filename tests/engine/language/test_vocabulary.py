@@ -60,7 +60,7 @@ def test_an_unknown_adjective_is_refused_by_its_name():
 
 
 def test_two_objects_in_one_prompt_are_refused():
-    with pytest.raises(VocabularyError, match="More than one object"):
+    with pytest.raises(VocabularyError, match="more than one object"):
         parse("apple leaf")
 
 

@@ -156,7 +156,7 @@ def test_an_unknown_object_costs_no_training(few_photos: Path, tmp_path: Path) -
 def test_an_object_that_is_not_in_the_scene_is_an_error_that_says_how_near_it_came(
     counted: Result, tmp_path: Path
 ) -> None:
-    with pytest.raises(SceneError, match=r"The scene has no ladder to measure: \d .*highest probability is 0\.\d\d"):
+    with pytest.raises(SceneError, match=r"the scene has no ladder to measure: \d .*highest probability is 0\.\d\d"):
         count_scene(counted.out, ["fruit"], tmp_path, config=config(length=2.0, object="ladder"))
     assert not (tmp_path / "fruits.json").exists()
 

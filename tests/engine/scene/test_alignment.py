@@ -61,7 +61,7 @@ def test_equal_input_gives_equal_output() -> None:
 @pytest.mark.parametrize(
     ("source", "said"),
     [
-        (ring()[:2], "2 views .* at least 3"),
+        (ring()[:2], "2 views .* At least 3"),
         (np.column_stack([np.arange(5.0), np.arange(5.0), np.arange(5.0)]), "on one line"),
         (np.zeros((5, 3)), "on one line"),
         (np.full((5, 3), np.nan), "not finite"),

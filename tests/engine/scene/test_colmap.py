@@ -112,7 +112,9 @@ def test_a_masks_folder_without_masks_is_named(tmp_path: Path) -> None:
 def test_one_missing_photo_is_named_with_its_path(tmp_path: Path) -> None:
     write_model(tmp_path)
     (tmp_path / "images" / "photo_2.png").unlink()
-    with pytest.raises(SceneError, match=rf"1 of the model's 4 photos not found. First {tmp_path}/images/photo_2\.png"):
+    with pytest.raises(
+        SceneError, match=rf"1 of the model's 4 photos are missing, first {tmp_path}/images/photo_2\.png"
+    ):
         read_colmap(tmp_path)
 
 
@@ -122,7 +124,7 @@ def test_missing_photos_are_all_reported_missing(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="No folder images next to"):
         read_colmap(tmp_path)
     write_photo(tmp_path / "images" / "other.png", 32, 24)
-    with pytest.raises(SceneError, match="None of the model's 4 photos found"):
+    with pytest.raises(SceneError, match="None of the model's 4 photos was found"):
         read_colmap(tmp_path)
 
 
@@ -143,7 +145,7 @@ def test_bytes_after_the_last_record_are_named(tmp_path: Path, stem: str) -> Non
     path = write_model(tmp_path) / f"{stem}.bin"
     size = path.stat().st_size
     path.write_bytes(path.read_bytes() + b"\0" * 3)
-    with pytest.raises(SceneError, match=rf"{stem}\.bin has {size + 3} bytes but its \d records end at byte {size};"):
+    with pytest.raises(SceneError, match=rf"{stem}\.bin has {size + 3} bytes but its \d records end at byte {size}\."):
         read_colmap(tmp_path)
 
 
@@ -239,7 +241,7 @@ def test_a_position_that_is_not_finite_is_named(tmp_path: Path) -> None:
 
 def test_a_lens_without_focal_length_is_named(tmp_path: Path) -> None:
     overwrite(write_model(tmp_path) / "cameras.bin", 32, [0.0])
-    with pytest.raises(SceneError, match=r"camera 1 in .*cameras\.bin: .*focal length"):
+    with pytest.raises(SceneError, match=r"Camera 1 in .*cameras\.bin: .*focal length"):
         read_colmap(tmp_path)
 
 

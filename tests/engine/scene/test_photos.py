@@ -112,7 +112,7 @@ def test_photos_and_settings_name_the_model_and_the_place_does_not(walk: Path, t
     found = pose_photos(tmp_path / "moved" / "images", tmp_path / "far" / "away" / "cache", PhotosConfig())
     assert found.reused
     assert found.hash() == pose_photos(walk / "images", walk / "cache", PhotosConfig()).hash()
-    with pytest.raises(SceneError, match="no more in"):
+    with pytest.raises(SceneError, match="no longer in"):
         posed_before(walk / "images", walk / "cache", tmp_path, PhotosConfig(seed=1))
 
 
@@ -256,7 +256,7 @@ def test_too_few_photos_in_the_model_are_an_error(walk: Path, tmp_path: Path) ->
     for index in range(VIEWS + 1):
         noise = np.random.default_rng(index).integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
         Image.fromarray(noise).save(tmp_path / "images" / f"a{index}.png")
-    with pytest.raises(SceneError, match="only 6 of the 13 photos"):
+    with pytest.raises(SceneError, match="Only 6 of the 13 photos"):
         find_poses(tmp_path / "images", tmp_path / "found")
 
 

@@ -180,7 +180,7 @@ def test_a_mask_is_undistorted_with_its_photo(tmp_path: Path) -> None:
 
 
 def test_a_mask_of_another_shape_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"mask .*m\.png has 32x12"):
+    with pytest.raises(SceneError, match=r"Mask .*m\.png has 32x12"):
         pose(save(tmp_path / "a.png", PIXELS), mask=save(tmp_path / "m.png", PIXELS[:12]))
 
 

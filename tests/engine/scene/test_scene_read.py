@@ -108,7 +108,7 @@ def test_bad_transforms_are_named(tmp_path: Path, values: dict[str, object], sai
     ("values", "said"),
     [
         ({"file_path": None}, "frame 1 has no file_path"),
-        ({"file_path": "images/gone.png"}, r"photo .*gone\.png .* cannot be found"),
+        ({"file_path": "images/gone.png"}, r"Photo .*gone\.png .* cannot be found"),
         ({"transform_matrix": None}, "no transform_matrix"),
         ({"transform_matrix": [[1, 0], [0, 1]]}, "no transform_matrix"),
         ({"transform_matrix": (np.eye(4) * 2).tolist()}, "not a rigid motion"),

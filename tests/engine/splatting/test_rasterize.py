@@ -226,7 +226,7 @@ def test_broken_and_boundless_gaussians_are_not_drawn() -> None:
 
 def test_distortion_is_refused() -> None:
     camera = replace(ring_camera(), distortion=np.array([0.1, 0.0, 0.0, 0.0]))
-    with pytest.raises(SceneError, match="undistort"):
+    with pytest.raises(SceneError, match="Undistort"):
         render(random_gaussians(3, 0), camera)
 
 

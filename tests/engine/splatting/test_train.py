@@ -278,7 +278,7 @@ def test_cameras_in_one_place_still_spread_the_first_gaussians(scene: Scene) -> 
 
 
 def test_a_scene_too_far_from_its_origin_for_its_size_is_refused(scene: Scene) -> None:
-    with pytest.raises(TrainingError, match=r"lies 5e\+06 units from its origin.* move the model"):
+    with pytest.raises(TrainingError, match=r"lies 5e\+06 units from its origin.* Move the model"):
         train(shifted(scene, np.array([5e6, 0.0, 0.0])), QUICK)
 
 
