@@ -229,7 +229,7 @@ def test_background_mode_writes_without_a_dialog(shown, tmp_path, name, suffix):
 def test_an_export_without_a_file_name_or_into_a_folder_says_what_to_do(shown, tmp_path):
     with pytest.raises(RuntimeError, match="Say where to write"):
         export("export_csv", "")
-    with pytest.raises(RuntimeError, match="add a file name"):
+    with pytest.raises(RuntimeError, match="Add a file name"):
         export("export_csv", tmp_path)
     with pytest.raises(RuntimeError, match="never saved"):
         export("export_csv", "//a.csv")
