@@ -1,8 +1,8 @@
 """Compiles the kernels of later stages in another process, the first time that this computer counts.
 
-All kernels take Numba about a minute. The forward pass is compiled when training starts. Meanwhile a child process
-compiles the backward pass, and then counts, lifts and trains a small synthetic scene. This leaves machine code in the
-cache of `compiled.jit`, where training and the later stages find it.
+All kernels take Numba about a minute. The forward pass is compiled when training starts. At the same time a child
+process compiles the backward pass, and then counts, lifts and trains a small synthetic scene. This leaves machine code
+in the cache of `compiled.jit`, where training and the later stages find it.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Compilation:
             self._counting.set()
 
     def wait_for_counting(self, progress: Progress, fraction: float) -> None:
-        """Return when the kernels of counting are compiled, reporting at `fraction` meanwhile.
+        """Return when the kernels of counting are compiled, reporting progress at `fraction`.
 
         Raises:
             Cancelled: `progress` asked for it.

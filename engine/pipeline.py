@@ -12,7 +12,7 @@ from pathlib import Path
 
 from .compile_ahead import compiled_ahead
 from .config import Config
-from .counting.accounts.ids import NOBODY, KnownFruit
+from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.count import count_fruit
 from .counting.published.template_shape import read_template
 from .errors import OutputError, VocabularyError
@@ -47,16 +47,16 @@ def count_scene(
     Args:
         source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, an earlier
             result folder, or a `.ply` of Gaussians or coloured points, around which cameras are placed.
-        prompts: what to count; fitting any of them is enough.
-        negatives: what must not be counted, beside what the encoder contrasts by itself.
-        writers: more files to write, by name; `scene.blend` comes from the caller, because the engine knows no Blender.
-        keep: a file that stays although it belongs to the earlier result, such as the .blend a person has open.
+        prompts: what to count; a fruit must match one of them.
+        negatives: what to exclude, in addition to built-in negatives.
+        writers: more files to write, by name; `scene.blend` comes from the caller, because the engine never imports bpy.
+        keep: a file that stays although it belongs to the earlier result, such as the open .blend.
         imported: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
-        watch: is shown the Gaussians while they are trained.
+        watch: receives the Gaussians during training.
 
     Raises:
-        OutputError: among others, `out` is the folder of the photos: it would be taken for a result from then on.
-        FruitLangsError: something the user can act on; earlier results in `out` are then as they were.
+        OutputError: among others, `out` is the folder of the photos: it would look like a result from then on.
+        FruitLangsError: an error that the user can act on; earlier results in `out` stay unchanged.
         Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
     """
     embedder = Embedder.open(config.embed)
@@ -151,7 +151,7 @@ def _made(
 def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
     """Fruit that were numbered before in this scene: from `out`, else from the result that is counted again."""
     inputs = made.origin["inputs_sha256"]
-    return next((known for folder in (out, source) if (known := known_fruit(folder, inputs)).last), NOBODY)
+    return next((known for folder in (out, source) if (known := known_fruit(folder, inputs)).last), NO_FRUIT)
 
 
 def _label(prompts: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from torch import Tensor
 
 from .config import Config
-from .counting.accounts.ids import NOBODY, KnownFruit
+from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.fruit import FruitCount
 from .errors import FruitLangsError, OutputError
 from .files import file_hash, write_text
@@ -61,7 +61,7 @@ class Result:
     reused: Sequence[str]
     notices: Sequence[str]
     out: Path
-    known: KnownFruit = NOBODY
+    known: KnownFruit = NO_FRUIT
     set_id: str = ""
     files: Sequence[Path] = ()
 

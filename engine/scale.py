@@ -14,7 +14,7 @@ from .scene.gps import scale_by_gps
 from .scene.scale import Scale, scale_by_length
 from .splatting.subject.extent import longest_side
 
-SURE = 0.5
+LEAST_PROBABILITY = 0.5
 """Probability from which a Gaussian belongs to the measured object."""
 
 
@@ -61,12 +61,13 @@ def _scale_by_object(made: Reconstruction, encoder: Encoder, word: str, length: 
         SceneError: there is none.
     """
     probability = relevancy(made.features, encoder, [word])
-    fits = probability >= SURE
+    fits = probability >= LEAST_PROBABILITY
     side = longest_side(made.gaussians.select(fits), made.features.weights.amax(1)[fits].numpy())
     if side is None:
         raise SceneError(
             f"--units.object: the scene has no {word} to measure: {int(fits.sum())} Gaussians are one with probability "
-            f"{SURE} or more, and the highest probability is {float(probability.max()):.2f}. Measure something else"
+            f"{LEAST_PROBABILITY} or more, and the highest probability is {float(probability.max()):.2f}. "
+            "Measure something else"
         )
     return Scale(
         metres_per_unit=length / side,

@@ -43,7 +43,7 @@ def produce(
     the path, are made. `classes` adds classes/ and classes.json, and the layout nerfstudio its own files.
 
     Raises:
-        OrchardError: `out` holds something else, or is no folder that can be written.
+        OrchardError: `out` contains other files, or cannot be written.
     """
     _claim(config, out)
     if _complete(out, classes=classes):

@@ -66,7 +66,7 @@ def _settings(default: Any, stages: Sequence[str], levels: Sequence[str]) -> Ite
 
 
 def _entry(flag: str, doc: str, default: str = "") -> list[str]:
-    """A flag with its text beside it, or below it if the flag is long."""
+    """A flag with its text to the right, or below it if the flag is long."""
     flag = f"  {flag.rstrip()}"
     text = list(_wrapped(f"{doc} {default}".rstrip(), " " * COLUMN))
     if len(flag) + 2 > COLUMN:

@@ -1,13 +1,13 @@
-"""Measure counts against truth: the ladder of generated scenes, or results that were counted already.
+"""Measure counts against truth: the ablation ladder of generated scenes, or existing results.
 
     python scripts/evaluate.py SCENE… --out DIR
     python scripts/evaluate.py apple-small:101 plum-small:101 --out DIR
     python scripts/evaluate.py RESULT… --truth truth.json
 
-With --out every scene (a folder of make_orchard.py, or a preset of it with a seed) is counted on every rung: with true
-masks, poses and geometry in place of found ones, so that each loss has its stage. DIR gets tables, a page with plots
-and pictures of the worst mistakes; run again, it goes on where it stopped. With --truth result folders are measured as
-they are. F1 is against visible fruit of the counted kinds; a prediction on another true fruit of them is ignored.
+With --out every scene (a folder of make_orchard.py, or a preset of it with a seed) is counted in every ablation stage:
+with true masks, poses and geometry instead of estimated ones, which shows what each part loses. DIR gets tables, a page
+with plots and pictures of the worst mistakes; an interrupted run continues. With --truth existing results are measured.
+F1 is against visible fruit of the counted kinds; a prediction on another true fruit of them is ignored.
 """
 
 from __future__ import annotations

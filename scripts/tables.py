@@ -4,8 +4,8 @@
     python scripts/tables.py apple-small:101 --out DIR --preset quick
 
 A scene is a folder that count_fruit.py reads, with a truth.json where counts are to be measured, or a preset of
-make_orchard.py with a seed. `3dgs.ply` and `nerf.ply` in its folder are taken for the rows of other reconstructions.
-Prints the tables in Markdown and writes them to DIR/tables.md; run again, it goes on where it stopped.
+make_orchard.py with a seed. `3dgs.ply` and `nerf.ply` in its folder are used for the rows of other reconstructions.
+Prints the tables in Markdown and writes them to DIR/tables.md; an interrupted run continues.
 """
 
 from __future__ import annotations

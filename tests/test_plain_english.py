@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,6 +46,25 @@ WORDS = {
 """{pattern: what to write instead}."""
 
 
+WORDS_OF_CODE = (
+    r"nobody", r"\bwont to\b", r"\banew\b", r"\b(whence|thence|whereabouts)\b", r"\b(surer|sureness)\b",
+    r"\btold\b", r"\bkept aside\b", r"\bborrowed\b", r"\b(road|twins?|rivals?)\b", r"\bdoubtful\b", r"\bbeside\b",
+    r"\bsomebody\b|\ba person\b", r"\bmeanwhile\b", r"\bthings?\b", r"\blooked (at|for)\b(?!, along|: tree)",
+)  # fmt: skip
+"""Patterns that docstrings and comments do not have either."""
+
+
+def texts_for_developers(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, text) of the docstrings and comments of a file."""
+    source = path.read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
 def user_texts(path: Path) -> Iterator[tuple[int, str]]:
     """(line, text) of the strings of a file that users may read: those with a space that are not docstrings."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -79,6 +100,18 @@ def test_texts_in_code_have_none_of_the_words(folder: str) -> None:
     for path in sorted((ROOT / folder).rglob("*.py")):
         for line, text in user_texts(path):
             found += faults(f"{path.relative_to(ROOT)}:{line}", text)
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("folder", [*CODE, "orchard", "fitting", "benchmarks"])
+def test_docstrings_and_comments_have_none_of_the_words(folder: str) -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {match[0]}"
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for line, text in texts_for_developers(path)
+        for pattern in WORDS_OF_CODE
+        if (match := re.search(pattern, text, re.IGNORECASE))
+    ]
     assert not found, "\n".join(found)
 
 

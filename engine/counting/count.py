@@ -20,7 +20,7 @@ from ..splatting.gaussians import PARAMETERS, Gaussians
 from ..splatting.subject.viewpoints import find_subject
 from .accounts.audit import account_for
 from .accounts.describe import describe, place_fruit, point_colors
-from .accounts.ids import NOBODY, KnownFruit, number
+from .accounts.ids import NO_FRUIT, KnownFruit, number
 from .accounts.interval import Estimate, estimate, evidence_of
 from .evidence.cluster import Clusters, Search, find_fruit, search
 from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
@@ -65,7 +65,7 @@ def count_fruit(
     label: str,
     up: FloatArray | None = None,
     visibility: Visibility | None = None,
-    known: KnownFruit = NOBODY,
+    known: KnownFruit = NO_FRUIT,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit formed by the Gaussians with a probability (N,) near or above `config.threshold`.
@@ -79,11 +79,11 @@ def count_fruit(
     are numbered from top to bottom, from 1 or after the last id.
 
     Raises:
-        ConfigError: the region is no region, two trees stand above one another, or the file that `config.template`
+        ConfigError: the region is invalid, two trees stand above one another, or the file that `config.template`
             names is missing.
         FormatError: that file holds no template.
-        CountingError: a shape does not fit, a value is not finite, a probability is none, `up` is no direction, there
-            are no Gaussians or no cameras, all Gaussians lie at one position, none lies in the region, or there are
+        CountingError: a shape does not fit, a value is not finite, a probability is invalid, `up` is not a direction,
+            there are no Gaussians or no cameras, all Gaussians lie at one position, none lies in the region, or there are
             fewer fruit, or places with fruit, than trees asked for, or the diameter is larger than all that may be
             fruit.
     """

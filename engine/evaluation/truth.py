@@ -90,7 +90,7 @@ def true_labels(prompts: Sequence[str]) -> set[str]:
     """Labels of true fruit that match any of the prompts, whatever their colour: "red apple" counts apples.
 
     Raises:
-        VocabularyError: a prompt names no thing.
+        VocabularyError: a prompt has no noun.
     """
     phrases = [parse(prompt) for prompt in prompts]
     for phrase in phrases:

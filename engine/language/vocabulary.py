@@ -58,7 +58,7 @@ def parse(prompt: str) -> Phrase:
     """Parse a prompt.
 
     Raises:
-        VocabularyError: an unknown word (the message names the nearest known ones), no word, or more than one thing.
+        VocabularyError: an unknown word (the message names the nearest known ones), no word, or more than one noun.
     """
     read = [word for word in re.split(r"[\s\-_,'’]+", fold(prompt.strip())) if word and word not in words.FILLERS]
     if not read:
@@ -89,7 +89,7 @@ def _noun(read: Sequence[str], prompt: str) -> int | None:
     """The noun among the words: the most specific; a word that may also be a colour only if there is no other.
 
     Raises:
-        VocabularyError: two are things, and neither is a kind of the other.
+        VocabularyError: there are two nouns, and neither is a kind of the other.
     """
     things = [i for i, word in enumerate(read) if _thing(word) and not _colour(word)]
     if not things:

@@ -57,7 +57,7 @@ def write_page(
         title: over the page, as it is.
         still: of `draw_still`.
         strips: files of pictures to show further down.
-        provenance: what is told in "How it was made", nested at will. Two names in it have a meaning of their own:
+        provenance: the content of "How it was made", nested values. Two names in it are special:
             `notices`, sentences shown at the top, and `config` with the settings, whose threshold explains a zero.
 
     Raises:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..counting.accounts.describe import nearest_sphere
-from ..counting.accounts.ids import NOBODY, KnownFruit
+from ..counting.accounts.ids import NO_FRUIT, KnownFruit
 from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..errors import FormatError, FruitLangsError, OutputError
 from ..files import file_hash, text_hash, write_text
@@ -54,7 +54,7 @@ def fruits_document(
     files: Mapping[str, str],
     unhashed_files: Sequence[str] = (),
     metres_per_unit: float | None,
-    known: KnownFruit = NOBODY,
+    known: KnownFruit = NO_FRUIT,
 ) -> dict[str, Any]:
     """The content of fruits.json.
 
@@ -263,9 +263,9 @@ def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:
     try:
         document = read_results(folder, verify=False)
     except FruitLangsError:
-        return NOBODY
+        return NO_FRUIT
     if document["provenance"]["inputs_sha256"] != inputs_sha256:
-        return NOBODY
+        return NO_FRUIT
     fruits = document["fruits"] + document.get("earlier_fruits", [])
     ids = np.array([fruit["id"] for fruit in fruits], np.int64)
     centers = np.array([fruit["center"] for fruit in fruits], np.float64).reshape(-1, 3)

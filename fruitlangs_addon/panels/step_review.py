@@ -13,7 +13,7 @@ from ...operators.review.review import (
     FRUITLANGS_OT_add_fruit,
     FRUITLANGS_OT_confirm_fruit,
     FRUITLANGS_OT_merge_fruit,
-    FRUITLANGS_OT_next_doubtful,
+    FRUITLANGS_OT_next_uncertain,
     FRUITLANGS_OT_reject_fruit,
     FRUITLANGS_OT_relabel_fruit,
     FRUITLANGS_OT_reopen_fruit,
@@ -71,7 +71,7 @@ def draw_list(layout: Any, context: bpy.types.Context) -> None:
     layout.prop(review, "sort")
     draw_head(layout, context)
     layout.template_list(FRUITLANGS_UL_fruits.bl_idname, "", collection, "objects", review, "active_fruit", rows=6)
-    layout.operator(FRUITLANGS_OT_next_doubtful.bl_idname, icon="VIEWZOOM")
+    layout.operator(FRUITLANGS_OT_next_uncertain.bl_idname, icon="VIEWZOOM")
     draw_photos(layout, context)
     layout.prop(review, "labels")
 

@@ -111,14 +111,14 @@ def _review(bpy_scene: bpy.types.Scene) -> Check:
     fruit, bound = owned_objects(bpy_scene, "fruit"), bpy_scene.fruitlangs.review.doubt
     if not fruit:
         return Check(True, True, "No fruit to review. Use Add for fruit that were missed")
-    doubtful = [item for item in fruit if item.get("probability", 1.0) < bound]
-    left = sum(REVIEW not in item for item in doubtful)
+    uncertain = [item for item in fruit if item.get("probability", 1.0) < bound]
+    left = sum(REVIEW not in item for item in uncertain)
     if left:
         return Check(
             False, True, f"{left} fruit below {bound:.2f} are not reviewed yet. Next Uncertain selects the first"
         )
-    looked_at = f"All {len(doubtful)} uncertain fruit are reviewed"
-    return Check(True, True, looked_at if doubtful else f"No uncertain fruit: none is below {bound:.2f}")
+    reviewed = f"All {len(uncertain)} uncertain fruit are reviewed"
+    return Check(True, True, reviewed if uncertain else f"No uncertain fruit: none is below {bound:.2f}")
 
 
 def _export(bpy_scene: bpy.types.Scene) -> Check:

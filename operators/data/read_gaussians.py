@@ -56,7 +56,7 @@ def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
     """This Blender scene's Gaussians; None if it has none.
 
     Raises:
-        FormatError: the object is being edited, or a person removed an attribute.
+        FormatError: the object is being edited, or an attribute was removed.
     """
     item = owned_object(bpy_scene, "gaussians")
     if item is None:

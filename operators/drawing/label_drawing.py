@@ -43,7 +43,7 @@ def project(
         flat = seen[:, :2] / w
     hidden = (w[:, 0] <= 0.0) | (np.abs(flat) > 1.0).any(axis=1)
     flat[hidden] = np.nan
-    # An orthographic view has the same w everywhere; its z tells the distance.
+    # An orthographic view has the same w everywhere; its z is the distance.
     return (0.5 * flat + 0.5) * [width, height], w[:, 0] + seen[:, 2]
 
 

@@ -301,8 +301,8 @@ def new_diameter(bpy_scene: bpy.types.Scene) -> float:
     return usual_diameter(bpy_scene) or float(typed)
 
 
-class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
-    bl_idname = "fruitlangs.next_doubtful"
+class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
+    bl_idname = "fruitlangs.next_uncertain"
     bl_label = "Next Uncertain"
     bl_description = "Select the fruit with the lowest probability that is not reviewed yet"
     bl_options = {"UNDO"}
@@ -317,7 +317,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        item = next_doubtful(context)
+        item = next_uncertain(context)
         select_only(context, [item])
         if context.view_layer.objects.active != item:
             self.report(
@@ -334,7 +334,7 @@ class FRUITLANGS_OT_next_doubtful(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def next_doubtful(context: bpy.types.Context) -> bpy.types.Object:
+def next_uncertain(context: bpy.types.Context) -> bpy.types.Object:
     """The fruit with the lowest probability that is not reviewed; from such a fruit, the next one."""
     open_ones = [item for item in owned_objects(context.scene, "fruit") if REVIEW not in item]
     ranked = sorted(open_ones, key=lambda item: (item.get("probability", 1.0), item.get("id", 0)))
@@ -365,5 +365,5 @@ CLASSES = (
     FRUITLANGS_OT_split_fruit,
     FRUITLANGS_OT_relabel_fruit,
     FRUITLANGS_OT_add_fruit,
-    FRUITLANGS_OT_next_doubtful,
+    FRUITLANGS_OT_next_uncertain,
 )

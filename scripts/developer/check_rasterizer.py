@@ -1,4 +1,4 @@
-"""Compare the CPU rasteriser with its float64 twin and print the largest relative errors.
+"""Compare the CPU rasteriser with its float64 reference and print the largest relative errors.
 
     python scripts/developer/check_rasterizer.py
 

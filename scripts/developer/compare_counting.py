@@ -5,12 +5,12 @@
     python scripts/developer/compare_counting.py --scenes apple-small:101 plum-small:101 --out results/counting
 
 Simulated crowns of six settings (sparse, clumped, mixed sizes, heavy occlusion, half ring, drift between sides), or of
-settings along which one thing alone changes: how many fruit touch (clump), how much sizes differ (spread), fruit in
+settings that vary one condition: how many fruit touch (clump), how much sizes differ (spread), fruit in
 touching pairs (pairs). With --scenes, generated scenes by species, with true masks: true surfaces as seen, then trained
 Gaussians. Fruit are matched at half a diameter; those count whose best view shows at least 5 % of them, on scenes those
 that are visible in the truth. Prints tables in Markdown and writes them to OUT/counting.md, or clump.md, spread.md,
-pairs.md, counting-only.md and true-masks.md; beside each a .csv holds every crown and method, and a second run with the
-same code goes on with it.
+pairs.md, counting-only.md and true-masks.md; next to each a .csv has every crown and method, and a second run with the
+same code continues it.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Fit the gate that tells which spheres are fruit, and write engine/counting/evidence/gate.json.
+"""Fit the classifier of spheres, and write engine/counting/evidence/gate.json.
 
     python scripts/developer/fit_gate.py --renders RENDERS
 
-Candidates are taken from simulated crowns of all settings and, with RENDERS, from its rendered walks: from Gaussians
-trained on them, once with true masks and once with the embedded encoder's probabilities of the walk's fruit, and from
-their true surfaces with true masks. A candidate is a fruit when it is matched one to one with a true one within half a
-mean diameter. Crowns and walks weigh alike. Prints how well each kind of scene is told by a gate that was fitted
-without that scene.
+Candidates come from simulated crowns of all settings and, with RENDERS, from its rendered trees: from Gaussians trained
+on them, once with true masks and once with the embedded encoder's probabilities of their fruit, and from their true
+surfaces with true masks. A candidate is a fruit if it is matched one to one with a true one within half a mean
+diameter. Crowns and rendered trees have the same weight. Prints the accuracy on each kind of scene of a classifier
+that was fitted without that scene.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Fit how sure a count is, and write engine/counting/accounts/interval.json.
+"""Fit the intervals of a count, and write engine/counting/accounts/interval.json.
 
     python scripts/developer/fit_interval.py --renders RENDERS
 
-Simulated crowns of the six named settings and of settings drawn at random, and, with RENDERS, Gaussians trained on its
-rendered walks, are searched for fruit; the number of true fruit over the sum of the candidates' probabilities is then
-predicted from what a scene shows. Prints in how many scenes the 90 % intervals hold the truth, each by ratios that were
-fitted without it. Visible fruit are those that three views show and others that were found.
+Simulated crowns of the six named settings and of random settings, and, with RENDERS, Gaussians trained on its
+rendered trees, are searched for fruit; the number of true fruit over the sum of the candidates' probabilities is then
+predicted from what a scene shows. Prints in how many scenes the 90 % intervals cover the truth, each by ratios
+that were fitted without it. Visible fruit are those that three views show and others that were found.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from _terminal import import_tyro, run
 from fruitlangs.benchmarks.counting.simulated import SETTINGS, any_setting
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.accounts.interval import (
+    COVARIATES,
     QUANTILE,
     STORED,
-    TELLING,
     TRAINED,
     Evidence,
     Ratio,
@@ -142,7 +142,7 @@ def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Rat
 
 
 def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
-    n, weights = len(TELLING), _weights(examples)
+    n, weights = len(COVARIATES), _weights(examples)
     covariates = np.array([e.evidence.covariates for e in examples])
     variance_share = np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples])
     ratios = np.array([_log_ratio(e, truth(e)) for e in examples])

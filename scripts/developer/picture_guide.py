@@ -1,8 +1,8 @@
-"""Live through a day in Blender's window by clicks and keys, for the user guide's pictures; run it inside Blender.
+"""Take the pictures of the user guide: a day of work in Blender's window by clicks and keys; run it inside Blender.
 
     "$FRUITLANGS_BLENDER" --enable-event-simulate -P scripts/developer/picture_guide.py -- --pictures docs/images/guide
 
-It needs a display; a virtual one (xvfb-run) will do. What is untrue on the way is printed, and the exit code is then 1.
+It needs a display; a virtual one (xvfb-run) will do. A check that fails is printed, and the exit code is then 1.
 With --folder the copy of the scene and the results are kept there, and a second run reuses them.
 """
 
@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Generator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parent)]
 
 import _checkout  # noqa: F401
 

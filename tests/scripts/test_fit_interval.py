@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fruitlangs.benchmarks.counting.simulated import SETTINGS, Setting, any_setting, simulate
-from fruitlangs.engine.counting.accounts.interval import TELLING, TRAINED, Evidence
+from fruitlangs.engine.counting.accounts.interval import COVARIATES, TRAINED, Evidence
 from fruitlangs.fitting.counting.cases import Case
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,7 +33,7 @@ SCENES = [scene(seed) for seed in range(1000, 1040)]
 def test_the_ratio_finds_what_gives_of_more_fruit_and_how_far_it_errs():
     ratio, _ = fit_interval.fit(SCENES, fit_interval.TRUTHS["visible"])
     assert ratio.weights[0] == pytest.approx(np.log(1.2) / 0.2, abs=0.35)
-    assert ratio.weights[1:] == pytest.approx(np.zeros(len(TELLING) - 1), abs=0.05)
+    assert ratio.weights[1:] == pytest.approx(np.zeros(len(COVARIATES) - 1), abs=0.05)
     assert ratio.floor * ratio.stretches == pytest.approx([0.1, 0.1], rel=0.3)
 
 

@@ -26,10 +26,10 @@ class KnownFruit:
     last: int
 
 
-NOBODY = KnownFruit(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), 0)
+NO_FRUIT = KnownFruit(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), 0)
 
 
-def number(centers: FloatArray, order: IntArray, diameter: float, known: KnownFruit = NOBODY) -> IntArray:
+def number(centers: FloatArray, order: IntArray, diameter: float, known: KnownFruit = NO_FRUIT) -> IntArray:
     """(F,) the id of each fruit: that of the known fruit it matches, one to one, else a new id.
 
     centers: (F, 3); order: (F,) in which new ids are given, from known.last + 1; diameter: mean, scene units.

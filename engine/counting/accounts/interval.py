@@ -23,7 +23,7 @@ from ..evidence.visibility import Picture, open_views
 FloatArray = NDArray[np.float64]
 
 STORED = Path(__file__).with_name("interval.json")
-TELLING = ("doubt", "faint", "hidden")
+COVARIATES = ("doubt", "faint", "hidden")
 """Names of the covariates that predict the ratio and its error; all 0 if every fruit is certain and fully visible."""
 PLACES = 2000
 """Places inside the hull of the fruit that are tested for visibility."""
@@ -39,7 +39,7 @@ QUANTILE = 1.645
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What a scene shows about its count. expected, variance: sum and variance of the number of fruit by the candidate
-    probabilities; covariates: (3,) in the order of TELLING."""
+    probabilities; covariates: (3,) in the order of COVARIATES."""
 
     expected: float
     variance: float
@@ -48,14 +48,14 @@ class Evidence:
     @property
     def faint(self) -> float:
         """How far the probabilities of the fruit's points are below certainty, 0…1."""
-        return float(self.covariates[TELLING.index("faint")])
+        return float(self.covariates[COVARIATES.index("faint")])
 
 
 @dataclass(frozen=True, eq=False)
 class Ratio:
     """log (fruit / expected) = bias + weights · covariates ± stretch · √(floor² + variance / expected² + Σ (slopes ·
-    covariates)²); weights, slopes: (3,) in the order of TELLING; stretches: (2,) for scenes that are not faint and for
-    trained ones, interpolated between them."""
+    covariates)²); weights, slopes: (3,) in the order of COVARIATES; stretches: (2,) for scenes that are not faint and
+    for trained ones, interpolated between them."""
 
     bias: float
     weights: FloatArray
@@ -127,7 +127,7 @@ def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Pic
     probabilities = np.where(inside, found.probabilities, 0.0)
     expected = float(probabilities.sum())
     if expected <= 0.0:
-        return Evidence(0.0, 0.0, np.zeros(len(TELLING)))
+        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)))
     variance = float((probabilities * (1.0 - probabilities)).sum())
     faint = 1.0 - float(probabilities @ found.features["mean"]) / expected
     kept = probabilities > LIKELY

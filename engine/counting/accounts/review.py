@@ -25,7 +25,7 @@ Standing = Literal["", "confirmed", "rejected", "added"]
 
 SOLID = 0.2
 """Variance of the points of a solid ellipsoid along an axis, in half axes squared."""
-LEAST_DOUBT = 1e-3
+LEAST_UNCERTAINTY = 1e-3
 """Least uncertainty p (1 - p) of a fruit that is not reviewed."""
 
 
@@ -202,8 +202,8 @@ def corrected_interval(
     count may have missed fruit: that distance shrinks by the fruit that the user made. The reviewed count lies in the
     interval; without any review the interval does not change.
     """
-    doubt = np.maximum(probabilities * (1.0 - probabilities), LEAST_DOUBT)
-    share = float(np.sqrt(doubt[~reviewed].sum() / doubt.sum())) if len(doubt) else 1.0
+    uncertainty = np.maximum(probabilities * (1.0 - probabilities), LEAST_UNCERTAINTY)
+    share = float(np.sqrt(uncertainty[~reviewed].sum() / uncertainty.sum())) if len(uncertainty) else 1.0
     below = (count - interval[0]) * share
     above = max(interval[1] - count - max(after - (count - rejected), 0), 0)
     return max(int(np.ceil(after - below - 0.5)), 0), after + above

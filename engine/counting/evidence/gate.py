@@ -31,7 +31,7 @@ HALF = 0.5
 """Probabilities are scaled as if the user had set this threshold."""
 SUREST = 0.25
 """Scaled probability that the most probable tenth of a fruit's points exceeds; its other points may be fainter."""
-LOOKS = 120.0
+FREE_SPOTS = 120.0
 """Number of free spots assumed for a candidate that no view shows: neither few nor many."""
 WELL = 0.5
 """Spheres covered on more than this share show how solid and how curved a fruit looks in the scene."""
@@ -88,15 +88,15 @@ class Gate:
                 f"its most probable points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
             )
         own = weighed(features)[index]
-        instead = np.repeat(own[None], len(_TOLD), axis=0)
-        for row, (name, (usual, _)) in enumerate(_TOLD.items()):
+        instead = np.repeat(own[None], len(_TEXTS), axis=0)
+        for row, (name, (usual, _)) in enumerate(_TEXTS.items()):
             instead[row, WEIGHED.index(name)] = usual
         lost = self.score(instead) - self.score(own[None])
         worst = [
-            name for name, loss in sorted(zip(_TOLD, lost, strict=True), key=lambda pair: -pair[1])[:2] if loss > 0
+            name for name, loss in sorted(zip(_TEXTS, lost, strict=True), key=lambda pair: -pair[1])[:2] if loss > 0
         ]
         values = {name: float(own[WEIGHED.index(name)]) for name in worst}
-        reasons = [_TOLD[name][1].format(np.exp(values[name]) if name in _LOGS else values[name]) for name in worst]
+        reasons = [_TEXTS[name][1].format(np.exp(values[name]) if name in _LOGS else values[name]) for name in worst]
         return ", ".join(reasons) or "of an unlikely form"
 
 
@@ -107,7 +107,7 @@ def weighed(features: Features) -> FloatArray:
 
 _LOGS = frozenset({"coverage", "thinness", "share"})
 """Features that are logarithms."""
-_TOLD = {
+_TEXTS = {
     "coverage": (np.log(0.6), "covered on {:.0%} of its surface only"),
     "solidity": (1.0, "seen through ({:.0%} as opaque as other fruit)"),
     "thinness": (np.log(0.3), "flat ({:.2f} radii thick)"),
@@ -141,7 +141,7 @@ def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, thres
         "free": found.free,
         "off": (np.log(2.0 * spheres.radii / size.diameter) / size.spread) ** 2,
         "shown": np.log(np.maximum(np.nan_to_num(view_evidence.visible_fractions, nan=1.0), 0.02)),
-        "looked": np.log1p(np.where(view_evidence.free > 0, view_evidence.free, LOOKS)),
+        "looked": np.log1p(np.where(view_evidence.free > 0, view_evidence.free, FREE_SPOTS)),
         "shell": spheres.shell,
         "spread": np.full(len(found), size.spread),
         "curvature": _beside(curvatures(found, surface), well),

@@ -1,7 +1,7 @@
 """Long fruit: an ellipsoid for the points of each sphere, as long as is typical of the scene.
 
 A half-hidden fruit constrains its own length poorly. The typical elongation is estimated from all fruit of the scene
-(`wont`, by expectation maximisation), and each fruit is held to a sphere accordingly.
+(`typical`, by expectation maximisation), and each fruit is held to a sphere accordingly.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ REACH, MOST_POINTS = 1.6, 300
 """Radii within which points count, and how many of them."""
 SHIFT, GROWTH = 0.05, 0.03
 """Deviations of the centre, in radii, and of the logarithm of the size from those of the sphere."""
-WONT = 0.05
+TYPICAL = 0.05
 """Prior deviation of the logarithms of the axes from their mean."""
 KNOWN = 4
 """Number of fruit that the prior counts for."""
@@ -51,12 +51,12 @@ def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres:
     count = len(spheres)
     if count == 0:
         return Ellipsoids(spheres, np.zeros((0, 3, 3)))
-    asked, wont = np.arange(0, count, -(-count // ASKED)), WONT
+    asked, typical = np.arange(0, count, -(-count // ASKED)), TYPICAL
     for _ in range(ROUNDS):
-        shapes, covariances = _fitted(cells, normals, owners, spheres, asked, wont)
+        shapes, covariances = _fitted(cells, normals, owners, spheres, asked, typical)
         spread = np.einsum("ki,ij,kj->k", shapes, _UNEVEN, shapes) + np.einsum("kij,ji->k", covariances, _UNEVEN)
-        wont = float(np.sqrt((spread.sum() + 5 * KNOWN * WONT**2) / (5 * (len(asked) + KNOWN))))
-    shapes, _ = _fitted(cells, normals, owners, spheres, np.arange(count), wont)
+        typical = float(np.sqrt((spread.sum() + 5 * KNOWN * TYPICAL**2) / (5 * (len(asked) + KNOWN))))
+    shapes, _ = _fitted(cells, normals, owners, spheres, np.arange(count), typical)
     values, vectors = np.linalg.eigh(np.eye(3) + _matrices(shapes[:, 3:]))
     lengths = 1.0 / np.maximum(values, 0.1)  # descending: the values ascend
     growth = np.cbrt(lengths.prod(axis=1))
@@ -72,12 +72,12 @@ def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres:
 
 
 def _fitted(
-    cells: Cells, normals: FloatArray, owners: IntArray, spheres: Spheres, chosen: IntArray, wont: float
+    cells: Cells, normals: FloatArray, owners: IntArray, spheres: Spheres, chosen: IntArray, typical: float
 ) -> tuple[FloatArray, FloatArray]:
     """Shapes (K, 9) and their covariances of the chosen spheres; see `ellipsoid_kernels.fit_all`."""
     hold = np.zeros((9, 9))
     hold[:3, :3] = np.eye(3) / SHIFT**2
-    hold += _UNEVEN / wont**2 + _EVEN / GROWTH**2
+    hold += _UNEVEN / typical**2 + _EVEN / GROWTH**2
     shapes, covariances = np.empty((len(chosen), 9)), np.empty((len(chosen), 9, 9))
     fit_all(
         cells.table, normals, owners, spheres.centers, spheres.radii, chosen,

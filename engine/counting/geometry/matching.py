@@ -1,4 +1,4 @@
-"""Two sets of centres, paired one to one."""
+"""One-to-one matching of two sets of centres."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Matching:
 
 
 def match_centers(predicted: FloatArray, true: FloatArray, radius: float | FloatArray) -> Matching:
-    """Pair as many centres as lie within `radius`, and of all such pairings take the one of least total distance.
+    """Match as many centres as possible within `radius`, with the least total distance.
 
     predicted: (P, 3), true: (T, 3), radius in the same unit: one, or (T,) of each true centre. By the Hungarian method.
     """

@@ -1,4 +1,4 @@
-"""Fruit on the ground told from fruit on the tree: by how high each lies above the ground under it."""
+"""Distinguishes fallen from hanging fruit by their height above the ground."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ FloatArray = NDArray[np.float64]
 
 FALLEN = 0.5
 """Median diameters above the ground below which a fruit on it has its lowest point. Measured on true surfaces and on
-trained Gaussians of 5 scenes: fallen fruit have it up to 0.34 above, hanging ones from 2.6."""
+trained Gaussians of 5 scenes: fallen fruit up to 0.34, hanging ones from 2.6."""
 NEARNESS = 0.5
-"""The subject's radius over the distance from which it was photographed."""
+"""Radius of the subject relative to the distance from which it was photographed."""
 AROUND = 0.15
-"""Radii of the subject about a fruit's foot in which the ground's own height is looked up."""
+"""Radii of the subject around the foot of a fruit within which the height of the ground is estimated."""
 RELIEF = 0.12
-"""Radii of the subject by which the ground may rise above its plane or lie below it."""
+"""Radii of the subject by which the ground may deviate from its plane."""
 LEAST_OPACITY = 0.3
 FEWEST = 10
-"""Gaussians about a foot from which a height is told."""
+"""Gaussians needed for the height of the ground under a fruit."""
 
 
 def lying_on_ground(
     gaussians: Gaussians, cameras: Sequence[Camera], centers: FloatArray, diameters: FloatArray, up: FloatArray
 ) -> list[bool | None]:
-    """Whether each of F fruit lies on the ground; None where no ground is seen.
+    """Whether each of F fruit lies on the ground; None if no ground is visible.
 
-    The ground is a plane that may slope, and about each fruit's foot as high as what lies there near the plane. Far
-    away, where only the plane goes on, nothing is told.
+    The ground is a plane that may slope, corrected by the surface near the foot of each fruit. Far away, where only
+    the plane continues, the result is None.
 
     Args:
         gaussians: those that are not fruit.
@@ -59,7 +59,7 @@ def lying_on_ground(
 
 
 def _relief(gaussians: Gaussians, plane: Plane, centers: FloatArray, radius: float) -> FloatArray:
-    """(F,) height of the ground above its plane under each centre (F, 3), NaN where too little is seen of it.
+    """(F,) height of the ground above its plane under each centre (F, 3), NaN if too little of it is visible.
 
     radius: of the subject, scene units.
     """

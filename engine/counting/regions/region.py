@@ -1,4 +1,4 @@
-"""The part of a scene that is counted in: everything, a box, or an outline seen from above."""
+"""The region of a scene in which fruit are counted: everything, a box, or an outline seen from above."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 REACH = 2.0
-"""Mean diameters around a region from which points are taken, so that no fruit at its border is cut."""
+"""Mean diameters around a region from which points are used, so that no fruit at its border is cut."""
 LEAST_AREA = 1e-9
-"""Of the square around an outline; what has less is a line."""
+"""Least area of an outline, as a share of the square around it; with less it is a line."""
 
 
 class Region(Protocol):
-    """Which points of the scene's frame are counted."""
+    """The part of the scene frame in which fruit are counted."""
 
     def contains(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
         """(N,) whether each of the points (N, 3) lies inside or no farther outside than `margin`, scene units."""
@@ -50,8 +50,8 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Prism:
-    """What lies over and under an outline, between two heights. axes: (2, 3) unit vectors of the level; corners: (C, 2)
-    the outline along them, in order; up: (3,) unit; heights: lowest and highest p · up, without end where not given."""
+    """Everything between two heights over and under an outline. axes: (2, 3) unit vectors of the level; corners: (C, 2)
+    the outline along them, in order; up: (3,) unit; heights: lowest and highest p · up, infinite if not given."""
 
     axes: FloatArray
     corners: FloatArray
@@ -60,7 +60,7 @@ class Prism:
 
     @staticmethod
     def over(corners: FloatArray, up: FloatArray, heights: tuple[float, float] | None = None) -> Prism:
-        """The prism along unit `up` (3,) over the outline `corners` (C, 3), which may end where it began.
+        """The prism along unit `up` (3,) over the outline `corners` (C, 3), whose last corner may equal the first.
 
         Raises:
             ConfigError: the outline has no area or crosses itself.
@@ -78,12 +78,12 @@ class Prism:
 
     @property
     def area(self) -> float:
-        """Signed, by the direction in which the corners go around."""
+        """Signed area, by the direction of the corners."""
         x, y = (self.corners - self.corners[0]).T
         return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
     def crosses_itself(self) -> bool:
-        """Whether two sides that are not neighbours meet."""
+        """Whether two sides that are not neighbours cross."""
         starts, ends = self.corners, np.roll(self.corners, -1, axis=0)
         sides = len(starts)
         return any(
@@ -108,7 +108,7 @@ class Prism:
 
 
 def region_of(config: CountConfig, up: FloatArray) -> Region:
-    """Where the settings say to count; up: (3,) away from the ground, in the scene's frame.
+    """The region in the settings; up: (3,) away from the ground, in the scene frame.
 
     Raises:
         ConfigError: the outline has no area or crosses itself.
@@ -122,8 +122,8 @@ def region_of(config: CountConfig, up: FloatArray) -> Region:
 
 
 def keep_inside(clusters: Clusters, region: Region) -> Clusters:
-    """The clusters without the fruit whose centres lie outside, and without points that are no kept fruit's and lie
-    outside."""
+    """The clusters without fruit whose centres lie outside, and without points outside that belong to no remaining
+    fruit."""
     kept = region.contains(clusters.spheres.centers)
     numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
     shown = np.where(clusters.owners < 0, region.contains(clusters.points.positions), numbers[clusters.owners] >= 0)
@@ -164,5 +164,5 @@ def _between(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
 
 
 def spaced(place: FloatArray) -> str:
-    """A place (3,) as flags take it."""
+    """A position (3,) in the format of the flags."""
     return " ".join(f"{value:.3g}" for value in place)

@@ -1,4 +1,4 @@
-"""Trees of a row: where each stands, and which fruit are its own."""
+"""Trees of a row: their positions, and which fruit belong to each."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STEEPEST = 0.995
-"""Of the distance between two trees that lies along up: on no slope do trees stand so much above one another."""
+"""Share of the distance between two trees along up: on no slope are trees so far above one another."""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """T trees in the order of their numbers, from 1. places: (T, 3) in the scene's frame; numbers: (F,) the tree of
-    each fruit, or NO_TREE."""
+    """T trees in the order of their numbers, from 1. places: (T, 3) in the scene frame; numbers: (F,) the tree of each
+    fruit, or NO_TREE."""
 
     places: FloatArray
     numbers: IntArray
 
 
 def check_trees(config: CountConfig, up: FloatArray) -> None:
-    """Refuse trees that stand above one another along up (3,): fruit belong to trees by where they are seen from above.
+    """Refuse trees that are above one another along up (3,), because fruit are assigned to trees as seen from above.
 
     Raises:
         ConfigError: two of `config.tree_places` do.
@@ -48,15 +48,15 @@ def check_trees(config: CountConfig, up: FloatArray) -> None:
 
 
 def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right: FloatArray) -> Row | None:
-    """Which tree of the row each of F fruit belongs to; None where no trees were asked for, or where they are to be
-    found and there is no fruit to find them by.
+    """The tree of each of F fruit; None if no trees were requested, or if they must be estimated and there are no
+    fruit.
 
-    Trees that are given keep their order. Others are sought along the direction in which the fruit spread most: a
-    mixture of normal distributions of one width, started from k-means; they stand amid their fruit.
+    Given trees keep their order. Others are estimated along the direction in which the fruit spread most: a mixture of
+    normal distributions of one width, started from k-means.
 
     Args:
         centers: (F, 3) of the fruit, scene units.
-        up: (3,) unit, away from the ground; right: (3,) where the row goes on, as the first camera sees it.
+        up: (3,) unit, away from the ground; right: (3,) direction of the row from left to right in the first camera.
 
     Raises:
         CountingError: there are fewer fruit than trees to be found, or they hang in fewer places along the row.
@@ -87,10 +87,10 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
 
 
 def nearest_along(centers: FloatArray, places: FloatArray) -> IntArray:
-    """(F,) index of the place (T, 3) that each centre (F, 3) is nearest to along the row, -1 none.
+    """(F,) index of the place (T, 3) that each centre (F, 3) is nearest to along the row, -1 for none.
 
-    The row's direction is the places' own; what lies more than half a spacing beyond the last place belongs to none. A
-    lone place takes everything.
+    The direction of the row is that of the places; a centre more than half a spacing beyond the last place belongs to
+    none. A single place gets every fruit.
     """
     if len(places) == 0:
         return np.full(len(centers), -1, np.int64)
@@ -109,11 +109,11 @@ def _main_axis(places: FloatArray) -> FloatArray:
 
 
 def _stations(along: FloatArray, trees: int, seed: int) -> FloatArray:
-    """(T,) where the trees stand along the row, ascending, from where their fruit hang (F,)."""
+    """(T,) positions of the trees along the row, ascending, from the positions of their fruit (F,)."""
     unit = float(np.ptp(along)) or 1.0
     places = (np.sort(along)[:, None] - along.min()) / unit  # in order, so that shuffling changes nothing
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # of fruit that hang in fewer places than there are trees
+        warnings.simplefilter("ignore", ConvergenceWarning)  # warning for fruit at fewer positions than there are trees
         start = KMeans(trees, n_init=10, random_state=seed).fit(places).cluster_centers_
         mixture = GaussianMixture(trees, covariance_type="tied", means_init=start, random_state=seed).fit(places)
     return np.sort(mixture.means_[:, 0]) * unit + along.min()

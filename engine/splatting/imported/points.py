@@ -115,7 +115,7 @@ def gaussians_from(points: ColoredPoints, path: Path) -> Gaussians:
     used in errors.
 
     Raises:
-        FormatError: there are too few points, or they lie too far from the origin for float32 to tell them apart.
+        FormatError: there are too few points, or they lie too far from the origin to be distinguished in float32.
     """
     if len(points) < FEWEST:
         raise FormatError(

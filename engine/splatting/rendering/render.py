@@ -200,8 +200,8 @@ def view_backward(
     be 0; with_mean_gradients: False to skip `mean_gradients`, which are then 0; features_push: False if the gradient of
     the features should reach only the features, not the Gaussians.
 
-    Beside the parameters' gradients come those of `features` (N, C); of the projected means as `offsets` (N, 2), and as
-    `mean_gradients` (N, 2) their absolute values summed over pixels; and of the camera as `pose` (15,), see
+    Besides the parameters' gradients it returns those of `features` (N, C); of the projected means as `offsets` (N, 2),
+    and as `mean_gradients` (N, 2) their absolute values summed over pixels; and of the camera as `pose` (15,), see
     `poses.twist_gradient`. A row of a Gaussian that was not drawn (`tiles.counts` is 0) is 0 in `offsets`,
     `mean_gradients` and `features`, and left as it was in the others.
     """

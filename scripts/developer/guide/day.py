@@ -161,7 +161,7 @@ def review(hand: Hand, day: Day) -> Steps:
     view = hand.area.spaces.active.region_3d
     tree = view.view_location.copy(), view.view_distance
     settings().review.labels = "NUMBER"
-    yield from hand.push("fruitlangs.next_doubtful")
+    yield from hand.push("fruitlangs.next_uncertain")
     view.view_distance *= 2.5
     yield from picture(hand, day, "review")
     settings().review.labels = "NONE"
@@ -189,7 +189,7 @@ def review(hand: Hand, day: Day) -> Steps:
 def other_tools(hand: Hand, day: Day) -> Steps:
     """Confirm a fruit, split it, merge the parts again, and add one by a click on the tree."""
     before = counted()
-    yield from hand.push("fruitlangs.next_doubtful")
+    yield from hand.push("fruitlangs.next_uncertain")
     yield from hand.push("fruitlangs.confirm_fruit", LEFT)
     day.check("the fruit is confirmed", settings().review.log[-1].action == "confirm")
     yield from hand.push("fruitlangs.split_fruit", LEFT)

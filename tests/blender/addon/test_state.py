@@ -131,7 +131,7 @@ def test_gaussians_deleted_meanwhile_come_back_with_the_next_count(extension, co
 
 
 ON_A_SCENE = ("import_scene", "reconstruct", "count", "ask", "export_csv")
-ON_FRUIT = ("confirm_fruit", "add_fruit", "next_doubtful", "best_photo")
+ON_FRUIT = ("confirm_fruit", "add_fruit", "next_uncertain", "best_photo")
 MEASURING = ("measure", "set_length", "set_ground", "add_region")
 
 

@@ -248,7 +248,7 @@ def test_without_the_scenes_root_nothing_is_decided_and_an_export_says_what_is_g
 def test_a_collection_that_the_view_layer_leaves_out_is_named_and_an_added_fruit_is_kept(shown):
     layer = bpy.context.view_layer.layer_collection.children["FruitLangs"].children["Fruits"]
     layer.exclude = True
-    assert bpy.ops.fruitlangs.next_doubtful() == {"CANCELLED"}
+    assert bpy.ops.fruitlangs.next_uncertain() == {"CANCELLED"}
     shown.fruitlangs.review.active_fruit = 1
     assert bpy.ops.fruitlangs.add_fruit(center=(1.0, 2.0, 3.0)) == {"FINISHED"}
     assert numbers() == [1, 2, 3, 4]
@@ -278,21 +278,21 @@ def test_fruit_of_a_linked_file_are_nobodys_here(shown, tmp_path):
     assert "apple.001" in bpy.context.scene.objects
     assert owned_objects(bpy.context.scene, "fruit") == []
     assert fruit_collection(bpy.context.scene) is None
-    assert not bpy.ops.fruitlangs.next_doubtful.poll()
+    assert not bpy.ops.fruitlangs.next_uncertain.poll()
 
 
 def test_next_uncertain_goes_from_the_least_likely_upwards_and_skips_reviewed_fruit(shown):
     visited = []
     for _ in range(4):
-        bpy.ops.fruitlangs.next_doubtful()
+        bpy.ops.fruitlangs.next_uncertain()
         visited.append(bpy.context.view_layer.objects.active["id"])
     assert visited == [2, 3, 1, 2]
     bpy.ops.fruitlangs.confirm_fruit()
-    bpy.ops.fruitlangs.next_doubtful()
+    bpy.ops.fruitlangs.next_uncertain()
     assert bpy.context.view_layer.objects.active["id"] == 3
     select(1, 2, 3)
     bpy.ops.fruitlangs.confirm_fruit()
-    assert not bpy.ops.fruitlangs.next_doubtful.poll()
+    assert not bpy.ops.fruitlangs.next_uncertain.poll()
 
 
 def test_the_list_and_the_viewport_select_each_other(shown):

@@ -11,7 +11,7 @@ from fruit_examples import count_of, fruit
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fruitlangs.engine.counting.accounts.ids import NOBODY, KnownFruit, number
+from fruitlangs.engine.counting.accounts.ids import NO_FRUIT, KnownFruit, number
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.report.results import SCHEMA, dump, fruits_document, known_fruit
 
@@ -114,5 +114,5 @@ DAMAGED = [{"schema": "another/9"}, {"fruits": [{"id": "three"}]}, {"earlier_fru
 @pytest.mark.parametrize("changes", [*DAMAGED, {}])
 def test_results_that_cannot_be_read_or_are_of_other_inputs_number_nothing(tmp_path: Path, changes: dict):
     inputs = "abc" if changes else "another scene"
-    assert known_fruit(result(tmp_path, **changes), inputs) is NOBODY
-    assert known_fruit(tmp_path / "gone", "abc") is NOBODY
+    assert known_fruit(result(tmp_path, **changes), inputs) is NO_FRUIT
+    assert known_fruit(tmp_path / "gone", "abc") is NO_FRUIT

@@ -14,8 +14,8 @@ from scipy.spatial import ConvexHull
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.accounts.interval import (
+    COVARIATES,
     STORED,
-    TELLING,
     TRAINED,
     Evidence,
     Ratio,
@@ -28,7 +28,7 @@ from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
 from fruitlangs.engine.report.audit import audit_text
 from fruitlangs.engine.report.words import count_text, location_text
 
-SURE = Evidence(100.0, 0.0, np.zeros(len(TELLING)))
+CERTAIN = Evidence(100.0, 0.0, np.zeros(len(COVARIATES)))
 
 
 def width(evidence: Evidence) -> float:
@@ -39,22 +39,25 @@ def width(evidence: Evidence) -> float:
 
 def test_what_is_stored_was_fitted_on_seeds_for_training_to_every_number():
     document = json.loads(STORED.read_text(encoding="utf-8"))
-    assert {len(document[name]["weights"]) for name in ("visible", "total")} == {len(TELLING)}
+    assert {len(document[name]["weights"]) for name in ("visible", "total")} == {len(COVARIATES)}
     assert min(int(scene.split()[1]) for scene in document["fitted on"]) >= 1000
 
 
 def test_a_ratio_is_read_as_it_was_written():
     ratio = Ratio(0.1, np.array([0.2, 0.0, 0.3]), 0.05, np.array([0.1, 0.0, 0.2]), np.array([1.2, 1.5]))
     again = Ratio.read(json.loads(json.dumps(ratio.document())))
-    assert again.interval(SURE) == ratio.interval(SURE)
+    assert again.interval(CERTAIN) == ratio.interval(CERTAIN)
 
 
 @pytest.mark.parametrize(
-    "doubtful",
-    [replace(SURE, variance=100.0), *(replace(SURE, covariates=np.eye(len(TELLING))[place]) for place in range(3))],
+    "uncertain",
+    [
+        replace(CERTAIN, variance=100.0),
+        *(replace(CERTAIN, covariates=np.eye(len(COVARIATES))[place]) for place in range(3)),
+    ],
 )
-def test_uncertain_candidates_and_hidden_places_widen_the_interval(doubtful: Evidence):
-    assert width(doubtful) > 1.1 * width(SURE)
+def test_uncertain_candidates_and_hidden_places_widen_the_interval(uncertain: Evidence):
+    assert width(uncertain) > 1.1 * width(CERTAIN)
 
 
 @pytest.mark.parametrize("count", [10, 50, 500])
@@ -68,17 +71,17 @@ def test_the_hull_of_fruit_that_hang_evenly_in_a_ball_holds_the_share_that_is_re
 
 
 def test_trained_scenes_have_a_stretch_of_their_own_and_half_as_faint_ones_half_of_each():
-    ratio = Ratio(0.0, np.zeros(len(TELLING)), 0.1, np.zeros(len(TELLING)), np.array([1.0, 2.0]))
-    faint = np.array(TELLING) == "faint"
+    ratio = Ratio(0.0, np.zeros(len(COVARIATES)), 0.1, np.zeros(len(COVARIATES)), np.array([1.0, 2.0]))
+    faint = np.array(COVARIATES) == "faint"
     parts = (0.0, 0.5 * TRAINED, TRAINED, 3.0 * TRAINED)
-    assert [ratio.deviation(replace(SURE, covariates=part * faint)) for part in parts] == pytest.approx(
+    assert [ratio.deviation(replace(CERTAIN, covariates=part * faint)) for part in parts] == pytest.approx(
         [0.1, 0.15, 0.2, 0.2]
     )
 
 
 @given(st.floats(0.5, 3000.0), st.floats(0.0, 1.0), st.integers(0, 4000))
 def test_the_count_lies_within_its_interval_and_no_more_are_visible_than_there_are(expected: float, x: float, n: int):
-    sure = estimate(Evidence(expected, x * expected, np.full(len(TELLING), x)), n)
+    sure = estimate(Evidence(expected, x * expected, np.full(len(COVARIATES), x)), n)
     (low, high), (least, most) = sure.visible, sure.total_interval
     assert 0 <= low <= n <= high <= most
     assert low <= least <= most
@@ -92,7 +95,7 @@ def test_the_interval_of_all_fruit_is_never_narrower_than_that_of_the_visible_on
 
 
 def test_the_interval_of_a_few_fruit_is_at_least_half_a_fruit_wide():
-    low, high = stored_ratios()[0].interval(replace(SURE, expected=3.0))
+    low, high = stored_ratios()[0].interval(replace(CERTAIN, expected=3.0))
     assert low <= 3.0 <= high
 
 
