@@ -49,7 +49,7 @@ def count_scene(
             result folder, or a `.ply` of Gaussians or coloured points, around which cameras are placed.
         prompts: what to count; a fruit must match one of them.
         negatives: what to exclude, in addition to built-in negatives.
-        writers: more files to write, by name; `scene.blend` comes from the caller, because the engine never imports bpy.
+        writers: more files to write, by name; `scene.blend` comes from the caller, as the engine never imports bpy.
         keep: a file that stays although it belongs to the earlier result, such as the open .blend.
         imported: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
         watch: receives the Gaussians during training.

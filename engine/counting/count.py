@@ -83,9 +83,8 @@ def count_fruit(
             names is missing.
         FormatError: that file holds no template.
         CountingError: a shape does not fit, a value is not finite, a probability is invalid, `up` is not a direction,
-            there are no Gaussians or no cameras, all Gaussians lie at one position, none lies in the region, or there are
-            fewer fruit, or places with fruit, than trees asked for, or the diameter is larger than all that may be
-            fruit.
+            there are no Gaussians or no cameras, all Gaussians lie at one position, none lies in the region, there are
+            fewer fruit, or places with fruit, than trees, or the diameter is larger than all that may be fruit.
     """
     probabilities = _checked(gaussians, probability, cameras)
     up = _mean_top(cameras) if up is None else _checked_up(up)
