@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -54,21 +55,24 @@ def _cache_folder() -> Path | None:
     return folder
 
 
-_COMPLETE = "complete"
-"""Name of the file in the cache that records that all kernels have been compiled."""
 CACHE_FOLDER: Path | None = _cache_folder()
 """Folder of machine code between runs; None if no folder can be written."""
 
 
 def all_compiled() -> bool:
     """Whether the cache holds the machine code of all kernels, so that nothing has to be compiled."""
-    return CACHE_FOLDER is not None and (CACHE_FOLDER / _COMPLETE).is_file()
+    return CACHE_FOLDER is not None and (CACHE_FOLDER / _marker()).is_file()
 
 
 def mark_compiled() -> None:
     """Record that all kernels have been compiled."""
     if CACHE_FOLDER is not None:
-        (CACHE_FOLDER / _COMPLETE).touch()
+        (CACHE_FOLDER / _marker()).touch()
+
+
+def _marker() -> str:
+    """Name of the file that records it: Numba caches machine code for one Python and one folder of sources."""
+    return "complete-" + hashlib.sha256(f"{sys.implementation.cache_tag} {_ENGINE}".encode()).hexdigest()[:16]
 
 
 @contextmanager

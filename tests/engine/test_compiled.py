@@ -101,6 +101,11 @@ def test_a_cache_is_complete_only_when_it_was_marked(tmp_path: Path) -> None:
     assert python(tmp_path, "compiled.mark_compiled()\n" + ask, NUMBA_CACHE_DIR=str(tmp_path)) == "True"
 
 
+def test_a_cache_is_not_complete_for_the_same_version_in_another_folder(tmp_path: Path) -> None:
+    code = "compiled.mark_compiled()\ncompiled._ENGINE = compiled._ENGINE / 'moved'\nprint(compiled.all_compiled())"
+    assert python(tmp_path, code, NUMBA_CACHE_DIR=str(tmp_path)) == "False"
+
+
 def test_what_is_compiled_ahead_is_all_that_a_first_count_needs(tmp_path: Path, balls: Path) -> None:
     assert python(tmp_path, AHEAD, NUMBA_CACHE_DIR=str(tmp_path)).endswith("True")
     program = FIRST_COUNT.format(scene=str(balls), out=str(tmp_path / "out"))
