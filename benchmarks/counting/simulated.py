@@ -123,7 +123,7 @@ def simulate(setting: Setting, seed: int) -> Simulation:
     """Generate a crown, render it, and make Gaussians of its visible surfaces. Seeded."""
     rng = np.random.default_rng(seed)
     fruit, leaves = _fruit(setting, rng), _leaves(setting, rng)
-    bodies = fruit.beside(leaves)
+    bodies = fruit.joined(leaves)
     wrong = rng.random(len(leaves)) < setting.wrong
     numbers = np.concatenate([1 + np.arange(len(fruit)), np.where(wrong, WRONG + np.arange(len(leaves)), 0)])
     cameras = _cameras(setting)
@@ -161,7 +161,7 @@ class _Bodies:
     def __len__(self) -> int:
         return len(self.centers)
 
-    def beside(self, other: _Bodies) -> _Bodies:
+    def joined(self, other: _Bodies) -> _Bodies:
         return _Bodies(
             np.concatenate([self.centers, other.centers]),
             np.concatenate([self.half_axes, other.half_axes]),

@@ -69,8 +69,8 @@ def _tried(
     gaps = np.array(RINGS) * unit + unit
     # The ellipse of the object and the box of the text: diagonally they can be closer than two boxes.
     around = 1.0 / np.linalg.norm(ways / reach, axis=1)
-    beside = np.min(half / np.maximum(np.abs(ways), 1e-9), axis=1)
-    distances = around + beside
+    next_to = np.min(half / np.maximum(np.abs(ways), 1e-9), axis=1)
+    distances = around + next_to
     middles = center + (distances + gaps[:, None])[..., None] * ways
     middles = middles.reshape(-1, 2)
     return np.hstack([middles - half, middles + half]), np.repeat(np.arange(len(RINGS)), len(ways))

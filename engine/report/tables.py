@@ -120,6 +120,6 @@ def _fruit_rows(fruits: Sequence[Fruit], metres_per_unit: float | None) -> list[
     rows = []
     for fruit in fruits:
         size = three_digits(fruit.diameter * scale)
-        sure = f"{fruit.probability:>12.2f} {_visible(fruit):>8}"
-        rows.append(f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {sure}  {fruit.kind}")
+        certainty = f"{fruit.probability:>12.2f} {_visible(fruit):>8}"
+        rows.append(f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {certainty}  {fruit.kind}")
     return [header, *rows]

@@ -21,7 +21,7 @@ def colmap_library() -> Any:
     it.
     """
     before = signal.getsignal(signal.SIGTERM)
-    with beside_another_gflags():
+    with with_another_gflags():
         import pycolmap
 
     try:
@@ -32,7 +32,7 @@ def colmap_library() -> Any:
 
 
 @contextmanager
-def beside_another_gflags() -> Iterator[None]:
+def with_another_gflags() -> Iterator[None]:
     """Allow the import of pycolmap if the program has loaded the system's gflags, as a distribution's Blender may have.
 
     gflags ends the whole program if a second copy of it declares the same flags. The function that ends it is a

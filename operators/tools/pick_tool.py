@@ -52,8 +52,8 @@ class Target3D:
         self.direction = direction
         if self.surface:
             return pick_surface(origin, direction, self._means, *self._rest)
-        beside = view3d_utils.region_2d_to_vector_3d(region, view, (place[0] + REACH_PIXELS, place[1]))
-        slope = 0.0 if not view.is_perspective else float(along.angle(beside))
+        next_to = view3d_utils.region_2d_to_vector_3d(region, view, (place[0] + REACH_PIXELS, place[1]))
+        slope = 0.0 if not view.is_perspective else float(along.angle(next_to))
         shift = view3d_utils.region_2d_to_origin_3d(region, view, (place[0] + REACH_PIXELS, place[1])) - start
         reach = float((back.to_3x3() @ shift).length)
         return pick_point(origin, direction, self._means, slope=slope, reach=reach)

@@ -199,7 +199,7 @@ def _seen(points, normals, owner, eyes, centers, radii, leaves, leaf_normals) ->
 
 
 def _sheet(rng: np.random.Generator, centers: FloatArray, eyes: FloatArray) -> tuple[FloatArray, ...]:
-    """A wrongly selected leaf: a flat patch about two diameters across beside a fruit."""
+    """A wrongly selected leaf: a flat patch about two diameters across next to a fruit."""
     normal = _directions(rng, 1)[0]
     side = np.cross(normal, _directions(rng, 1)[0])
     side /= np.linalg.norm(side)

@@ -1,4 +1,4 @@
-"""From a known length to millimetres: settings, cameras, points, things, and what people read."""
+"""From a known length to millimetres: settings, cameras, points, objects, and what people read."""
 
 from __future__ import annotations
 

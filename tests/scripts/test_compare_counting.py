@@ -160,7 +160,7 @@ def test_a_pair_is_distinguished_where_each_fruit_is_counted_once():
     assert apart(0.1, 1.1) == Touching(1, 1)
     assert apart(0.5) == Touching(1, 0)
     assert apart(0.1, 1.1, 1.4) == Touching(1, 0)  # one is counted twice
-    assert apart(0.1, 1.1, -0.7) == Touching(1, 0)  # what is left over lies beside it
+    assert apart(0.1, 1.1, -0.7) == Touching(1, 0)  # what is left over lies next to it
     assert apart(0.1, 1.1, 5.0, -3.0) == Touching(1, 1)
     assert apart(0.1, 1.7) == Touching(1, 0)
 

@@ -1,4 +1,4 @@
-"""The command line as a person meets it: exit codes, one clear line, nothing lost."""
+"""The command line for its users: exit codes, one clear line, nothing lost."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, thres
     owned = [scaled[own] for own in members(found.owners, len(found))]
     return {
         "coverage": np.log(np.maximum(spheres.coverage, 0.01)),
-        "solidity": np.minimum(_beside(view_evidence.solidity, well), 1.2),
+        "solidity": np.minimum(_relative(view_evidence.solidity, well), 1.2),
         "thinness": np.log(np.maximum(spheres.thinness, 0.02)),
         "residual": spheres.residual,
         "agreement": spheres.agreement,
@@ -144,7 +144,7 @@ def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, thres
         "looked": np.log1p(np.where(view_evidence.free > 0, view_evidence.free, FREE_SPOTS)),
         "shell": spheres.shell,
         "spread": np.full(len(found), size.spread),
-        "curvature": _beside(curvatures(found, surface), well),
+        "curvature": _relative(curvatures(found, surface), well),
         "mean": np.array([each.mean() for each in owned]),
         "surest": np.array([np.quantile(each, 0.9) for each in owned]),
     }
@@ -173,7 +173,7 @@ def curvatures(found: Candidates, surface: SurfaceIndex) -> FloatArray:
     return slopes
 
 
-def _beside(values: FloatArray, well: NDArray[np.bool_]) -> FloatArray:
+def _relative(values: FloatArray, well: NDArray[np.bool_]) -> FloatArray:
     """(C,) values relative to the typical value of the `well` covered spheres (C,); unchanged if there are none."""
     usual = float(np.median(values[well])) if well.any() else 1.0
     return values / max(usual, LEAST_USUAL)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-SUREST = 1e-3
+TOP_SHARE = 1e-3
 """Share of all rendered pixels that decides the confidence of a level: a fruit or two, so that rare objects are
 found."""
 
@@ -27,5 +27,5 @@ def _confidence(answers: Tensor, weights: Tensor) -> Tensor:
     order = answers.argsort(descending=True, stable=True)
     drawn = weights[order].double()
     before = drawn.cumsum(0) - drawn
-    counts = (SUREST * drawn.sum() - before).clamp_min(0.0).minimum(drawn)
+    counts = (TOP_SHARE * drawn.sum() - before).clamp_min(0.0).minimum(drawn)
     return (answers[order] * counts).sum() / counts.sum().clamp_min(1e-12)

@@ -1,4 +1,4 @@
-"""Missing packages are installed beside Blender's own, with consent, whole or not at all."""
+"""Missing packages are installed next to Blender's own, with consent, whole or not at all."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from fruitlangs.operators.settings.settings import read_config, source_folder, s
 
 @pytest.fixture
 def saved(extension, tmp_path):
-    """A .blend in `here` that shows a scene and results beside it."""
+    """A .blend in `here` that shows a scene and results next to it."""
     for name in ("here/tree", "here/tree_fruit", "there/deep"):
         (tmp_path / name).mkdir(parents=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "a.blend"))

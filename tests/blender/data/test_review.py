@@ -34,7 +34,7 @@ def shown(extension, counted, result_of, tmp_path):
 
 @pytest.fixture
 def again(counted, result_of, tmp_path):
-    """Show the same count anew, as a recount does, with these fruit."""
+    """Show the same count again, as a recount does, with these fruit."""
 
     def recount(fruits=None, prompt="apple"):
         found = counted.fruit_count.fruits if fruits is None else fruits

@@ -1,4 +1,4 @@
-"""Text beside fruit: which ones get it, what it says and where; that it is legible is seen in a window."""
+"""Text next to fruit: which ones get it, what it says and where; that it is legible is seen in a window."""
 
 from __future__ import annotations
 

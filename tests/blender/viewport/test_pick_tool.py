@@ -70,7 +70,7 @@ def drawn(monkeypatch):
 
 @pytest.fixture
 def context(monkeypatch, status, drawn):
-    """A person at the 3D viewport of an empty file."""
+    """A user at the 3D viewport of an empty file."""
     hit = SimpleNamespace(hit=lambda *_: np.zeros(3))
     monkeypatch.setattr(pick_tool, "Target3D", lambda bpy_scene: hit)
     area = next(area for area in bpy.context.screen.areas if area.type == "VIEW_3D")

@@ -34,7 +34,7 @@ def shown(extension, counted, monkeypatch, tmp_path):
 
 def test_without_an_import_it_stands_as_the_scene_that_is_trained_will(shown, counted, tmp_path):
     interim, turned = shown(tmp_path)
-    assert len(turned) == 1  # at the first picture: a person may turn the view then
+    assert len(turned) == 1  # at the first picture: the user may turn the view then
     assert len(interim.splats) == 20
     np.testing.assert_allclose(interim.centre, looked_at(counted.scene))
     assert interim.reach == pytest.approx(REACH * counted.scene.extent)

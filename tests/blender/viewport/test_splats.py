@@ -282,7 +282,7 @@ def test_sparse_points_are_round_splats_of_their_colour(counted):
 
 @pytest.fixture
 def changes(monkeypatch):
-    """What is to be read anew after an object was moved, which asks for nothing, and then changed by a function."""
+    """What is to be read again after an object was moved, which asks for nothing, and then changed by a function."""
 
     def changes(item, change) -> set[int]:
         bpy.context.view_layer.update()
@@ -349,7 +349,7 @@ def test_a_changed_mesh_is_read_again_and_a_moved_object_is_not(changes, counted
 
 
 def test_what_has_the_gaussians_role_and_is_no_mesh_is_left_alone(extension, counted):
-    """As where a person converted the Gaussians to a point cloud."""
+    """As if the user converted the Gaussians to a point cloud."""
     bpy.data.objects.remove(written(counted))
     item = bpy.data.objects.new("Gaussians", None)
     item["fruitlangs"] = "gaussians"

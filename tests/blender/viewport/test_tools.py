@@ -1,4 +1,4 @@
-"""What a person says of a scene by clicks: scale, ground, region. The clicks themselves are driven in a window."""
+"""Tools that use clicks: scale, ground, region. The clicks themselves are driven in a window."""
 
 from __future__ import annotations
 

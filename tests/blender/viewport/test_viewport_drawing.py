@@ -1,4 +1,4 @@
-"""What is drawn into viewports beside Blender's own: when it is, and what the legend says."""
+"""Our drawing in viewports: when it is, and what the legend says."""
 
 from __future__ import annotations
 

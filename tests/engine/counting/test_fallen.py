@@ -1,4 +1,4 @@
-"""Fruit on the ground told from hanging fruit, on hand-made ground with known answers."""
+"""Fruit on the ground distinguished from hanging fruit, on artificial ground with known answers."""
 
 from __future__ import annotations
 

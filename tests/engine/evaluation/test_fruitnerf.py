@@ -1,4 +1,4 @@
-"""FruitNeRF folders: masks by view, and the true fruit of the mesh beside them."""
+"""FruitNeRF folders: masks by view, and the true fruit of the mesh next to them."""
 
 from __future__ import annotations
 

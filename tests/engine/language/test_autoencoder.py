@@ -18,7 +18,7 @@ QUICK = EmbedConfig(code_epochs=12)
 
 
 def kinds(count: int = 4, dimension: int = 24) -> Tensor:
-    """(count, dimension) unit vectors of kinds of things."""
+    """(count, dimension) unit vectors of kinds of objects."""
     return functional.normalize(torch.randn(count, dimension, generator=torch.Generator().manual_seed(1)), dim=-1)
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints are opened from where they lie, safely, and each fault of one is told in a line."""
+"""Checkpoints are opened from where they lie, safely, and each fault of one is reported in one line."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def test_the_gradient_of_the_codes_agrees_with_the_reference(scene: Scene, seman
     planes = blend_view(tiles, codes.numpy(), camera, workspace)
     gradients = np.zeros((5 + 6, camera.height, camera.width), np.float32)
     drawn = planes[PLANES:]
-    # Where nothing is drawn the cosine says nothing: keep the twin's loss there out of the comparison by its length.
+    # Where nothing is drawn the cosine says nothing: keep the reference loss there out of the comparison by its length.
     semantics.loss(1.0, 1, drawn, gradients[5:])
     gradients[5:] *= np.repeat(np.linalg.norm(drawn.reshape(2, 3, *drawn.shape[1:]), axis=1) > 1e-3, 3, 0)
     found = view_backward(

@@ -1,4 +1,4 @@
-"""Prompts are read as colours and one thing; anything else is refused with a hint."""
+"""Prompts are read as colours and one noun; anything else is refused with a hint."""
 
 from __future__ import annotations
 

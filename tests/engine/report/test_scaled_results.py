@@ -1,4 +1,4 @@
-"""The scale through the whole chain: measured once, kept by the result, changed without training anew."""
+"""The scale through the whole chain: measured once, kept by the result, changed without training again."""
 
 from __future__ import annotations
 

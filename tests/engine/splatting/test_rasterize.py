@@ -1,4 +1,4 @@
-"""The rasteriser against its float64 twin, and the laws it must keep."""
+"""The rasteriser against its float64 reference, and the laws it must keep."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def parameter_gradients(
 
 
 def reference_loads(gaussians: Gaussians, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-    """ℓ and its stand-in from the twin's weights: α = weight / transmittance before."""
+    """ℓ and its stand-in from the reference weights: α = weight / transmittance before."""
     weights, _ = blending_weights(gaussians, camera)
     before = 1 - torch.cat([torch.zeros_like(weights[:1]), weights.cumsum(0)[:-1]])
     alpha = torch.where(weights > 0, weights / before.clamp_min(1e-9), 0.0)

@@ -1,4 +1,5 @@
-"""What is told of clusters and fruit, beside the plain way that looks at every point for every fruit."""
+"""Audit and description of clusters and fruit, compared with a plain implementation that tests every point for every
+fruit."""
 
 from __future__ import annotations
 

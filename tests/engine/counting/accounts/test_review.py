@@ -1,4 +1,4 @@
-"""What a person decided holds on through later counts, and narrows the interval."""
+"""Decisions of the user stay valid in later counts, and narrows the interval."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_a_relabelled_fruit_keeps_its_label_through_a_count():
 
 
 def test_decisions_that_follow_from_each_other_hold_together():
-    """Split, one part rejected, the other relabelled; then the machine counts anew."""
+    """Split, one part rejected, the other relabelled; then the machine counts again."""
     whole = ball(1, "apple", np.zeros(3), 0.2)
     parts, _ = split(whole, 2, np.zeros((0, 3)), [2, 3])
     log = [
@@ -149,9 +149,9 @@ def test_an_interval_holds_the_count_and_never_widens(given_probabilities, data)
 
 def test_reviewing_uncertain_fruit_narrows_more_than_certain_ones():
     p = np.array([0.99] * 50 + [0.55] * 10)
-    sure, doubtful = np.arange(60) < 10, np.arange(60) >= 50
+    sure, uncertain = np.arange(60) < 10, np.arange(60) >= 50
     by_sure = corrected_interval(60, (50, 70), p, sure, 0, 60)
-    by_doubtful = corrected_interval(60, (50, 70), p, doubtful, 0, 60)
+    by_doubtful = corrected_interval(60, (50, 70), p, uncertain, 0, 60)
     assert by_doubtful[0] > by_sure[0] >= 50
 
 

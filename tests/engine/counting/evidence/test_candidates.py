@@ -64,7 +64,7 @@ def test_touching_pairs_seen_from_one_side_are_two_fruit_each(seed: int):
     rng = np.random.default_rng(seed)
     middles = np.stack(np.meshgrid(*[4.0 * np.arange(3)] * 3), axis=-1).reshape(-1, 3).astype(float)
     axes = directions(rng, len(middles))
-    axes[:, 0] *= 0.5  # mostly beside each other as seen from x, so that the one behind shows more than half
+    axes[:, 0] *= 0.5  # mostly next to each other as seen from x, so that the one behind shows more than half
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     pairs = np.stack([middles - 0.5 * axes, middles + 0.5 * axes], axis=1)
     parts = [seen_from(pair, np.array([1.0, 0.2, 0.1]), seed=seed) for pair in pairs]

@@ -1,4 +1,4 @@
-"""Points of the skin, beside brute force."""
+"""Surface points, compared with brute force."""
 
 from __future__ import annotations
 

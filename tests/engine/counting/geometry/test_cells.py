@@ -1,4 +1,4 @@
-"""Neighbours among points sorted into cells, beside brute force."""
+"""Neighbours among points sorted into cells, compared with brute force."""
 
 from __future__ import annotations
 

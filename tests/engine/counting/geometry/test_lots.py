@@ -36,8 +36,8 @@ def test_rounding_of_single_precision_moves_hardly_any_position_to_another_strea
 
 def test_gaussians_in_one_place_go_on_with_each_others_numbers():
     """Twice the same Gaussian draws the points of one that draws twice as many."""
-    twins = np.array([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [0.1, 0.2, 0.3 + 0.1 / FINENESS]])
-    streams = RandomStreams.draw(twins, 0)
+    references = np.array([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [0.1, 0.2, 0.3 + 0.1 / FINENESS]])
+    streams = RandomStreams.draw(references, 0)
     numbers = streams.number(np.array([0, 0, 1, 2, 2, 2]))
     assert numbers.tolist() == [0, 1, 0, 2, 3, 4]
 

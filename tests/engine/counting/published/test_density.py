@@ -1,4 +1,4 @@
-"""Clusters of dense points beside scikit-learn's DBSCAN, and in memory that grows with the points alone."""
+"""Clusters of dense points compared with scikit-learn's DBSCAN, and in memory that grows with the points alone."""
 
 from __future__ import annotations
 

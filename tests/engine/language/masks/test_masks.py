@@ -80,7 +80,7 @@ def test_a_photo_of_one_colour_or_of_few_pixels_has_masks(shape):
 
 
 def test_a_shaded_side_joins_its_fruit_and_not_the_leaf_of_the_same_shade():
-    # Fruit fades from 60 to 40 without a step; the leaf beside it is 40, behind a dark rim.
+    # Fruit fades from 60 to 40 without a step; the leaf next to it is 40, behind a dark rim.
     row = np.concatenate([np.linspace(60, 40, 20), [5], np.full(20, 40.0)])
     regions = np.repeat([0, 1, 2, 3], [10, 10, 1, 20])
     colours = np.repeat(np.tile(row, (10, 1))[..., None], 3, axis=-1)

@@ -1,4 +1,4 @@
-"""Views with masks and features: made once, kept, read again, and made by the whole crop road."""
+"""Views with masks and features: made once, kept, read again, and made by the whole crop pipeline."""
 
 from __future__ import annotations
 

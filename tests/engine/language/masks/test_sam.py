@@ -80,8 +80,8 @@ def test_masks_are_where_they_were_in_a_photo_of_another_size_and_shape():
 
 
 def test_duplicates_of_a_level_are_one_mask_and_what_lies_on_a_larger_mask_is_not_hidden():
-    twins, spot = [disc(30, 30, 20)] * 3, [disc(30, 30, 8)] * 3
-    model = Known(spot, twins, [disc(31, 30, 20)] * 3)
+    references, spot = [disc(30, 30, 20)] * 3, [disc(30, 30, 8)] * 3
+    model = Known(spot, references, [disc(31, 30, 20)] * 3)
     labels = segmenter(model).segment(black(SIDE, SIDE)).labels[0]
     assert set(np.unique(labels)) == {-1, 0, 1}
     assert labels[30, 30] != labels[30, 14]
