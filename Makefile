@@ -34,7 +34,7 @@ baseline: $(READY)
 # The pictures of docs/blender.md; BLENDER opens a window, its Python has the engine's packages.
 BLENDER ?= blender
 guide:
-	$(BLENDER) --enable-event-simulate --no-window-focus --window-geometry 0 0 1600 900 \
+	$(BLENDER) --python-exit-code 1 --enable-event-simulate --no-window-focus --window-geometry 0 0 1600 900 \
 		-P scripts/developer/picture_guide.py -- --pictures docs/images/guide
 
 # With all Python packages inside: make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
