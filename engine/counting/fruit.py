@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FruitKind = Literal["single", "small", "compound-part"]
+KIND_TEXTS: dict[str, str] = {"single": "single", "small": "small", "compound-part": "in a clump"}
+"""The kinds for people; files for programs have the keys."""
 Verdict = Literal["kept", "split", "merged", "dropped"]
 
 NEAR = 0.5

@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from PIL import Image
 
-from ..counting.fruit import Fruit, FruitCount, Tree
+from ..counting.fruit import KIND_TEXTS, Fruit, FruitCount, Tree
 from ..errors import OutputError
 from ..files import write_text
 from .histogram import drawing, histogram
@@ -123,7 +123,7 @@ def _span(interval: tuple[int, int] | None) -> str:
 def _row(fruit: Fruit, metres_per_unit: float | None) -> dict[str, Any]:
     color = "#{:02x}{:02x}{:02x}".format(*id_color(fruit.id))
     cells = fruit_cells(fruit, metres_per_unit)
-    return {"id": fruit.id, "label": fruit.label, "kind": fruit.kind, "color": color, "cells": cells}
+    return {"id": fruit.id, "label": fruit.label, "kind": KIND_TEXTS[fruit.kind], "color": color, "cells": cells}
 
 
 def _embedded(picture: Image.Image) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..counting.fruit import Fruit, FruitCount
+from ..counting.fruit import KIND_TEXTS, Fruit, FruitCount
 from .words import audit_reason, count_text, length_unit, location_text, nothing_found, place, three_digits
 
 
@@ -80,7 +80,7 @@ def size_lines(fruit_count: FruitCount, metres_per_unit: float | None) -> list[s
     mean = three_digits(scale * float(fruit_count.diameters.mean()))
     low, high = (three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
     fruits = fruit_count.fruits
-    kinds = ", ".join(f"{sum(fruit.kind == kind for fruit in fruits)} {kind}" for kind in _kinds(fruits))
+    kinds = ", ".join(f"{sum(fruit.kind == kind for fruit in fruits)} {KIND_TEXTS[kind]}" for kind in _kinds(fruits))
     return [f"mean diameter {mean} {unit}, 80 % between {low} and {high}", f"kinds: {kinds}"]
 
 
@@ -121,5 +121,5 @@ def _fruit_rows(fruits: Sequence[Fruit], metres_per_unit: float | None) -> list[
     for fruit in fruits:
         size = three_digits(fruit.diameter * scale)
         certainty = f"{fruit.probability:>12.2f} {_visible(fruit):>8}"
-        rows.append(f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {certainty}  {fruit.kind}")
+        rows.append(f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {certainty}  {KIND_TEXTS[fruit.kind]}")
     return [header, *rows]

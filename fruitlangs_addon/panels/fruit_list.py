@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ...engine.counting.fruit import KIND_TEXTS
 from ...operators.blender_data import OWNER
 from ...operators.data.fruit_objects import REJECTED, REVIEW, diameter_head, diameter_number, metres_per_unit
 from .panel_parts import sidebar_width
@@ -84,7 +85,7 @@ def cells(item: Any, metric: bool) -> list[str]:
         diameter_number(item, metric),
         f"{float(item.get('probability', 1.0)):.2f}",
         "" if visible is None else f"{float(visible):.0%}",
-        str(item.get("kind", "")),
+        KIND_TEXTS.get(str(item.get("kind", "")), ""),
     ]
 
 

@@ -30,7 +30,7 @@ from .write_fruits import label_fruit
 if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Spot
 
-OF_ONE_LOOK = ("probability", "visible_fraction", "diameter_sd", "views", "kind")
+OF_ONE_COUNT = ("probability", "visible_fraction", "diameter_sd", "views", "kind")
 """Custom properties of a counted fruit that a copy of it does not get."""
 
 
@@ -96,7 +96,7 @@ def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[S
 
 def _make_own(bpy_scene: bpy.types.Scene, item: bpy.types.Object, number: int) -> None:
     """Make a copy a fruit of its own, as if the user had added it; selection and active object stay."""
-    for key in OF_ONE_LOOK:
+    for key in OF_ONE_COUNT:
         if key in item:
             del item[key]
     item["id"] = bpy_scene[LAST_ID] = number
