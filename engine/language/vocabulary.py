@@ -53,6 +53,11 @@ class Phrase:
         """Whether everything that matches this phrase also matches `other`."""
         return _narrows(self.colours, other.colours) and _narrows(self.concepts, other.concepts)
 
+    def excludes(self, other: Phrase) -> bool:
+        """Whether nothing matches both phrases."""
+        pairs = ((self.colours, other.colours), (self.concepts, other.concepts))
+        return any(mine and theirs and not set(mine) & set(theirs) for mine, theirs in pairs)
+
 
 def parse(prompt: str) -> Phrase:
     """Parse a prompt.

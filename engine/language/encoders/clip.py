@@ -113,6 +113,12 @@ class ClipEncoder:
         """None: the cosines of these models are not probabilities."""
         return torch.zeros(0, self.dimension)
 
+    def meaning(self, prompt: str) -> str:
+        return _normalised(prompt)
+
+    def separates(self, one: str, other: str) -> bool:
+        return False
+
     def excludes(self, prompt: str, negative: str) -> bool:
         return _normalised(prompt) == _normalised(negative)
 

@@ -52,6 +52,14 @@ class Encoder(Protocol):
         """(K, D) orthonormal text vectors of kinds of fruit, of which a scene usually has one; K may be 0."""
         ...
 
+    def meaning(self, prompt: str) -> str:
+        """A text that is the same for all phrases with one meaning, such as synonyms."""
+        ...
+
+    def separates(self, one: str, other: str) -> bool:
+        """Whether nothing can match both phrases; False if that is not known."""
+        ...
+
     def excludes(self, prompt: str, negative: str) -> bool:
         """Whether everything that matches `prompt` also matches `negative`."""
         ...

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import networkx as nx
 import torch
 from torch import Tensor
 
@@ -30,9 +32,7 @@ def relevancy(
 
     Each prompt is answered by the encoder's questions (see `Question`), which compare it with every other relevant
     word, so `negatives` are needed only for words that the vocabulary does not compare with the prompt, for example
-    "green apple" against "apple". P = (1 − Π(1 − P(prompt))) · Π(1 − P(negative)), after kinds of fruit were weighted
-    by their share of the scene and by the prompt (see `prior`). Each word uses the level of masks with the highest
-    confidence (see `best_level`).
+    "green apple" against "apple". P = P(any prompt) · (1 − P(any negative)); see `any_of`.
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -40,22 +40,37 @@ def relevancy(
     """
     check_encoder(features, encoder)
     check_prompts(encoder, prompts, negatives)
-    answers = answers_by_level(features, encoder, prompts, negatives)
-    answers = answers * (features.weights.T >= MIN_WEIGHT)[:, None]
-    missed = torch.ones(len(features))
-    for place in range(len(prompts)):
-        missed *= 1.0 - answers[best_level(answers[:, place], features.weights.T), place]
-    found = 1.0 - missed
-    for place in range(len(prompts), answers.shape[1]):
-        found *= 1.0 - answers[best_level(answers[:, place], features.weights.T), place]
-    return found
+    found = any_of(features, encoder, prompts)
+    return found * (1.0 - any_of(features, encoder, negatives, sought=False)) if negatives else found
 
 
-def answers_by_level(
-    features: Features, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
-) -> Tensor:
-    """(L, P, N) float32 probability of each word alone, prompts first, at each level of masks."""
-    words = understood(encoder, prompts, negatives)
+def any_of(features: Features, encoder: Encoder, words: Sequence[str], *, sought: bool = True) -> Tensor:
+    """(N,) float32 probability that a Gaussian matches any of the words: the greatest sum of probabilities of words
+    that exclude each other, at most 1.
+
+    So a synonym, or a word within another one, adds nothing, kinds of fruit add, and the order does not matter. Each
+    word uses the level of masks with the highest confidence (see `best_level`).
+    """
+    named = understood(encoder, words, sought=sought)
+    answers = answers_by_level(features, named) * (features.weights.T >= MIN_WEIGHT)[:, None]
+    best = [answers[best_level(answers[:, place], features.weights.T), place] for place in range(answers.shape[1])]
+    greatest = torch.zeros(len(features), dtype=torch.float64)
+    for together in exclusive_sets(named.texts, encoder):
+        greatest = greatest.maximum(sum((best[place].double() for place in together), start=torch.zeros_like(greatest)))
+    return greatest.clamp_max(1.0).float()
+
+
+def exclusive_sets(words: Sequence[str], encoder: Encoder) -> list[tuple[int, ...]]:
+    """Every largest set of words, by their places, that all exclude each other."""
+    apart = nx.Graph()
+    apart.add_nodes_from(range(len(words)))
+    pairs = itertools.combinations(range(len(words)), 2)
+    apart.add_edges_from((i, j) for i, j in pairs if encoder.separates(words[i], words[j]))
+    return sorted(tuple(sorted(clique)) for clique in nx.find_cliques(apart))
+
+
+def answers_by_level(features: Features, words: Words) -> Tensor:
+    """(L, P, N) float32 probability of each word alone, at each level of masks."""
     answers = torch.empty(features.levels, len(words.questions), len(features))
     for level in range(features.levels):
         # The kinds of the scene are estimated from all Gaussians together.
@@ -66,45 +81,45 @@ def answers_by_level(
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """The encoder's representation of P words. questions: of each word; kinds: the encoder's kinds of fruit, (K, D);
-    named: (P, K) which kinds each word names; sought: (P,) whether it is a prompt and not a negative.
+    """The encoder's representation of P words, each meaning once, in an order that does not depend on the user's.
+
+    questions: of each word; kinds: the encoder's kinds of fruit, (K, D); named: (P, K) which kinds each word names;
+    believed: (K,) which kinds are assumed to be in the scene.
     """
 
+    texts: Sequence[str]
     questions: Sequence[Sequence[Question]]
     kinds: Tensor
     named: Tensor
-    sought: Sequence[bool]
+    believed: Tensor
 
 
-def understood(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> Words:
-    """The words as `encoder` represents them, prompts first, computed once for any number of Gaussians.
+def understood(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -> Words:
+    """The words as `encoder` represents them, computed once for any number of Gaussians.
+
+    sought: they are prompts, so the kinds that they name are assumed to be there. Words for no kind of fruit, or for
+    all of them, say nothing about that.
 
     Raises:
         VocabularyError: an unknown word.
     """
-    kinds, words = encoder.kinds(), [*prompts, *negatives]
-    named = encoder.encode_text(words) @ kinds.T > 0.0
-    sought = [place < len(prompts) for place in range(len(words))]
-    return Words([encoder.questions(word) for word in words], kinds, named, sought)
+    meanings = {encoder.meaning(word): word for word in words}
+    texts, kinds = [meanings[meaning] for meaning in sorted(meanings)], encoder.kinds()
+    named = encoder.encode_text(texts) @ kinds.T > 0.0
+    telling = named.any(1) & ~named.all(1)
+    believed = named[telling].any(0) if sought else torch.zeros(len(kinds), dtype=torch.bool)
+    return Words(texts, [encoder.questions(word) for word in texts], kinds, named, believed)
 
 
 def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
     """(P, N) probability of each word for all unit features (N, D) of a scene, with (N,) pixels.
 
-    The prior assumes that prompts are there. Words for no kind of fruit, or for all of them, do not change the prior.
+    Kinds of fruit are weighted by their share of the scene and by what is believed to be there (see `prior`).
     """
-    answers = torch.empty(len(words.questions), len(vectors))
-    alike: dict[tuple[bool, ...], list[int]] = {}
-    for place, (mine, sought) in enumerate(zip(words.named, words.sought, strict=True)):
-        if not mine.any() or mine.all():
-            answers[place] = answer(vectors, words.questions[place])
-        else:
-            alike.setdefault(tuple((mine & sought).tolist()), []).append(place)
-    for believed, places in alike.items():
-        weighed = in_scene(vectors, weights, words.kinds, torch.tensor(believed))
-        for place in places:
-            answers[place] = answer(weighed, words.questions[place])
-    return answers
+    telling = words.named.any(1) & ~words.named.all(1)
+    weighed = in_scene(vectors, weights, words.kinds, words.believed) if telling.any() else vectors
+    pairs = zip(words.questions, telling, strict=True)
+    return torch.stack([answer(weighed if tells else vectors, questions) for questions, tells in pairs])
 
 
 def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:

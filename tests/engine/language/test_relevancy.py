@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
 
 from fruitlangs.engine.errors import EncoderError, VocabularyError
@@ -11,7 +13,15 @@ from fruitlangs.engine.language.encoders.embedded import Calibration, EmbeddedEn
 from fruitlangs.engine.language.encoders.network import Network
 from fruitlangs.engine.language.features.features import Features
 from fruitlangs.engine.language.prompts.prior import in_scene, kind_shares
-from fruitlangs.engine.language.prompts.relevancy import MIN_WEIGHT, answer, answers_by_level, relevancy
+from fruitlangs.engine.language.prompts.relevancy import (
+    MIN_WEIGHT,
+    answer,
+    answers_by_level,
+    any_of,
+    exclusive_sets,
+    relevancy,
+    understood,
+)
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS
 
 
@@ -153,6 +163,78 @@ def test_the_kind_that_is_asked_for_must_be_seen(encoder: EmbeddedEncoder):
 
 def test_a_prior_applies_to_prompts_and_not_to_negatives(encoder: EmbeddedEncoder):
     features = _features(*[_feature("red", apple=0.5, peach=0.3)] * 50, weight=1e4)
-    asked = answers_by_level(features, encoder, ["peach"])[0, 0, 0]
-    avoided = answers_by_level(features, encoder, [], ["peach"])[0, 0, 0]
+    asked = any_of(features, encoder, ["peach"])[0]
+    avoided = any_of(features, encoder, ["peach"], sought=False)[0]
     assert float(avoided) < 0.5 * float(asked)
+
+
+SYNONYMS = {
+    "apple": ("Apples", "pomme", "an apple", "apple fruit"),
+    "peach": ("peaches", "Pfirsich"),
+    "red apple": ("pomme rouge", "apple red"),
+    "fruit": ("fruits",),
+    "red": ("rot",),
+    "leaf": ("leaves", "Blatt"),
+    "ripe plum": ("ripe plums",),
+    "citrus": ("citrus fruit",),
+}
+PHRASES = st.lists(st.sampled_from(sorted(SYNONYMS)), min_size=1, max_size=5)
+SEEN = [
+    _feature("red", apple=0.5, peach=0.3),
+    _feature("green", leaf=0.6, apple=0.3),
+    _feature("red", plum=0.4, lemon=0.2),
+    _feature("orange", orange=0.4, lemon=0.4),
+    _feature("brown", soil=0.9),
+]
+
+
+@given(prompts=PHRASES, negatives=st.lists(st.sampled_from(["soil", "grass", "green"]), max_size=2), data=st.data())
+def test_a_synonym_a_repetition_or_another_order_changes_no_probability(
+    encoder: EmbeddedEncoder, prompts: list[str], negatives: list[str], data: st.DataObject
+):
+    features = _features(*SEEN, weight=100.0)
+    plain = relevancy(features, encoder, prompts, negatives)
+    again = [data.draw(st.sampled_from([word, *SYNONYMS[word]])) for word in prompts]
+    mixed = data.draw(st.permutations([*prompts, *again]))
+    twice = data.draw(st.permutations([*negatives, *negatives]))
+    assert torch.equal(relevancy(features, encoder, mixed, twice), plain)
+
+
+@given(prompts=PHRASES, other=st.sampled_from(sorted(SYNONYMS)))
+def test_another_negative_never_adds_and_no_probability_leaves_its_range(
+    encoder: EmbeddedEncoder, prompts: list[str], other: str
+):
+    features = _features(*SEEN, weight=100.0)
+    found = relevancy(features, encoder, prompts)
+    assert bool(((found >= 0.0) & (found <= 1.0)).all())
+    if not any(encoder.excludes(prompt, other) for prompt in prompts):
+        assert bool((relevancy(features, encoder, prompts, [other]) <= found).all())
+
+
+@pytest.mark.parametrize(
+    ("narrow", "wide"), [("apple", "fruit"), ("red apple", "apple"), ("lemon", "citrus"), ("ripe plum", "plum")]
+)
+def test_a_word_within_another_takes_the_greater_probability(encoder: EmbeddedEncoder, narrow: str, wide: str):
+    features = _features(*SEEN, weight=100.0)
+    assert torch.equal(relevancy(features, encoder, [narrow, wide]), relevancy(features, encoder, [wide]))
+    assert torch.equal(
+        any_of(features, encoder, [narrow, wide], sought=False), any_of(features, encoder, [wide], sought=False)
+    )
+
+
+def test_kinds_that_exclude_each_other_add_up_to_all_fruit_at_most(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.4, peach=0.4), weight=100.0)
+    alone = understood(encoder, ["apple", "peach"])
+    each = answers_by_level(features, alone)[0, :, 0]
+    both = float(relevancy(features, encoder, ["apple", "peach"]))
+    assert both == pytest.approx(float(each.sum()), abs=1e-6)
+    assert each.max() < 0.5 < both
+    everything = relevancy(features, encoder, [*FRUITS, "red fruit"])
+    assert float(everything) == pytest.approx(float(relevancy(features, encoder, ["fruit"])), abs=1e-5)
+
+
+def test_words_that_overlap_count_once(encoder: EmbeddedEncoder):
+    features = _features(_feature("red", apple=0.5), weight=100.0)
+    red, apple = (float(relevancy(features, encoder, [word])) for word in ("red", "apple"))
+    assert float(relevancy(features, encoder, ["red", "apple"])) == max(red, apple)
+    assert exclusive_sets(["apple", "peach", "red", "green leaf"], encoder) == [(0, 1, 3), (2, 3)]

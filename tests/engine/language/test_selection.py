@@ -38,6 +38,12 @@ class Basis:
     def kinds(self) -> Tensor:
         return torch.zeros(0, len(WORDS))
 
+    def meaning(self, prompt: str) -> str:
+        return prompt
+
+    def separates(self, one: str, other: str) -> bool:
+        return one != other
+
     def excludes(self, prompt: str, negative: str) -> bool:
         return prompt == negative
 
