@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -20,12 +21,14 @@ def _code_hash(room: str) -> str:
 
 
 def stage_key(rooms: tuple[str, ...], *inputs: Any) -> str:
-    """A short name for the output of a stage: hash of the code of its packages (`rooms`) and of its inputs (texts and
-    configs)."""
+    """A short name for the output of a stage: hash of the code of its packages (`rooms`) and of its inputs (texts,
+    configs and mappings)."""
     return text_hash(*(_code_hash(room) for room in rooms), *map(_text, inputs))[:16]
 
 
 def _text(value: Any) -> str:
     if is_dataclass(value) and not isinstance(value, type):
-        return json.dumps(asdict(value), sort_keys=True)
+        value = asdict(value)
+    if isinstance(value, Mapping):
+        return json.dumps(value, sort_keys=True)
     return str(value)

@@ -368,15 +368,40 @@ class Config:
                 f"The stored settings are from another version ({error}). Count again from the photos."
             ) from error
 
+    def changed(self) -> frozenset[str]:
+        """The settings that are not at their default, as "stage.setting"."""
+        return frozenset(
+            f"{stage}.{each.name}"
+            for stage, usual in STAGES.items()
+            for each in fields(usual)
+            if getattr(getattr(self, stage), each.name) != each.default
+        )
+
 
 STAGES: dict[str, Any] = {stage.name: stage.default_factory for stage in fields(Config)}
 """{stage: class of its settings}, in the order of the stages."""
+WITHOUT_EFFECT: dict[type, tuple[str, ...]] = {
+    TrainConfig: ("checkpoint_every",),
+    EmbedConfig: ("clip", "sam", "allow_download"),
+}
+"""{settings: names} of those that do not change a result: paths, which differ between computers, and checkpoints."""
 REMOVED: dict[str, dict[str, float]] = {
     "photos": {"max_features": 8192},
     "train": {"ssim_weight": 0.2, "densify_gradient": 4e-4, "prune_opacity": 0.005},
     "embed": {"code_batch": 64, "code_rate": 7e-4, "semantic_rate": 0.02, "semantic_weight": 0.1},
 }
 """{stage: {setting: value}} of settings of version 0.1 that are constants now; its results still hold them."""
+
+
+def without_effect(settings: _Checked) -> tuple[str, ...]:
+    """The names of those settings of a stage that do not change a result."""
+    return WITHOUT_EFFECT.get(type(settings), ())
+
+
+def decisive(settings: _Checked) -> dict[str, Any]:
+    """The settings of a stage that change a result: equal ones give equal results."""
+    unused = without_effect(settings)
+    return {each.name: getattr(settings, each.name) for each in fields(settings) if each.name not in unused}  # type: ignore[arg-type]
 
 
 def _without_removed(stage: str, stored: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,8 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the folder cannot be made or written.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    # Processes in two containers that share a folder may have the same id.
+    temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.part{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -32,7 +34,7 @@ def replacing(path: Path) -> Iterator[Path]:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written ({reason}). Choose another output folder") from error
     finally:
-        if temporary.exists():
+        with suppress(OSError):
             temporary.unlink()
 
 
@@ -62,13 +64,34 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str,
         temporary.chmod(mode)
 
 
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """The tensors of a file from `write_tensors`, in memory, and what its header says about them.
+
+    They are copies of the mapped file: as long as a file is mapped, Windows does not replace it.
+
+    Raises:
+        ValueError: the file is missing, damaged, or of another program.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = json.loads((file.metadata() or {})["fruitlangs"])
+            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (SafetensorError, OSError, KeyError, TypeError) as error:
+        raise ValueError(str(error).partition("\n")[0]) from error
+    if not isinstance(about, dict):
+        raise ValueError("its header is of another program")
+    return tensors, about
+
+
 def require_writable(folder: Path) -> None:
     """Make `folder` and check that files can be written to it, before a long run.
 
     Raises:
         OutputError: it cannot.
     """
-    probe = folder / f".writable.{os.getpid()}"
+    probe = folder / f".writable.{uuid.uuid4().hex[:8]}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
@@ -85,11 +108,11 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def files_hash(paths: Iterable[Path], root: Path) -> str:
-    """SHA-256 over the names relative to `root` and the bytes of files, in the order given."""
+def files_hash(paths: Iterable[Path], root: Path, hash_of: Callable[[Path], str] = file_hash) -> str:
+    """SHA-256 over the names relative to `root` and the hashes of files, in the order given."""
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(f"{_relative(path, root)}\0{file_hash(path)}\n".encode())
+        digest.update(f"{_relative(path, root)}\0{hash_of(path)}\n".encode())
     return digest.hexdigest()
 
 

@@ -13,9 +13,10 @@ from .errors import EncoderError, FormatError
 from .language.features.embedder import Embedder
 from .language.prompts.selection import select
 from .publishing import Result
-from .reconstruction import Reconstruction, Stages, reopen
-from .report.results import FRUITS_JSON, near_members, read_results, source_of, stored_count
+from .reconstruction import Reconstruction, RunLog, reopen
+from .report.results import FRUITS_JSON, near_members, stored_count
 from .report.selection import SELECTION, Selection, read_selection
+from .result_folder import ResultFolder
 
 
 def open_result(folder: Path) -> Result:
@@ -27,11 +28,12 @@ def open_result(folder: Path) -> Result:
         OutputError: there is no result, or its files are not of one run.
         FormatError: it is damaged, or of another version.
     """
-    document = read_results(folder)
-    stored, stages = Config.from_document(document["config"]), Stages()
-    made = reopen(folder, folder, None, stored, stages)
+    results, log = ResultFolder(folder), RunLog()
+    document = results.read()
+    stored = Config.from_document(document["config"])
+    made = reopen(results, document, stored, log, cache=results.cache)
     try:
-        selection = _selection(folder, document, made, stored, stages)
+        selection = _selection(folder, document, made, stored, log)
         counted = stored_count(document, selection.fruit_ids)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}). Count again into this folder") from error
@@ -41,18 +43,18 @@ def open_result(folder: Path) -> Result:
         features=made.features,
         probability=selection.probability,
         fruit_count=counted,
-        origin={**document["provenance"], "source": str(source_of(folder, document))},
+        origin={**document["provenance"], "source": made.origin["source"]},
         config=stored,
         seconds={},
-        reused=stages.reused,
-        notices=stages.notices,
+        reused=log.reused,
+        notices=log.notices,
         out=folder,
         set_id=document["set_id"],
     )
 
 
 def _selection(
-    folder: Path, document: Mapping[str, Any], made: Reconstruction, stored: Config, stages: Stages
+    folder: Path, document: Mapping[str, Any], made: Reconstruction, stored: Config, log: RunLog
 ) -> Selection:
     """The probability and the fruit of every Gaussian.
 
@@ -67,6 +69,6 @@ def _selection(
         encoder = Embedder.open(stored.embed).encoder
         probability = select(made.features, encoder, prompts, negatives, stored.count, means)
     except EncoderError as error:
-        stages.notices.append(f"the match of the prompt is not shown: {error}")
+        log.notices.append(f"the match of the prompt is not shown: {error}")
         probability = torch.zeros(len(means))
     return Selection(probability, near_members(document, means.double().numpy()))

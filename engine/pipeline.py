@@ -2,12 +2,13 @@
 
 The command line and Blender's operators call `count_scene`. Training and lifting are cached in `OUT/cache/` under the
 hash of their inputs, settings and code (`reconstruction`), so a second prompt reuses them. The files of a result are
-written to a staging folder and moved into place at the end (`publishing`).
+replaced together at the end (`result_folder`), and one run at a time writes to a folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from .compile_ahead import compiled_ahead
@@ -15,17 +16,19 @@ from .config import Config
 from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.count import count_fruit
 from .counting.published.template_shape import read_template
-from .errors import OutputError, VocabularyError
-from .files import file_hash, require_writable
+from .errors import ConfigError, FruitLangsError, OutputError, VocabularyError
+from .files import file_hash
 from .language.features.embedder import Embedder
 from .language.prompts.relevancy import check_prompts
 from .language.prompts.selection import select
 from .language.vocabulary import parse
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
-from .reconstruction import Reconstruction, Stages, adopt, check_imported, reconstruct, reopen
-from .report.results import FRUITS_JSON, known_fruit
+from .reconstruction import Reconstruction, Run, RunLog, reconstruct, reopen
+from .report.results import known_fruit
+from .result_folder import ResultFolder
 from .scale import scaled
+from .scene.source import Source
 from .splatting.training.train import Watch
 
 
@@ -39,6 +42,7 @@ def count_scene(
     writers: Mapping[str, Writer] | None = None,
     keep: Path | None = None,
     imported: Path | None = None,
+    given: Collection[str] | None = None,
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -52,51 +56,57 @@ def count_scene(
         writers: more files to write, by name; `scene.blend` comes from the caller, as the engine never imports bpy.
         keep: a file that stays although it belongs to the earlier result, such as the open .blend.
         imported: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
+        given: the settings ("train.steps") that the user gave; by default those that differ from their defaults. An
+            earlier result must have been made with them.
         watch: receives the Gaussians during training.
 
     Raises:
-        OutputError: among others, `out` is the folder of the photos: it would look like a result from then on.
+        OutputError: among others, another run writes to `out`, or `out` is the folder of the photos: it would look like
+            a result from then on.
         FruitLangsError: an error that the user can act on; earlier results in `out` stay unchanged.
         Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
     """
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # an unknown word must not cost a training run
-    given: dict[str, str] = {}
+    template: dict[str, str] = {}
     if config.count.template:
         read_template(Path(config.count.template))  # nor must an invalid template
-        given["template_sha256"] = file_hash(Path(config.count.template))
-    stages = Stages()
-    made = _made(source, out, embedder, config, imported, watch, stages, part(progress, 0.0, 0.9))
-    known = _known(made, source, out)
-    with stages.timed("count"):
-        probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
-        fruit_count = count_fruit(
-            made.gaussians,
-            probability,
-            made.scene.cameras,
-            config.count,
-            label=_label(prompts),
+        template["template_sha256"] = file_hash(Path(config.count.template))
+    folder = ResultFolder(out)
+    run = Run(folder.cache, embedder, config, config.changed() if given is None else given, watch)
+    opened = _opened(source, imported, out, progress)
+    with folder.locked():
+        made = _before_prompts(opened, imported, run, part(progress, 0.0, 0.9))
+        known = _known(made, source, out)
+        with run.log.timed("count"):
+            probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
+            fruit_count = count_fruit(
+                made.gaussians,
+                probability,
+                made.scene.cameras,
+                config.count,
+                label=_label(prompts),
+                known=known,
+                up=made.scene.up,
+                progress=part(progress, 0.9, 0.97),
+            )
+        result = Result(
+            scene=made.scene,
+            gaussians=made.gaussians,
+            features=made.features,
+            probability=probability,
+            fruit_count=fruit_count,
             known=known,
-            up=made.scene.up,
-            progress=part(progress, 0.9, 0.97),
+            origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives), **template},
+            config=made.config,
+            seconds=run.log.seconds,
+            reused=run.log.reused,
+            notices=[*run.log.notices, *fruit_count.notices],
+            out=out,
         )
-    result = Result(
-        scene=made.scene,
-        gaussians=made.gaussians,
-        features=made.features,
-        probability=probability,
-        fruit_count=fruit_count,
-        known=known,
-        origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives), **given},
-        config=made.config,
-        seconds=stages.seconds,
-        reused=stages.reused,
-        notices=[*stages.notices, *fruit_count.notices],
-        out=out,
-    )
-    progress(0.97, "Writing results")
-    result = publish(result, made, writers or {}, keep, stages)
+        progress(0.97, "Writing results")
+        result = publish(result, made, writers or {}, keep, run.log)
     progress(1.0, "Done")
     return result
 
@@ -107,51 +117,80 @@ def reconstruct_scene(
     *,
     config: Config = Config(),  # noqa: B008 (frozen)
     imported: Path | None = None,
+    given: Collection[str] | None = None,
     watch: Watch | None = None,
     progress: Progress = silent,
-) -> tuple[Reconstruction, Stages]:
+) -> tuple[Reconstruction, RunLog]:
     """What `count_scene` makes of the scene at `source` before it uses a prompt, cached in `out`/cache.
 
     Returns it with the log of the run. Arguments and errors as of `count_scene`.
     """
-    stages = Stages()
-    made = _made(source, out, Embedder.open(config.embed), config, imported, watch, stages, progress)
+    folder = ResultFolder(out)
+    run = Run(folder.cache, Embedder.open(config.embed), config, config.changed() if given is None else given, watch)
+    opened = _opened(source, imported, out, progress)
+    with folder.locked():
+        made = _before_prompts(opened, imported, run, progress)
     progress(1.0, "Done")
-    return made, stages
+    return made, run.log
 
 
-def _made(
-    source: Path,
-    out: Path,
-    embedder: Embedder,
-    config: Config,
-    imported: Path | None,
-    watch: Watch | None,
-    stages: Stages,
-    progress: Progress,
+def _opened(path: Path, imported: Path | None, out: Path, progress: Progress) -> Source | ResultFolder:
+    """What is counted: an earlier result, or a source whose model is read and sound, so that a wrong path makes no
+    folder.
+
+    Raises:
+        SceneError: there is no scene, or it is damaged.
+        OutputError: `out` is the folder of an input.
+        ConfigError: Gaussians are given for a source that has its own.
+    """
+    earlier, alone = ResultFolder(path), path.suffix.lower() == ".ply"
+    if imported is not None and (earlier.holds_result() or alone):
+        raise ConfigError(f"{path} holds its own Gaussians. With --gaussians give the photos and cameras as SCENE")
+    if imported is not None and imported.resolve().parent == out.resolve():
+        raise OutputError(f"{out} is the folder of {imported.name} itself. Choose another folder for the results")
+    if earlier.holds_result():
+        return earlier
+    if out.resolve() == (path.parent if path.is_file() else path).resolve():
+        raise OutputError(f"{out} is the folder of the scene itself. Choose another folder for the results")
+    source = Source(path=path)
+    if not alone and (imported is not None or source.photos_alone() is None):
+        source.opened(part(progress, 0.0, 0.0))
+    return source
+
+
+def _before_prompts(
+    opened: Source | ResultFolder, imported: Path | None, run: Run, progress: Progress
 ) -> Reconstruction:
-    """Everything that does not depend on the prompt, by the method that suits `source`, with its scale."""
-    if config.units.object is not None:
-        check_prompts(embedder.encoder, [config.units.object])
-    if imported is not None:
-        check_imported(source, imported, out)
+    """Everything that does not depend on the prompt, with its scale."""
+    encoder = run.embedder.encoder
+    if run.config.units.object is not None:
+        check_prompts(encoder, [run.config.units.object])
     with compiled_ahead(progress, 1.0):
-        if (source / FRUITS_JSON).is_file():
-            made = reopen(source, out, embedder, config, stages)
-            require_writable(out / "cache")
-        elif out.resolve() == (source.parent if source.is_file() else source).resolve():
-            raise OutputError(f"{out} is the folder of the scene itself. Choose another folder for the results")
-        elif imported is not None or source.suffix.lower() == ".ply":
-            made = adopt(source, imported, out / "cache", embedder, config, stages, progress)
+        if isinstance(opened, ResultFolder):
+            with run.log.timed("scene"):
+                document = opened.read()
+            made = reopen(
+                opened,
+                document,
+                run.config,
+                run.log,
+                cache=run.cache,
+                given=run.given,
+                encoder_id=encoder.identity,
+            )
         else:
-            made = reconstruct(source, out / "cache", embedder, config, stages, progress, watch)
-    return scaled(made, embedder.encoder, config.units, stages)
+            made = reconstruct(opened, imported, run, progress)
+    return scaled(made, encoder, run.config.units, run.log)
 
 
 def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
     """Fruit that were numbered before in this scene: from `out`, else from the result that is counted again."""
-    inputs = made.origin["inputs_sha256"]
-    return next((known for folder in (out, source) if (known := known_fruit(folder, inputs)).last), NO_FRUIT)
+    for folder in map(ResultFolder, (out, source)):
+        with suppress(FruitLangsError):
+            known = known_fruit(folder.read(verify=False), made.origin["inputs_sha256"])
+            if known.last:
+                return known
+    return NO_FRUIT
 
 
 def _label(prompts: Sequence[str]) -> str:

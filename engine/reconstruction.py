@@ -5,28 +5,28 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .cache import stage_key
-from .config import Config, EmbedConfig, SceneConfig
-from .errors import ConfigError, FruitLangsError, OutputError
-from .files import require_writable, write_text
-from .language.features.embedder import Embedder, portable
+from .config import Config, decisive, without_effect
+from .errors import ConfigError, FruitLangsError, SceneError
+from .files import write_text
+from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
 from .progress import Progress, part
-from .report.results import FRUITS_JSON, read_results, source_of
+from .result_folder import ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
 from .scene.photos.photo import FilePhoto
 from .scene.scale import scale_by_length
-from .scene.source import Source, photos_alone, pose_photos, posed_before
+from .scene.source import Source
 from .splatting.gaussians import Gaussians
 from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
 from .splatting.ply import read_ply, write_ply
@@ -35,8 +35,20 @@ from .splatting.training.train import Watch, train
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
+RECORD = "training.json"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
+FIXED = ("scene", "photos", "train", "embed")
+"""Stages whose settings an earlier result keeps, except `scene.up`."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """Paths of what is stored of a reconstruction."""
+
+    gaussians: Path
+    cameras: Path
+    features: Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +61,13 @@ class Reconstruction:
     scene: Scene
     gaussians: Gaussians
     features: Features
-    gaussians_file: Path
-    features_file: Path
-    cameras_file: Path
+    files: Files
     config: Config
     origin: Mapping[str, Any]
 
 
-class Stages:
-    """The log of a run: seconds by stage, reused stages, and messages for the user."""
+class RunLog:
+    """What happened in a run: seconds by stage, reused stages, and messages for the user."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -65,198 +75,168 @@ class Stages:
         self.notices: list[str] = []
 
     @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
+    def timed(self, stage: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
-def reconstruct(
-    source: Path,
-    cache: Path,
-    embedder: Embedder,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
-    watch: Watch | None = None,
-) -> Reconstruction:
-    """Photos → Gaussians → features, each from the cache if it is there; `watch` receives the Gaussians during
-    training."""
-    found, start = Source(path=source), 0.0
-    photos = photos_alone(source)
-    if photos is not None:
-        start = 0.4
-        with stages.timed("photos"):
-            found = pose_photos(photos, cache, config.photos, progress=part(progress, 0.0, start))
-        stages.notices += found.notices
-        stages.reused += ["photos"] if found.reused else []
-    progress = part(progress, start, 1.0)
-    with stages.timed("scene"):
-        scene = _read_photos(found, config, stages, part(progress, 0.0, 0.03))
-        inputs = found.hash()
-    require_writable(cache)
-    # The up direction does not affect training.
-    train_key = stage_key(("scene", "splatting"), inputs, dataclasses.replace(config.scene, up=None), config.train)
-    if embedder.trains:
-        train_key = stage_key(("language",), train_key, embedder.key)
-    gaussians_file = cache / f"train-{train_key}" / GAUSSIANS
-    with stages.timed("train"):
-        training = part(progress, 0.03, 0.75)
-        quality = _train_into(gaussians_file, scene, cache, embedder, config, stages, training, watch)
-        if quality["ssim"] is not None and quality["ssim"] < POOR:
-            stages.notices.append(
-                f"held-out photos are reproduced poorly (SSIM {quality['ssim']:.2f}): the cameras and the "
-                "count may be wrong. Check the pictures, and take more photos in smaller steps"
-            )
-        cameras_file = gaussians_file.with_name(CAMERAS)
-        scene = dataclasses.replace(scene, cameras=read_cameras(cameras_file).cameras)
-        # Read back even when just trained: the first prompt must use the same bytes as later ones.
-        gaussians = read_ply(gaussians_file)
-    if embedder.trains:
-        features_file = gaussians_file.with_name(FEATURES)
-    else:
-        features_file = _embed_into(cache, train_key, scene, gaussians, embedder, stages, part(progress, 0.75, 1.0))
-    origin = {
-        "source": str(source.resolve()),
-        "inputs_sha256": inputs,
-        "encoder": embedder.encoder.identity,
-        "training": quality,
-    }
-    return Reconstruction(
-        scene=scene,
-        gaussians=gaussians,
-        features=load_features(features_file),
-        gaussians_file=gaussians_file,
-        features_file=features_file,
-        cameras_file=cameras_file,
-        config=config,
-        origin=origin,
-    )
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What all stages of a run share.
+
+    cache: the folder of the outputs of stages; given: settings ("train.steps") that the user gave, whatever their
+    value; watch: receives the Gaussians during training.
+    """
+
+    cache: Path
+    embedder: Embedder
+    config: Config
+    given: Collection[str] = ()
+    watch: Watch | None = None
+    log: RunLog = field(default_factory=RunLog)
 
 
-def adopt(
-    source: Path,
-    imported: Path | None,
-    cache: Path,
-    embedder: Embedder,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
-) -> Reconstruction:
-    """An imported reconstruction → features, from the photos at `source` or, if it is `source`, from its own renders.
+def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progress) -> Reconstruction:
+    """Photos → Gaussians → features, each from the cache if it is there.
+
+    source: photos, with or without cameras, or a .ply of an imported reconstruction, which gets cameras and renders for
+    photos; imported: such a .ply in the frame of the photos' cameras. Imported Gaussians are not trained.
 
     Raises:
         ConfigError: features shall be trained along with Gaussians that are not trained.
     """
-    if embedder.trains:
+    path, start = source.path, 0.0
+    alone = path.suffix.lower() == ".ply"
+    if run.embedder.trains and (alone or imported is not None):
         raise ConfigError("--features joint trains with the Gaussians, and these are given. Use --features lift")
-    with stages.timed("scene"):
-        given = Source(path=source)
-        scene = None if imported is None else _read_photos(given, config, stages, part(progress, 0.0, 0.03))
-        inputs = "" if imported is None else given.hash()
-    require_writable(cache)
-    with stages.timed("import"):
-        adopted = import_gaussians(imported or source, scene, inputs, config.scene, cache)
-    stages.notices += adopted.notices
-    if adopted.reused:
-        stages.reused.append("import")
-    features_file = _embed_into(
-        cache, adopted.key, adopted.scene, adopted.gaussians, embedder, stages, part(progress, 0.1, 1.0)
-    )
-    return Reconstruction(
-        scene=adopted.scene,
-        gaussians=adopted.gaussians,
-        features=load_features(features_file),
-        gaussians_file=adopted.gaussians_file,
-        features_file=features_file,
-        cameras_file=adopted.cameras_file,
-        config=config,
-        origin={
-            "source": str(source.resolve()),
-            "inputs_sha256": inputs or adopted.record["sha256"],
-            "encoder": embedder.encoder.identity,
-            "training": {"steps": 0, "gaussians": len(adopted.gaussians), "psnr": None, "ssim": None, "held_out": []},
-            "imported": adopted.record,
-        },
-    )
+    if alone:
+        return _with_imported(path, None, path, "", run, progress)
+    if imported is None and source.photos_alone() is not None:
+        start = 0.4
+        with run.log.timed("photos"):
+            source = source.posed(run.cache, run.config.photos, progress=part(progress, 0.0, start))
+        run.log.notices += source.notices
+        run.log.reused += ["photos"] if source.reused else []
+    progress = part(progress, start, 1.0)
+    with run.log.timed("scene"):
+        scene = _read_photos(source, run, part(progress, 0.0, 0.03))
+        inputs = source.hash()
+    if imported is not None:
+        return _with_imported(imported, scene, path, inputs, run, progress)
+    return _with_training(scene, path, inputs, run, progress)
 
 
-def check_imported(source: Path, imported: Path, out: Path) -> None:
-    """Refuse an import where the source is a result with Gaussians of its own, or where the result would overwrite the
-    file."""
-    if (source / FRUITS_JSON).is_file() or source.suffix.lower() == ".ply":
-        raise ConfigError(f"{source} holds its own Gaussians. With --gaussians give the photos and cameras as SCENE")
-    if imported.resolve().parent == out.resolve():
-        raise OutputError(f"{out} is the folder of {imported.name} itself. Choose another folder for the results")
-
-
-def _read_photos(source: Source, config: Config, stages: Stages, progress: Progress) -> Scene:
+def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
     """The posed photos of `source`; adds a notice if they are scaled down."""
+    config = run.config
     scene = source.read(config.scene, progress=progress)
     # Photos that held-out measurement cannot read must not cost a training run.
     scale_by_length(config.units, [photo.name for photo in scene.images], scene.cameras)
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
     largest = max((max(header.width, header.height) for header in headers), default=0)
     if 0 < config.scene.max_side < largest / config.scene.downscale:
-        stages.notices.append(
+        run.log.notices.append(
             f"photos with up to {largest} pixels a side were read at {config.scene.max_side}; --scene.max-side sets it"
         )
     return scene
 
 
-def _embed_into(
-    cache: Path,
-    key: str,
-    scene: Scene,
-    gaussians: Gaussians,
-    embedder: Embedder,
-    stages: Stages,
-    progress: Progress,
-) -> Path:
-    """The file of the features for these Gaussians, named by `key`; computed if it does not exist."""
-    embed_key = stage_key(("language", "splatting"), key, embedder.key)
-    features_file = cache / f"embed-{embed_key}" / FEATURES
-    with stages.timed("embed"):
-        if features_file.is_file():
-            stages.reused.append("embed")
+def _with_training(scene: Scene, path: Path, inputs: str, run: Run, progress: Progress) -> Reconstruction:
+    """The scene with trained Gaussians."""
+    embedder, config = run.embedder, run.config
+    # The up direction does not affect training.
+    settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
+    key = stage_key(("scene", "splatting"), inputs, *settings)
+    if embedder.trains:
+        key = stage_key(("language",), key, embedder.key)
+    folder = run.cache / f"train-{key}"
+    record = folder / RECORD
+    with run.log.timed("train"):
+        if record.is_file() and (folder / GAUSSIANS).is_file():
+            run.log.reused += ["train", "embed"] if embedder.trains else ["train"]
+            training = json.loads(record.read_text(encoding="utf-8"))
         else:
-            lifted = embedder.lift(gaussians, scene, cache, progress=progress)
+            training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
+        if training["ssim"] is not None and training["ssim"] < POOR:
+            run.log.notices.append(
+                f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
+                "count may be wrong. Check the pictures, and take more photos in smaller steps"
+            )
+        scene = dataclasses.replace(scene, cameras=read_cameras(folder / CAMERAS).cameras)
+        # Read back even when just trained: the first prompt must use the same bytes as later ones.
+        gaussians = read_ply(folder / GAUSSIANS)
+    if embedder.trains:
+        features = folder / FEATURES
+    else:
+        features = _embed_into(key, scene, gaussians, run, part(progress, 0.75, 1.0))
+    files = Files(folder / GAUSSIANS, folder / CAMERAS, features)
+    return _made(scene, gaussians, files, path, inputs, run, training)
+
+
+def _with_imported(
+    file: Path, scene: Scene | None, path: Path, inputs: str, run: Run, progress: Progress
+) -> Reconstruction:
+    """An imported reconstruction with the scene's photos, or with its own renders."""
+    with run.log.timed("import"):
+        imported = import_gaussians(file, scene, inputs, run.config.scene, run.cache)
+    run.log.notices += imported.notices
+    run.log.reused += ["import"] if imported.reused else []
+    features = _embed_into(imported.key, imported.scene, imported.gaussians, run, part(progress, 0.1, 1.0))
+    files = Files(imported.gaussians_file, imported.cameras_file, features)
+    training: dict[str, Any] = {
+        "steps": 0,
+        "gaussians": len(imported.gaussians),
+        "psnr": None,
+        "ssim": None,
+        "held_out": [],
+    }
+    inputs = inputs or imported.record["sha256"]
+    made = _made(imported.scene, imported.gaussians, files, path, inputs, run, training)
+    return dataclasses.replace(made, origin={**made.origin, "imported": imported.record})
+
+
+def _made(
+    scene: Scene, gaussians: Gaussians, files: Files, path: Path, inputs: str, run: Run, training: Mapping[str, Any]
+) -> Reconstruction:
+    origin = {
+        "source": str(path),
+        "inputs_sha256": inputs,
+        "encoder": run.embedder.encoder.identity,
+        "training": training,
+    }
+    return Reconstruction(scene, gaussians, load_features(files.features), files, run.config, origin)
+
+
+def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress) -> Path:
+    """The file of the features for these Gaussians, named by `key`; computed if it does not exist."""
+    embed_key = stage_key(("language", "splatting"), key, run.embedder.key)
+    features_file = run.cache / f"embed-{embed_key}" / FEATURES
+    with run.log.timed("embed"):
+        if features_file.is_file():
+            run.log.reused.append("embed")
+        else:
+            lifted = run.embedder.lift(gaussians, scene, run.cache, progress=progress)
             save_features(features_file, lifted.of(gaussians.means))
     return features_file
 
 
-def _train_into(
-    gaussians_file: Path,
-    scene: Scene,
-    cache: Path,
-    embedder: Embedder,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
-    watch: Watch | None,
-) -> Mapping[str, Any]:
-    """Train unless `gaussians_file` and its record exist, with features if they are trained jointly.
-
-    Returns the training results.
-    """
-    record = gaussians_file.with_name("training.json")
-    if record.is_file() and gaussians_file.is_file():
-        stages.reused += ["train", "embed"] if embedder.trains else ["train"]
-        return json.loads(record.read_text(encoding="utf-8"))
-    checkpoint = gaussians_file.with_name("checkpoint.safetensors")
+def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dict[str, Any]:
+    """Train Gaussians, with features if they are trained jointly; returns the training results."""
+    checkpoint, embedder, config = folder / "checkpoint.safetensors", run.embedder, run.config
     if embedder.trains:
-        views = list(embedder.views(scene, cache, progress=part(progress, 0.0, 0.3)))
+        views = list(embedder.views(scene, run.cache, progress=part(progress, 0.0, 0.3)))
         semantics = embedder.prepare(scene, views, progress=part(progress, 0.3, 0.4))
         extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
     else:
         views, semantics, extra = [], None, None
-    training = train(scene, config.train, checkpoint=checkpoint, extra=extra, watch=watch, progress=progress)
+    training = train(scene, config.train, checkpoint=checkpoint, extra=extra, watch=run.watch, progress=progress)
     if semantics is not None:
         features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
-        save_features(gaussians_file.with_name(FEATURES), features.of(training.gaussians.means))
-    write_ply(gaussians_file, training.gaussians)
-    write_text(gaussians_file.with_name(CAMERAS), dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
-    quality = {
+        save_features(folder / FEATURES, features.of(training.gaussians.means))
+    write_ply(folder / GAUSSIANS, training.gaussians)
+    write_text(folder / CAMERAS, dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
+    results = {
         "steps": training.steps,
         "gaussians": len(training.gaussians),
         "psnr": _rounded(training.psnr),
@@ -265,86 +245,98 @@ def _train_into(
             {"view": view.name, "psnr": _rounded(view.psnr), "ssim": _rounded(view.ssim)} for view in training.held_out
         ],
     }
-    write_text(record, json.dumps(quality))
+    write_text(folder / RECORD, json.dumps(results))
     checkpoint.unlink(missing_ok=True)
-    return quality
+    return results
 
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)
 
 
-def reopen(folder: Path, out: Path, embedder: Embedder | None, config: Config, stages: Stages) -> Reconstruction:
-    """An earlier result folder: its Gaussians and features, and its photos if they are still available.
+def reopen(
+    folder: ResultFolder,
+    document: dict[str, Any],
+    config: Config,
+    log: RunLog,
+    *,
+    cache: Path,
+    given: Collection[str] = (),
+    encoder_id: str | None = None,
+) -> Reconstruction:
+    """An earlier result: its Gaussians and features, and its photos if they are still available.
 
-    embedder: the one to query it with; None if it is only shown.
+    document: its fruits.json; config, given: the settings of this run, and which of them the user gave; cache: where
+    cameras that were found for its photos are kept; encoder_id: identity of the encoder that will query it, None if it
+    is only shown.
+
+    Raises:
+        ConfigError: it was made with other settings than were given, or with another encoder.
+        OutputError, FormatError: a file of it is damaged.
     """
-    with stages.timed("scene"):
-        document = read_results(folder)
+    with log.timed("scene"):
         stored = Config.from_document(document["config"])
-        for name in ("scene", "photos", "train", "embed"):
-            asked, before, usual = (_fixed(getattr(each, name)) for each in (config, stored, Config()))
-            if asked not in (before, usual):
-                raise ConfigError(
-                    f"{folder} was made with other {name} settings. "
-                    "To change them, give the folder of the photos as SCENE"
-                )
-        gaussians_file, features_file = folder / GAUSSIANS, folder / FEATURES
-        features = load_features(features_file)
-        if embedder is not None and features.encoder_id != embedder.encoder.identity:
+        _require_same(folder.path, stored, config, given)
+        files = Files(*(folder.path / name for name in (GAUSSIANS, CAMERAS, FEATURES)))
+        features = load_features(files.features)
+        if encoder_id is not None and features.encoder_id != encoder_id:
             raise ConfigError(
-                f"{features_file} is of encoder {features.encoder_id}, not {embedder.encoder.identity}. "
+                f"{files.features} is of encoder {features.encoder_id}, not {encoder_id}. "
                 "Use the same --encoder, or give the folder of the photos as SCENE"
             )
-        scene = _turned(read_cameras(folder / CAMERAS), config)
-        kept = ("source", "inputs_sha256", "encoder", "training", "imported", "scale")
-        provenance = document["provenance"]
+        provenance = {**document["provenance"]}
         if FORMER_IMPORTED in provenance:
             provenance["imported"] = provenance.pop(FORMER_IMPORTED)
-        origin = {key: provenance[key] for key in kept if key in provenance}
-        gaussians = read_ply(gaussians_file)
-        source = source_of(folder, document)
-        origin["source"] = str(source)
-        # From here on photos are only shown: without them the result has no pictures.
-        with suppress(FruitLangsError):
-            if origin.get("imported", {}).get("cameras") == PLACED:
-                scene = rendered_again(gaussians, scene)
-            else:
-                photos, found = photos_alone(source), Source(path=source)
-                if photos is not None:
-                    found = posed_before(photos, folder / "cache", out / "cache", stored.photos)
-                if found.hash() == origin["inputs_sha256"]:
-                    photos_read = found.read(stored.scene)
-                    scene = dataclasses.replace(
-                        photos_read, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit
-                    )
-        if not scene.images:
-            stages.notices.append(f"the photos at {source} are missing or have changed, so no pictures were made")
-    stages.reused += ["train", "embed"]
-    return Reconstruction(
-        scene=scene,
-        gaussians=gaussians,
-        features=features,
-        gaussians_file=gaussians_file,
-        features_file=features_file,
-        cameras_file=folder / CAMERAS,
-        config=dataclasses.replace(
-            stored,
-            count=config.count,
-            scene=dataclasses.replace(stored.scene, up=config.scene.up or stored.scene.up),
-        ),
-        origin=origin,
+        kept = ("inputs_sha256", "encoder", "training", "imported", "scale")
+        origin = {"source": str(folder.source(document)), **{key: provenance[key] for key in kept if key in provenance}}
+        gaussians, scene = read_ply(files.gaussians), read_cameras(files.cameras)
+        if config.scene.up is not None:
+            scene = dataclasses.replace(scene, up=np.asarray(config.scene.up) / np.linalg.norm(config.scene.up))
+        try:
+            scene = _with_photos(scene, gaussians, origin, folder, stored, cache)
+        except FruitLangsError as error:  # from here on photos are only shown
+            log.notices.append(f"no pictures were made: {error}")
+    log.reused += ["train", "embed"]
+    settings = dataclasses.replace(
+        stored,
+        count=config.count,
+        scene=dataclasses.replace(stored.scene, up=config.scene.up or stored.scene.up),
     )
+    return Reconstruction(scene, gaussians, features, files, settings, origin)
 
 
-def _fixed(settings: Any) -> Any:
-    """The settings of a stage without those that may differ when an earlier result is opened again."""
-    if isinstance(settings, EmbedConfig):
-        return portable(settings)
-    return dataclasses.replace(settings, up=None) if isinstance(settings, SceneConfig) else settings
+def _with_photos(
+    scene: Scene, gaussians: Gaussians, origin: Mapping[str, Any], folder: ResultFolder, stored: Config, cache: Path
+) -> Scene:
+    """The scene of an earlier result with its photos.
+
+    Raises:
+        SceneError: they are missing, cannot be read, or have changed.
+    """
+    if origin.get("imported", {}).get("cameras") == PLACED:
+        return rendered_again(gaussians, scene)
+    path = Path(origin["source"])
+    if not path.exists():
+        raise SceneError(f"The photos at {path} are missing")
+    source = Source(path=path).posed_before(folder.cache, cache, stored.photos)
+    if source.hash() != origin["inputs_sha256"]:
+        raise SceneError(f"The photos at {path} have changed since they were counted. Count again from the photos")
+    photos = source.read(stored.scene)
+    return dataclasses.replace(photos, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit)
 
 
-def _turned(scene: Scene, config: Config) -> Scene:
-    """The scene with the up direction from the settings, if they give one."""
-    up = config.scene.up
-    return scene if up is None else dataclasses.replace(scene, up=np.asarray(up) / np.linalg.norm(up))
+def _require_same(folder: Path, stored: Config, config: Config, given: Collection[str]) -> None:
+    """Refuse settings that were given and differ from those of an earlier result.
+
+    Raises:
+        ConfigError: names the first of them.
+    """
+    free = {"scene.up", *(f"{stage}.{name}" for stage in FIXED for name in without_effect(getattr(config, stage)))}
+    for name in sorted(set(given) - free):
+        stage, _, setting = name.partition(".")
+        asked, before = (getattr(getattr(each, stage), setting) for each in (config, stored))
+        if stage in FIXED and asked != before:
+            raise ConfigError(
+                f"{folder} was made with --{stage}.{setting.replace('_', '-')} {before}, not {asked}. "
+                "To change it, give the folder of the photos as SCENE"
+            )

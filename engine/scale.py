@@ -8,7 +8,7 @@ from .config import UnitsConfig
 from .errors import SceneError
 from .language.encoders.encoder import Encoder
 from .language.prompts.relevancy import relevancy
-from .reconstruction import Reconstruction, Stages
+from .reconstruction import Reconstruction, RunLog
 from .scene.formats.cameras_json import camera_names
 from .scene.gps import scale_by_gps
 from .scene.scale import Scale, scale_by_length
@@ -18,7 +18,7 @@ LEAST_PROBABILITY = 0.5
 """Probability from which a Gaussian belongs to the measured object."""
 
 
-def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, stages: Stages) -> Reconstruction:
+def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, log: RunLog) -> Reconstruction:
     """`made` with its scale, in the scene and in the origin, if there is one.
 
     An earlier result keeps its scale if the settings give no new one.
@@ -31,8 +31,8 @@ def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, stages: S
     units = made.config.units if asked == UnitsConfig() else asked
     if made.scene.metres_per_unit is not None and units == made.config.units:
         return made
-    with stages.timed("scale"):
-        scale = _measured(made, encoder, units, stages)
+    with log.timed("scale"):
+        scale = _measured(made, encoder, units, log)
     origin = {key: value for key, value in made.origin.items() if key != "scale"}
     return dataclasses.replace(
         made,
@@ -42,14 +42,14 @@ def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, stages: S
     )
 
 
-def _measured(made: Reconstruction, encoder: Encoder, units: UnitsConfig, stages: Stages) -> Scale | None:
+def _measured(made: Reconstruction, encoder: Encoder, units: UnitsConfig, log: RunLog) -> Scale | None:
     scene = made.scene
-    scale = scale_by_length(units, camera_names(made.cameras_file), scene.cameras)
+    scale = scale_by_length(units, camera_names(made.files.cameras), scene.cameras)
     if scale is None and units.object is not None and units.length is not None:
         return _scale_by_object(made, encoder, units.object, units.length)
     if scale is None and units.gps and scene.images:
         found = scale_by_gps(scene.cameras, scene.images)
-        stages.notices += found.notices
+        log.notices += found.notices
         return found.scale
     return scale
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
-from fruitlangs.engine.config import PRESETS, Preset
+from fruitlangs.engine.config import PRESETS, STAGES, Preset
 from fruitlangs.engine.errors import Cancelled, FruitLangsError
 from fruitlangs.engine.progress import Progress, silent
 
@@ -47,6 +47,14 @@ def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[st
             flag = f"--{stage}.{name}"
         spelled.append(flag + equals + value)
     return spelled
+
+
+def given_settings(given: Sequence[str]) -> set[str]:
+    """The settings ("train.steps") among the arguments, whatever their value; --preset gives those of training."""
+    names = {argument.partition("=")[0].removeprefix("--").replace("-", "_") for argument in given}
+    settings = {f"{stage}.{field.name}" for stage, kind in STAGES.items() for field in dataclasses.fields(kind)}
+    of_training = {name for name in settings if "preset" in names and name.startswith("train.")}
+    return settings & {name.replace(".no_", ".") for name in names} | of_training
 
 
 def preset_of(given: Sequence[str]) -> Preset:

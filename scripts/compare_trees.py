@@ -33,7 +33,7 @@ from fruitlangs.engine.evaluation.trees import (
     tally,
 )
 from fruitlangs.engine.evaluation.truth import read_truth, true_labels
-from fruitlangs.engine.report.results import read_results
+from fruitlangs.engine.result_folder import ResultFolder
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -56,7 +56,7 @@ def compare_row(
     folder: Path, truth_file: Path, trees_file: Path | None, label: str | None
 ) -> tuple[TreeComparison, TreeComparison]:
     """The counted fruit of a result folder compared with visible fruit and with all fruit, by tree."""
-    document = read_results(folder, verify=False)
+    document = ResultFolder(folder).read(verify=False)
     wanted = true_labels([label] if label else document["provenance"]["prompts"])
     truth = read_truth(truth_file, wanted)
     numbers = truth.trees

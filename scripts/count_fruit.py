@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import _checkout  # noqa: F401
 
 from _help import asked_for_help, help_text
-from _terminal import arguments_of, import_tyro, preset_of, run, spelled_out, terminal_progress
+from _terminal import arguments_of, given_settings, import_tyro, preset_of, run, spelled_out, terminal_progress
 from fruitlangs.engine.config import (
     PRESETS,
     Config,
@@ -100,7 +100,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
 
 
 def main() -> None:
-    arguments = parse()
+    arguments, given = parse()
     if not arguments.prompt:
         raise ConfigError('No prompt is given. Add what to count, for example --prompt apple or --prompt "red apple".')
     from fruitlangs.engine.pipeline import count_scene
@@ -121,6 +121,7 @@ def main() -> None:
             units=arguments.units,
         ),
         imported=arguments.gaussians,
+        given=given,
         writers=blend_writer(arguments.blend),
         progress=terminal_progress(),
     )
@@ -146,8 +147,8 @@ def main() -> None:
         print(f"  {path}")
 
 
-def parse() -> Arguments:
-    """The arguments, or exit 2 with a usage message."""
+def parse() -> tuple[Arguments, set[str]]:
+    """The arguments and the names of the settings among them, or exit 2 with a usage message."""
     given = spelled_out(arguments_of(__file__), "embed", EmbedConfig)
     preset = preset_of(given)
     needed: Any = tyro.MISSING
@@ -155,7 +156,8 @@ def parse() -> Arguments:
     if asked_for_help(given):
         print(help_text("count_fruit.py", default, EXAMPLE, every="--help-all" in given))
         sys.exit(0)
-    return tyro.cli(Arguments, args=given, default=default, prog="count_fruit.py", description=Arguments.__doc__)
+    arguments = tyro.cli(Arguments, args=given, default=default, prog="count_fruit.py", description=Arguments.__doc__)
+    return arguments, given_settings(given)
 
 
 if __name__ == "__main__":

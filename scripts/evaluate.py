@@ -35,7 +35,7 @@ from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth, true_labels
 from fruitlangs.engine.progress import Progress
-from fruitlangs.engine.report.results import read_results
+from fruitlangs.engine.result_folder import ResultFolder
 
 if TYPE_CHECKING:
     import tyro
@@ -134,7 +134,7 @@ def ladder(arguments: Arguments) -> None:
 
 def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str, ...]]:
     """One row of cells per matching radius for a result folder."""
-    document = read_results(folder, verify=False)
+    document = ResultFolder(folder).read(verify=False)
     fruits = document["fruits"]
     truth = read_truth(truth_file, true_labels([label] if label else document["provenance"]["prompts"]))
     unit = document["metres_per_unit"] or 1.0

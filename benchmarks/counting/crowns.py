@@ -13,7 +13,7 @@ from ...engine.errors import FormatError
 from ...engine.evaluation.renders import DEPTH, INSTANCES
 from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 from ...engine.files import file_hash, files_hash
-from ...engine.scene.read import scene_hash
+from ...engine.scene.source import Source
 from ..ladder.stages import LadderStages
 from ..orchards import TRUTH, read_origin
 from .baselines import Found, Surface, surface_of
@@ -60,7 +60,7 @@ def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
         raise FormatError(f"{folder} does not say what grows there. Give a scene of make_orchard.py")
     truth = read_truth(folder / TRUTH, true_labels([origin.species]))
     masks = sorted(path for name in (INSTANCES, DEPTH) for path in (folder / name).glob("*.png"))
-    seen = [scene_hash(folder), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_STAGES)]
+    seen = [Source(path=folder).hash(), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_STAGES)]
     stages = LadderStages(folder, out, truth, read_views(folder / TRUTH), [origin.species], config)
 
     def grown() -> tuple[Surface, Truth]:

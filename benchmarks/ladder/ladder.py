@@ -24,7 +24,7 @@ from ...engine.evaluation.truth import Truth, read_truth, read_views, true_label
 from ...engine.files import file_hash, files_hash, write_text
 from ...engine.language.encoders.open_encoder import open_encoder
 from ...engine.progress import Progress, part, silent
-from ...engine.scene.read import scene_hash
+from ...engine.scene.source import Source
 from ..orchards import TRUTH, read_origin
 from .mistakes import draw_mistakes
 from .stages import END_TO_END, STAGES, TRUE_POSES, Counted, LadderStages
@@ -95,7 +95,7 @@ def climb(
     if dropped:
         report(f"{folder.name}: no true masks for {', '.join(dropped)}")
     bench = LadderStages(folder, out, truth, read_views(truth_file) if truth else [], asked, config)
-    inputs = [scene_hash(folder), file_hash(truth_file) if truth else "", files_hash(masks, folder)]
+    inputs = [Source(path=folder).hash(), file_hash(truth_file) if truth else "", files_hash(masks, folder)]
     made_by = _made_by(config)
     rows = []
     for number, name in enumerate(chosen):

@@ -1,4 +1,4 @@
-"""`fruits.json`: the file other programs rely on, written last and checked when it is read.
+"""The content of `fruits.json`, the file other programs rely on.
 
 Its `files` hold the SHA-256 of every other file of the set, so an incomplete set is detected. `scene.blend` is not a
 function of its input (Blender writes memory addresses), so it has `set_id` as a scene property instead and is listed in
@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 from ..counting.accounts.describe import nearest_sphere
 from ..counting.accounts.ids import NO_FRUIT, KnownFruit
 from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
-from ..errors import FormatError, FruitLangsError, OutputError
-from ..files import file_hash, text_hash, write_text
+from ..errors import FormatError, OutputError
+from ..files import text_hash
 from .words import file_unit, place
 
 SCHEMA = "fruitlangs.fruits/1"
 FRUITS_JSON = "fruits.json"
 BLEND = "scene.blend"
-CACHE, SOURCE = "cache", "source.txt"
-"""The folder of a result that stays on this computer, and the file in it that contains the path of the source."""
 
 _NUMBER = (int, float)
 _FIELDS: dict[str, dict[str, Any]] = {
@@ -149,20 +147,16 @@ def dump(document: Mapping[str, Any]) -> str:
         ) from error
 
 
-def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
-    """Read a result folder's fruits.json and, with `verify`, check that the other files belong to the same set.
+def parse_results(path: Path) -> dict[str, Any]:
+    """The content of a fruits.json.
 
     Raises:
-        OutputError: there is no fruits.json, or a file of the set is missing or belongs to another run.
-        FormatError: fruits.json is not of a schema this version reads, or lacks a field that a reader relies on.
+        FormatError: it is not of a schema this version reads, or lacks a field that a reader relies on.
     """
-    path = folder / FRUITS_JSON
-    if not path.is_file():
-        raise OutputError(f"{folder} holds no {FRUITS_JSON}. It is not a result folder, or its run was never finished")
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         schema = document["schema"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise FormatError(f"{path} is not a results file ({error}). Count again into this folder") from error
     if schema != SCHEMA:
         raise FormatError(f"{path} has schema {schema!r}. This version reads {SCHEMA!r}")
@@ -174,12 +168,6 @@ def read_results(folder: Path, *, verify: bool = True) -> dict[str, Any]:
             _check_fields(fruit, part, path)
             if len(fruit["center"]) != 3 or not all(isinstance(value, _NUMBER) for value in fruit["center"]):
                 raise FormatError(f"{path}: the centre of {part} {fruit['id']} is not three numbers. Count again")
-    if verify:
-        for name, expected in document["files"].items():
-            if not (folder / name).is_file() or file_hash(folder / name) != expected:
-                raise OutputError(
-                    f"{folder / name} is missing or not of the same run as {FRUITS_JSON}. Count again into this folder"
-                )
     return document
 
 
@@ -239,31 +227,8 @@ def _stored_intervals(entry: Mapping[str, Any]) -> dict[str, Any]:
     return {**pairs, "total": entry["total"]}
 
 
-def keep_source(folder: Path, source: Path) -> None:
-    """Record the path of a result's source in its cache: fruits.json is passed on and contains the name only."""
-    write_text(folder / CACHE / SOURCE, str(source.resolve()))
-
-
-def source_of(folder: Path, document: Mapping[str, Any]) -> Path:
-    """The path of the source of the result in `folder`: from `keep_source`, else next to the folder.
-
-    Results of version 0.1 contain its absolute path themselves.
-    """
-    stored = Path(document["provenance"]["source"])
-    if stored.is_absolute():
-        return stored
-    try:
-        return Path((folder / CACHE / SOURCE).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
-        return folder.parent / stored
-
-
-def known_fruit(folder: Path, inputs_sha256: str) -> KnownFruit:
-    """The fruit that earlier counts of the same inputs in `folder` numbered; none without such a count."""
-    try:
-        document = read_results(folder, verify=False)
-    except FruitLangsError:
-        return NO_FRUIT
+def known_fruit(document: Mapping[str, Any], inputs_sha256: str) -> KnownFruit:
+    """The fruit that an earlier count numbered, if it was of the same inputs."""
     if document["provenance"]["inputs_sha256"] != inputs_sha256:
         return NO_FRUIT
     fruits = document["fruits"] + document.get("earlier_fruits", [])

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from ..counting.fruit import FruitCount, member_ids
 from ..errors import FormatError
-from ..files import write_tensors
+from ..files import read_tensors, write_tensors
 
 SELECTION = "selection.safetensors"
 FORMAT = "fruitlangs-selection-1"
@@ -52,7 +50,7 @@ def read_selection(path: Path) -> Selection:
         FormatError: the file is missing, damaged or something else.
     """
     try:
-        tensors = load_file(path)
+        tensors, _ = read_tensors(path)
         return Selection(tensors["probability"], tensors["fruit_id"].numpy())
-    except (SafetensorError, OSError, KeyError) as error:
+    except (KeyError, ValueError) as error:
         raise FormatError(f"{path} holds no selection ({str(error).splitlines()[0]}). Count again") from error

@@ -172,6 +172,16 @@ def read_config(settings: Any, source: Path | None = None) -> Config:
     return dataclasses.replace(config, count=in_region(settings.id_data, config.count))
 
 
+def given_settings(settings: Any) -> set[str]:
+    """The names ("train.steps") of the panel's settings that were set, whatever their value."""
+    return {
+        f"{stage}.{field.name}"
+        for stage, kind in stage_classes().items()
+        for field in dataclasses.fields(kind)
+        if getattr(settings.config, stage).is_property_set(field.name)
+    }
+
+
 def _unmeasured(config: Config) -> Config:
     """The config without `MEASURES`."""
     usual = type(config)()
@@ -192,7 +202,11 @@ def apply_preset(settings: Any, _context: Any = None) -> None:
     from ...engine.config import PRESETS
 
     for field in dataclasses.fields(PRESETS["standard"]):
-        setattr(settings.config.train, field.name, getattr(PRESETS[settings.preset], field.name))
+        value = getattr(PRESETS[settings.preset], field.name)
+        if value == field.default:
+            settings.config.train.property_unset(field.name)  # so that it does not count as given
+        else:
+            setattr(settings.config.train, field.name, value)
 
 
 def stage_classes() -> dict[str, type]:
@@ -263,11 +277,12 @@ def result_folder(settings: Any) -> Path:
 
 def true_source(source: Path) -> Path:
     """The source of an earlier result, or `source` itself if it is not a result."""
-    from ...engine.report.results import FRUITS_JSON, read_results, source_of
+    from ...engine.result_folder import ResultFolder
 
-    if (source / FRUITS_JSON).is_file():
-        with suppress(FruitLangsError, KeyError):
-            return source_of(source, read_results(source, verify=False))
+    earlier = ResultFolder(source)
+    if earlier.holds_result():
+        with suppress(FruitLangsError):
+            return earlier.source(earlier.read(verify=False))
     return source
 
 

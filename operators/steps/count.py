@@ -10,6 +10,7 @@ import bpy
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
 from ..settings.settings import (
+    given_settings,
     imported_file,
     read_config,
     read_prompts,
@@ -47,7 +48,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
         settings = context.scene.fruitlangs
         source, out, imported = source_folder(settings), result_folder(settings), imported_file(settings)
         prompts, negatives = read_prompts(settings), read_words(settings.negative)
-        config = read_config(settings, source)
+        config, given = read_config(settings, source), given_settings(settings)
         opened = Path(bpy.data.filepath) if bpy.data.filepath else None
         self._out = out
         self._preview = Preview(context.scene, source)
@@ -64,6 +65,7 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
                 config=config,
                 keep=opened,
                 imported=imported,
+                given=given,
                 watch=watch,
                 progress=progress,
             )

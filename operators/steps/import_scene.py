@@ -71,7 +71,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
             self._show = self._show_reconstruction
             return lambda progress: read_cloud(source, out, config, progress)
         self._show = self._show_scene
-        return lambda progress: read_posed(source, out / "cache", config, progress)
+        return lambda progress: read_posed(source, out, config, progress)
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         self._show(context, self._target.scene(context), result)
@@ -108,17 +108,19 @@ def read_cloud(file: Path, out: Path, config: Config, progress: Progress) -> Any
     return reconstruct_scene(file, out, config=config, progress=progress)
 
 
-def read_posed(source: Path, cache: Path, config: Config, progress: Progress) -> Scene:
-    """The photos at `source` with their cameras.
+def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> Scene:
+    """The photos at `path` with their cameras.
 
-    For photos alone, cameras are estimated first and cached in `cache` for a later count.
+    For photos alone, cameras are estimated first and cached in the result folder `out` for a later count.
     """
-    from ...engine.scene.source import Source, photos_alone, pose_photos
+    from ...engine.result_folder import ResultFolder
+    from ...engine.scene.source import Source
 
-    photos = photos_alone(source)
-    if photos is None:
-        return Source(path=source).read(config.scene, progress)
-    found = pose_photos(photos, cache, config.photos, progress=part(progress, 0.0, 0.9))
+    source, folder = Source(path=path), ResultFolder(out)
+    if source.photos_alone() is None:
+        return source.read(config.scene, progress)
+    with folder.locked():
+        found = source.posed(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
     return found.read(config.scene, part(progress, 0.9, 1.0))
 
 

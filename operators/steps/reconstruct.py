@@ -9,7 +9,14 @@ import bpy
 
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
-from ..settings.settings import imported_file, read_config, result_folder, source_folder, stored_path
+from ..settings.settings import (
+    given_settings,
+    imported_file,
+    read_config,
+    result_folder,
+    source_folder,
+    stored_path,
+)
 from .preview import Preview, SceneJob
 from .show_result import show_reconstruction
 
@@ -27,7 +34,7 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
         source, out, imported = source_folder(settings), result_folder(settings), imported_file(settings)
-        config = read_config(settings, source)
+        config, given = read_config(settings, source), given_settings(settings)
         self._out = out
         self._preview = Preview(context.scene, source)
         watch = self._preview.watch
@@ -35,16 +42,18 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
         def work(progress: Progress) -> Any:
             from ...engine.pipeline import reconstruct_scene
 
-            return reconstruct_scene(source, out, config=config, imported=imported, watch=watch, progress=progress)
+            return reconstruct_scene(
+                source, out, config=config, imported=imported, given=given, watch=watch, progress=progress
+            )
 
         return work
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
-        made, stages = result
+        made, log = result
         bpy_scene = self._target.scene(context)
-        notices = show_reconstruction(context, bpy_scene, made, stages)
+        notices = show_reconstruction(context, bpy_scene, made, log)
         bpy_scene.fruitlangs.result.work = stored_path(self._out)
-        again = f", reused: {', '.join(stages.reused)}" if stages.reused else ""
+        again = f", reused: {', '.join(log.reused)}" if log.reused else ""
         self.report({"INFO"}, "; ".join([f"{len(made.gaussians):,} Gaussians{again}", *notices]))
 
 

@@ -29,7 +29,7 @@ from .shown_source import enter_source, forget_count
 
 if TYPE_CHECKING:
     from ...engine.publishing import Result
-    from ...engine.reconstruction import Reconstruction, Stages
+    from ...engine.reconstruction import Reconstruction, RunLog
     from ...engine.scene.camera import Scene
 
 
@@ -56,7 +56,7 @@ def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Sc
 
 
 def show_reconstruction(
-    context: bpy.types.Context, bpy_scene: bpy.types.Scene, made: Reconstruction, stages: Stages
+    context: bpy.types.Context, bpy_scene: bpy.types.Scene, made: Reconstruction, log: RunLog
 ) -> list[str]:
     """Show Gaussians and cameras of a reconstruction; the panel's prompt is answered next. Returns what was removed, as
     texts.
@@ -79,8 +79,8 @@ def show_reconstruction(
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
     _keep_scene(shown, made.scene)
-    _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.features_file)
-    shown.notices = "; ".join([*stages.notices, *notices])
+    _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.files.features)
+    shown.notices = "; ".join([*log.notices, *notices])
     show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     if first:
         look_at_scene(shown_screens(context, bpy_scene), bpy_scene)

@@ -29,6 +29,9 @@ def engine(monkeypatch, counted, result_of):
         def __init__(self, path):
             self.path = path
 
+        def photos_alone(self):
+            return None
+
         def read(self, config, progress):
             calls.read.append((self.path, config))
             if calls.error:
@@ -42,7 +45,7 @@ def engine(monkeypatch, counted, result_of):
         return result_of(counted, out)
 
     importlib.import_module("fruitlangs.engine.pipeline")  # what imports the real ones has them before these stand in
-    source = types.SimpleNamespace(Source=Source, photos_alone=lambda path: None, pose_photos=None)
+    source = types.SimpleNamespace(Source=Source)
     pipeline = types.SimpleNamespace(count_scene=count_scene)
     monkeypatch.setitem(sys.modules, "fruitlangs.engine.scene.source", source)
     monkeypatch.setitem(sys.modules, "fruitlangs.engine.pipeline", pipeline)
@@ -262,7 +265,7 @@ def reconstruct(engine, settings, counted):
             scene=dataclasses.replace(counted.scene, metres_per_unit=scale),
             gaussians=gaussians,
             origin=origin,
-            features_file=Path("features.safetensors"),
+            files=types.SimpleNamespace(features=Path("features.safetensors")),
         )
         show_reconstruction(bpy.context, bpy.context.scene, made, types.SimpleNamespace(notices=[]))
 

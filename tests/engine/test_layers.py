@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 LAYERS = (
     # The engine, from the ground up.
     ("engine/errors", "engine/progress", "engine/setting", "engine/user_folders"),
-    ("engine/files", "engine/config", "engine/compiled", "engine/child_process"),
-    ("engine/cache",),
+    ("engine/files", "engine/config", "engine/compiled", "engine/lock"),
+    ("engine/cache", "engine/child_process"),
     ("engine/scene/camera", "engine/scene/pycolmap_import"),
     ("engine/scene/orientation", "engine/scene/alignment", "engine/scene/scale"),
     ("engine/scene/photos",),
@@ -39,6 +39,7 @@ LAYERS = (
     ("engine/counting/accounts",),
     ("engine/counting/count",),
     ("engine/report", "engine/compile_ahead"),
+    ("engine/result_folder",),
     ("engine/evaluation/truth", "engine/evaluation/number_table"),
     ("engine/evaluation/datasets", "engine/evaluation"),
     ("engine/reconstruction",),

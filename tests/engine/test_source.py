@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from fruitlangs.engine.pipeline import Result
-from fruitlangs.engine.report.results import source_of
+from fruitlangs.engine.result_folder import ResultFolder
 
 
 def test_no_file_that_is_passed_on_holds_the_path_of_the_photos(counted_balls: Result, balls: Path) -> None:
@@ -20,14 +20,14 @@ def test_no_file_that_is_passed_on_holds_the_path_of_the_photos(counted_balls: R
 
 def test_the_cache_holds_the_path_so_that_a_later_prompt_finds_the_photos(counted_balls: Result, balls: Path) -> None:
     document = json.loads((counted_balls.out / "fruits.json").read_text())
-    assert source_of(counted_balls.out, document) == balls.resolve()
+    assert ResultFolder(counted_balls.out).source(document) == balls.resolve()
 
 
 def test_without_a_cache_the_source_is_searched_next_to_the_result(counted_balls: Result, tmp_path: Path) -> None:
     copy = shutil.copytree(counted_balls.out, tmp_path / "copy", ignore=shutil.ignore_patterns("cache"))
     document = json.loads((copy / "fruits.json").read_text())
-    assert source_of(copy, document) == tmp_path / document["provenance"]["source"]
+    assert ResultFolder(copy).source(document) == tmp_path / document["provenance"]["source"]
 
 
 def test_a_result_of_an_earlier_version_holds_its_path_itself(tmp_path: Path) -> None:
-    assert source_of(tmp_path, {"provenance": {"source": "/photos/tree"}}) == Path("/photos/tree")
+    assert ResultFolder(tmp_path).source({"provenance": {"source": "/photos/tree"}}) == Path("/photos/tree")

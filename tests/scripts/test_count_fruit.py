@@ -77,6 +77,27 @@ def test_every_placeholder_of_help_is_one_that_the_command_line_accepts(tmp_path
     assert "--units.cameras has no length" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("arguments", "given"),
+    [
+        ("--prompt apple --out x", set()),
+        ("--train.steps 1200", {"train.steps"}),
+        ("--train.max_gaussians=9 --train.no-exposure", {"train.max_gaussians", "train.exposure"}),
+        ("--preset standard", {f"train.{field.name}" for field in dataclasses.fields(STAGES["train"])}),
+    ],
+)
+def test_settings_count_as_given_whatever_their_value(arguments: str, given: set[str]) -> None:
+    script = "import sys; sys.path.insert(0, sys.argv[1]); import _checkout; import _terminal\n"
+    show = "print(*sorted(_terminal.given_settings(sys.argv[2:])))"
+    done = subprocess.run(
+        [sys.executable, "-c", script + show, str(ROOT / "scripts"), *arguments.split()],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert set(done.stdout.split()) == given
+
+
 def test_a_preset_sets_what_the_flags_of_training_start_from() -> None:
     text = " ".join(count("--preset", "paper", "--help-all").stdout.split())
     assert re.search(r"--train\.steps INT.*?\(default: 30000\)", text)
@@ -223,7 +244,7 @@ def test_pictures_that_cannot_be_made_are_reported_at_the_end(first, tmp_path: P
     content["provenance"]["source"] = "/gone/photos"
     (out / "fruits.json").write_text(json.dumps(content))
     done = count(out, "--prompt", "apple", "--out", out, "--no-blend")
-    assert "note: the photos at /gone/photos are missing" in done.stdout
+    assert "note: no pictures were made: The photos at /gone/photos are missing" in done.stdout
 
 
 @pytest.mark.skipif("FRUITLANGS_BLENDER" not in os.environ, reason="set FRUITLANGS_BLENDER to a Blender program")

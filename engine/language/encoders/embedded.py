@@ -9,7 +9,6 @@ roots stay useful after averaging over views: the mean of unit vectors still poi
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,13 +17,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional
 
 from ...errors import EncoderError
-from ...files import write_tensors
+from ...files import read_tensors, write_tensors
 from ..colours import colour_words
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import Question
@@ -136,6 +133,13 @@ class EmbeddedEncoder:
     def kinds(self) -> Tensor:
         return _basis(FRUITS, CONCEPTS)
 
+    def meaning(self, prompt: str) -> str:
+        phrase = parse(prompt)
+        return " ".join([*sorted(phrase.colours), "|", *sorted(phrase.concepts)])
+
+    def separates(self, one: str, other: str) -> bool:
+        return parse(one).excludes(parse(other))
+
     def excludes(self, prompt: str, negative: str) -> bool:
         return parse(prompt).within(parse(negative))
 
@@ -167,8 +171,7 @@ def read_weights(path: Path) -> StoredWeights:
     if not path.is_file():
         raise EncoderError(f"The encoder's weights {path} are missing. Install the package again")
     try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {})["fruitlangs"])
+        tensors, header = read_tensors(path)
         if header["format"] != FORMAT:
             raise ValueError(f"format {header['format']}")
         stored = StoredWeights(
@@ -176,11 +179,11 @@ def read_weights(path: Path) -> StoredWeights:
             tuple(header["widths"]),
             tuple(header["depths"]),
             Calibration(**header["calibration"]),
-            {name: tensor.float() for name, tensor in load_file(path).items()},
+            {name: tensor.float() for name, tensor in tensors.items()},
             header,
         )
         stored.network()
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise EncoderError(
             f"The encoder's weights {path} cannot be read ({str(error).splitlines()[0]}). Install the package again"
         ) from error

@@ -4,10 +4,10 @@ trained."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from ...config import EmbedConfig
+from ...config import EmbedConfig, decisive
 from ...errors import ConfigError
 from ...progress import Progress, part, silent
 from ...scene.camera import Scene
@@ -59,7 +59,7 @@ class Embedder:
         checkpoint."""
         if self.segmenter is None:
             return self.encoder.identity
-        return f"{self.encoder.identity} {self.segmenter.identity} {asdict(portable(self.config))}"
+        return f"{self.encoder.identity} {self.segmenter.identity} {decisive(self.config)}"
 
     def lift(self, gaussians: Gaussians, scene: Scene, cache: Path, *, progress: Progress = silent) -> Features:
         """Average features of the photos into the Gaussians; features of masks are cached in `cache`.
@@ -96,8 +96,3 @@ class Embedder:
     def prepare(self, scene: Scene, views: Sequence[SegmentedView], *, progress: Progress = silent) -> Semantics:
         """The targets for joint training of codes."""
         return prepare_joint(scene.cameras, views, self.config, encoder_id=self.encoder.identity, progress=progress)
-
-
-def portable(config: EmbedConfig) -> EmbedConfig:
-    """The settings without paths that differ between computers: equal ones give equal features."""
-    return replace(config, clip="", sam="", allow_download=False)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional
 
 from ...errors import FormatError
-from ...files import write_tensors
+from ...files import read_tensors, write_tensors
 
 FORMAT = "fruitlangs-features-2"
 
@@ -118,11 +115,9 @@ def load_features(path: Path) -> Features:
         FormatError: the file is missing, damaged, of an earlier version or something else.
     """
     try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {})["fruitlangs"])
+        tensors, header = read_tensors(path)
         if header["format"] != FORMAT:
             raise FormatError(f"{path} holds {header['format']}, not {FORMAT}. Count again from the photos")
-        tensors = load_file(path)
         decoders = tuple(_read_decoder(tensors, number) for number in range(int(header["decoders"])))
         features = Features(
             tensors["vectors"],
@@ -138,7 +133,7 @@ def load_features(path: Path) -> Features:
         if len(decoders) not in (0, 1, features.levels):
             raise ValueError(f"{len(decoders)} decoders for {features.levels} levels")
         return features
-    except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError) as error:
         raise FormatError(f"{path} holds no features ({str(error).splitlines()[0]}). Lift them again") from error
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import zlib
 from collections.abc import Iterator
@@ -13,13 +12,12 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import functional
 
 from ...cache import stage_key
 from ...errors import SceneError
-from ...files import write_tensors
+from ...files import read_tensors, write_tensors
 from ...progress import Progress, part, silent
 from ...scene.camera import Scene
 from ..encoders.encoder import CropEncoder
@@ -110,13 +108,12 @@ def _write(path: Path, view: SegmentedView) -> None:
 def _read(path: Path, dimension: int) -> SegmentedView | None:
     """Read a view written by `_write`; None if it is missing or damaged, so that it is computed again."""
     try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {})["fruitlangs"])
-            packed, vectors = file.get_tensor("labels").numpy(), file.get_tensor("vectors")
+        tensors, header = read_tensors(path)
+        packed, vectors = tensors["labels"].numpy(), tensors["vectors"]
         size = 4 * math.prod(header["shape"])
-        labels = np.frombuffer(zlib.decompressobj().decompress(packed, size), "<i4").astype(np.int32)
+        labels = np.frombuffer(zlib.decompressobj().decompress(packed.tobytes(), size), "<i4").astype(np.int32)
         labels = labels.reshape(header["shape"])
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, zlib.error):
+    except (KeyError, TypeError, ValueError, zlib.error):
         return None
     whole = header["format"] == FORMAT and vectors.shape[1:] == (dimension,) and labels.max(initial=-1) < len(vectors)
     return SegmentedView(labels, _unit(vectors)) if whole else None

@@ -44,47 +44,47 @@ def read_colmap(
         SceneError: no model, an incomplete, damaged or empty one, a pose that is not finite, a missing photo, or a
             photo of another shape than its camera.
     """
-    model = _open_model(Path(path), images, masks, progress)
-    views: list[PosedPhoto] = []
-    for index, image in enumerate(model.images):
-        progress(0.2 + 0.8 * index / len(model.images), "reading photo headers")
-        camera = model.reconstruction.cameras[image.camera_id]
-        views += posed_photos(
-            model.photos[index],
-            name=image.name,
-            lens=_lens(camera, model.files),
-            world_to_camera=_world_to_camera(image, model.files),
-            mask_path=model.masks[index],
-            downscale=config.downscale,
-            max_side=config.max_side,
-        )
-    points, colors = _points(model.reconstruction, progress)
-    return make_scene(views, points, colors)
-
-
-def colmap_files(path: Path, *, images: Path | None = None, masks: Path | None = None) -> list[Path]:
-    """Every file that `read_colmap` reads: the model's, then photos and masks in name order.
-
-    Raises:
-        SceneError: as `read_colmap` for the model and missing photos.
-    """
-    model = _open_model(Path(path), images, masks, silent)
-    stems = [stem for stem in (*MODEL_FILES, *RIG_FILES) if model.files.file(stem).is_file()]
-    return [*map(model.files.file, stems), *model.photos, *(mask for mask in model.masks if mask)]
+    return open_colmap(Path(path), images=images, masks=masks, progress=progress).scene(config, progress)
 
 
 @dataclass(frozen=True, eq=False)
-class _Model:
+class ColmapModel:
     """A model read by pycolmap: its posed images in name order with their files."""
 
-    files: ModelFiles
+    model: ModelFiles
     reconstruction: Any
     images: Sequence[Any]
     photos: Sequence[Path]
     masks: Sequence[Path | None]
 
+    def files(self) -> list[Path]:
+        """Every file that the scene is read from: the model's, then photos and masks in name order."""
+        stems = [stem for stem in (*MODEL_FILES, *RIG_FILES) if self.model.file(stem).is_file()]
+        return [*map(self.model.file, stems), *self.photos, *(mask for mask in self.masks if mask)]
 
-def _open_model(path: Path, images: Path | None, masks: Path | None, progress: Progress) -> _Model:
+    def scene(self, config: SceneConfig, progress: Progress = silent) -> Scene:
+        """The scene of the model; see `read_colmap`."""
+        views: list[PosedPhoto] = []
+        for index, image in enumerate(self.images):
+            progress(0.2 + 0.8 * index / len(self.images), "reading photo headers")
+            camera = self.reconstruction.cameras[image.camera_id]
+            views += posed_photos(
+                self.photos[index],
+                name=image.name,
+                lens=_lens(camera, self.model),
+                world_to_camera=_world_to_camera(image, self.model),
+                mask_path=self.masks[index],
+                downscale=config.downscale,
+                max_side=config.max_side,
+            )
+        points, colors = _points(self.reconstruction, progress)
+        return make_scene(views, points, colors)
+
+
+def open_colmap(
+    path: Path, *, images: Path | None = None, masks: Path | None = None, progress: Progress = silent
+) -> ColmapModel:
+    """Read and check a COLMAP model and find its photos; arguments and errors as of `read_colmap`."""
     if not path.is_dir():
         raise SceneError(f"{path} is not a folder. Give the folder of a COLMAP model")
     files = find_model(path, progress)
@@ -108,7 +108,7 @@ def _open_model(path: Path, images: Path | None, masks: Path | None, progress: P
     if not names:
         raise SceneError(f"No image in {files.folder} has a pose. Reconstruct again from more overlapping photos")
     photos = photo_paths(files.folder, names, images)
-    return _Model(files, reconstruction, posed, photos, mask_paths(photos, names, masks))
+    return ColmapModel(files, reconstruction, posed, photos, mask_paths(photos, names, masks))
 
 
 def _read(files: ModelFiles) -> Any:

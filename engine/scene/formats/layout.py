@@ -16,11 +16,10 @@ LAYOUTS = ("sparse", ".", "colmap/sparse")
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """The files of one sparse model: folder, `.bin` or `.txt`, and its number of images."""
+    """The files of one sparse model: its folder, and `.bin` or `.txt`."""
 
     folder: Path
     suffix: str
-    images: int
 
     def file(self, stem: str) -> Path:
         return self.folder / f"{stem}{self.suffix}"
@@ -32,16 +31,18 @@ def find_model(path: Path, progress: Progress = silent) -> ModelFiles | None:
     Binary files are preferred to text files. `progress` reports which of several sub-models is used.
 
     Raises:
-        SceneError: a model lacks a file or its images file is damaged.
+        SceneError: a model lacks a file, or one of several has a damaged images file.
     """
     for layout in LAYOUTS:
         folder = path / layout
         numbered = sorted((f for f in folder.glob("*") if f.name.isdecimal()), key=lambda f: int(f.name))
         models = [model for f in [*numbered, folder] if (model := _model_in(f))]
         if models:
-            largest = max(models, key=lambda m: m.images)
-            if len(models) > 1:
-                progress(0.0, f"{largest.folder} is the largest of {len(models)} models ({largest.images} images)")
+            if len(models) == 1:
+                return models[0]
+            images = {model: check_records(model.file("images")) for model in models}
+            largest = max(models, key=images.__getitem__)
+            progress(0.0, f"{largest.folder} is the largest of {len(models)} models ({images[largest]} images)")
             return largest
     return None
 
@@ -50,7 +51,7 @@ def _model_in(folder: Path) -> ModelFiles | None:
     for suffix in (".bin", ".txt"):
         missing = [stem for stem in MODEL_FILES if not (folder / f"{stem}{suffix}").is_file()]
         if not missing:
-            return ModelFiles(folder, suffix, check_records(folder / f"images{suffix}"))
+            return ModelFiles(folder, suffix)
         if suffix == ".bin" and len(missing) < len(MODEL_FILES) and not (folder / "images.txt").is_file():
             raise SceneError(f"{folder / (missing[0] + suffix)} is missing. Copy the whole model")
     if len(missing) < len(MODEL_FILES):

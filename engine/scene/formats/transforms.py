@@ -42,33 +42,7 @@ def read_transforms(
     Raises:
         SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or a photo is missing.
     """
-    source = _open_transforms(Path(path))
-    views: list[PosedPhoto] = []
-    for index, frame in enumerate(source.frames):
-        progress(index / len(source.frames), "reading photo headers")
-        views += posed_photos(
-            frame.photo,
-            name=frame.name,
-            lens=_lens(frame.values, frame.photo, f"{source.file}, {frame.name}"),
-            world_to_camera=_world_to_camera(frame.values, f"{source.file}, {frame.name}"),
-            mask_path=frame.mask,
-            downscale=config.downscale,
-            max_side=config.max_side,
-        )
-    points, colors = _no_cloud() if source.cloud is None else _cloud(source.cloud)
-    return make_scene(views, points, colors)
-
-
-def transforms_files(path: Path) -> list[Path]:
-    """Every file that `read_transforms` reads: the JSON, the point cloud, then photos and masks in name order.
-
-    Raises:
-        SceneError: the JSON is missing or malformed, or a file that it names is missing.
-    """
-    source = _open_transforms(Path(path))
-    clouds = [] if source.cloud is None else [source.cloud]
-    photos = [frame.photo for frame in source.frames]
-    return [source.file, *clouds, *photos, *(frame.mask for frame in source.frames if frame.mask)]
+    return open_transforms(Path(path)).scene(config, progress)
 
 
 def named_files(path: Path, key: str) -> list[Path | None]:
@@ -77,7 +51,7 @@ def named_files(path: Path, key: str) -> list[Path | None]:
     Raises:
         SceneError: the JSON is missing or malformed, or a file that it names is missing.
     """
-    source = _open_transforms(Path(path))
+    source = open_transforms(Path(path))
     return [_named_file(frame.values, key, source.file) for frame in source.frames]
 
 
@@ -102,15 +76,43 @@ class _Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class _Transforms:
+class Transforms:
     """A transforms.json with the files it names; frames in name order."""
 
     file: Path
     frames: Sequence[_Frame]
     cloud: Path | None
 
+    def files(self) -> list[Path]:
+        """Every file that the scene is read from: the JSON, the point cloud, then photos and masks in name order."""
+        clouds = [] if self.cloud is None else [self.cloud]
+        photos = [frame.photo for frame in self.frames]
+        return [self.file, *clouds, *photos, *(frame.mask for frame in self.frames if frame.mask)]
 
-def _open_transforms(path: Path) -> _Transforms:
+    def scene(self, config: SceneConfig, progress: Progress = silent) -> Scene:
+        """The scene that the file describes; see `read_transforms`."""
+        views: list[PosedPhoto] = []
+        for index, frame in enumerate(self.frames):
+            progress(index / len(self.frames), "reading photo headers")
+            views += posed_photos(
+                frame.photo,
+                name=frame.name,
+                lens=_lens(frame.values, frame.photo, f"{self.file}, {frame.name}"),
+                world_to_camera=_world_to_camera(frame.values, f"{self.file}, {frame.name}"),
+                mask_path=frame.mask,
+                downscale=config.downscale,
+                max_side=config.max_side,
+            )
+        points, colors = _no_cloud() if self.cloud is None else _cloud(self.cloud)
+        return make_scene(views, points, colors)
+
+
+def open_transforms(path: Path) -> Transforms:
+    """Read a transforms.json (its path or its folder's) and find the files it names.
+
+    Raises:
+        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+    """
     file = path / TRANSFORMS if path.is_dir() else path
     content = _read_json(file)
     entries = content.pop("frames", None)
@@ -126,7 +128,7 @@ def _open_transforms(path: Path) -> _Transforms:
         )
         for name, index in named
     ]
-    return _Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file))
+    return Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file))
 
 
 def _read_json(file: Path) -> dict[str, Any]:

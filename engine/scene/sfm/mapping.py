@@ -13,6 +13,8 @@ import numpy as np
 
 from ...child_process import end_with_parent, give_up, tell
 from ...config import PhotosConfig
+from ...errors import OutputError
+from ...lock import only_writer
 from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
 
@@ -79,12 +81,16 @@ def main(arguments: Sequence[str]) -> None:
     job = Job.read(Path(arguments[0]))
     try:
         colmap_library()
+        # The child of a killed run may still write to the database.
+        with only_writer(Path(job.folder), Path(job.folder)):
+            _list_photos(job)
+            _find_features(job)
+            _match(job)
+            _map(job)
     except ImportError as error:
         give_up(f"pycolmap cannot be imported ({error}); install it: pip install pycolmap")
-    _list_photos(job)
-    _find_features(job)
-    _match(job)
-    _map(job)
+    except OutputError as error:
+        give_up(str(error))
 
 
 def _list_photos(job: Job) -> None:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
 
-from ...config import TrainConfig
+from ...config import TrainConfig, decisive
 from ...errors import TrainingError
-from ...files import write_tensors
+from ...files import read_tensors, write_tensors
 from ...scene.camera import Scene
 from ..gaussians import PARAMETERS
 from .densify import GradientStats
@@ -57,7 +56,7 @@ def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
 
     extra: a text that identifies the target of further channels; empty without any.
     """
-    digest = hashlib.sha256((json.dumps(asdict(config), sort_keys=True) + extra).encode())
+    digest = hashlib.sha256((json.dumps(decisive(config), sort_keys=True) + extra).encode())
     for camera, photo in zip(scene.cameras, scene.images, strict=True):
         digest.update(f"{photo.name} {camera.width} {camera.height}".encode())
         digest.update(np.ascontiguousarray(camera.K, np.float64).tobytes())
@@ -95,9 +94,7 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
         TrainingError: the file is damaged, or belongs to another scene or other settings.
     """
     try:
-        with safe_open(str(path), framework="pt") as file:
-            about = json.loads((file.metadata() or {})["fruitlangs"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        tensors, about = read_tensors(path)
         if about["schema"] != SCHEMA or about["key"] != key:
             raise TrainingError(f"{path} belongs to another scene or other settings")
         names = [*PARAMETERS, *([CHANNELS] if f"values.{CHANNELS}" in tensors else [])]
@@ -112,7 +109,7 @@ def read_checkpoint(path: Path, key: str) -> TrainingState:
             if any(name.startswith(f"{part}.") for name in tensors)
         }
         checks = [(int(step), float(quality)) for step, quality in about["checks"]]
-    except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError) as error:
         raise TrainingError(f"{path} is not a complete checkpoint ({error}). Delete it to start again") from error
     if any(len(tensor) != len(parameters) for tensor in tensors.values()):
         raise TrainingError(f"{path} is not a complete checkpoint (tensors differ in length). Delete it to start again")

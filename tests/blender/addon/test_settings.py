@@ -142,6 +142,17 @@ def test_a_preset_sets_training_as_it_does_on_the_command_line(extension, preset
     assert conversions.read_config(settings).train == PRESETS[preset]
 
 
+def test_settings_count_as_given_when_they_were_set_whatever_their_value(extension):
+    settings = bpy.context.scene.fruitlangs
+    assert conversions.given_settings(settings) == set()
+    settings.config.train.steps = PRESETS["standard"].steps
+    assert conversions.given_settings(settings) == {"train.steps"}
+    settings.preset = "quick"
+    assert conversions.given_settings(settings) == {"train.steps", "train.max_gaussians", "train.coarse_until"}
+    settings.preset = "standard"
+    assert conversions.given_settings(settings) == set()
+
+
 def test_words_are_split_at_commas():
     assert conversions.read_words(" apple, red apple ,,") == ["apple", "red apple"]
 

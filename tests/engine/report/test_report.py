@@ -16,9 +16,10 @@ from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color
-from fruitlangs.engine.report.results import dump, fruits_document, read_results, stored_count
+from fruitlangs.engine.report.results import dump, fruits_document, stored_count
 from fruitlangs.engine.report.tables import fruits_csv, summary
 from fruitlangs.engine.report.words import count_text, location_text, nothing_found
+from fruitlangs.engine.result_folder import ResultFolder
 
 
 def two_fruit() -> FruitCount:
@@ -82,7 +83,7 @@ def test_a_count_below_the_most_likely_number_says_why_its_interval_starts_there
 
 def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> None:
     write_set(tmp_path, two_fruit())
-    document = read_results(tmp_path)
+    document = ResultFolder(tmp_path).read()
     promised = {"schema", "count", "interval", "total", "total_interval", "unit", "metres_per_unit", "fruits"}
     assert promised | {"config", "provenance"} <= set(document)
     assert document["count"] == 2
@@ -105,7 +106,7 @@ def test_fruits_json_has_the_names_other_programs_rely_on(tmp_path: Path) -> Non
 
 def test_fruits_json_counts_hanging_and_fallen_fruit_apart_and_by_tree(tmp_path: Path) -> None:
     write_set(tmp_path, placed())
-    document = read_results(tmp_path)
+    document = ResultFolder(tmp_path).read()
     assert (document["count"], document["hanging"], document["fallen"]) == (2, 1, 1)
     assert [(fruit["fallen"], fruit["tree"]) for fruit in document["fruits"]] == [(False, 1), (True, None)]
     first = {"number": 1, "position": [0.0, 0.5, -1.0], "count": 1}
@@ -115,7 +116,7 @@ def test_fruits_json_counts_hanging_and_fallen_fruit_apart_and_by_tree(tmp_path:
 
 def test_what_is_not_known_of_a_fruits_place_is_empty_in_every_table(tmp_path: Path) -> None:
     write_set(tmp_path, two_fruit())
-    document = read_results(tmp_path)
+    document = ResultFolder(tmp_path).read()
     assert (document["hanging"], document["fallen"], document["trees"]) == (None, None, [])
     rows = [
         next(csv.DictReader(io.StringIO(fruits_csv(count, metres_per_unit=None)))) for count in (two_fruit(), placed())
@@ -132,7 +133,7 @@ def test_people_read_where_fruit_are() -> None:
 
 def test_no_fruit_is_a_count_of_zero_that_says_how_near_it_came(tmp_path: Path) -> None:
     write_set(tmp_path, NO_FRUIT)
-    document = read_results(tmp_path)
+    document = ResultFolder(tmp_path).read()
     assert document["count"] == 0
     assert document["fruits"] == []
     assert document["audit"]["max_probability"] == 0.31
@@ -173,13 +174,13 @@ def test_a_file_of_another_run_is_noticed(tmp_path: Path) -> None:
     write_set(tmp_path, two_fruit())
     (tmp_path / "fruits.csv").write_text("id\n")
     with pytest.raises(OutputError, match=r"fruits\.csv"):
-        read_results(tmp_path)
+        ResultFolder(tmp_path).read()
 
 
 def test_a_damaged_fruits_json_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "fruits.json").write_text('{"schema": ')
     with pytest.raises(FormatError, match="not a results file"):
-        read_results(tmp_path)
+        ResultFolder(tmp_path).read()
 
 
 def without(*keys: str) -> Callable[[Any], None]:
@@ -215,7 +216,7 @@ def test_a_fruits_json_that_lacks_a_field_names_it(damage: Callable[[Any], None]
     damage(document)
     (tmp_path / "fruits.json").write_text(json.dumps(document))
     with pytest.raises(FormatError, match=field):
-        read_results(tmp_path, verify=False)
+        ResultFolder(tmp_path).read(verify=False)
 
 
 def test_a_number_that_is_not_finite_is_never_written() -> None:

@@ -144,13 +144,13 @@ def test_the_gps_tags_of_the_photos_give_the_scale_with_its_error(few_photos: Pa
 def test_an_unknown_photo_costs_no_training(few_photos: Path, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"no photo '34\.jpg'. The nearest name is"):
         count_scene(few_photos, ["fruit"], tmp_path, config=config(length=1.0, cameras=("001.jpg", "34.jpg")))
-    assert not (tmp_path / "cache").exists()
+    assert not list(tmp_path.rglob("train-*"))
 
 
 def test_an_unknown_object_costs_no_training(few_photos: Path, tmp_path: Path) -> None:
     with pytest.raises(VocabularyError, match="nearest known: bucket"):
         count_scene(few_photos, ["fruit"], tmp_path, config=config(length=0.3, object="bukket"))
-    assert not (tmp_path / "cache").exists()
+    assert not list(tmp_path.rglob("train-*"))
 
 
 def test_an_object_that_is_not_in_the_scene_is_an_error_that_says_how_near_it_came(

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,18 @@ from scipy.ndimage import gaussian_filter
 from fruitlangs.engine import child_process
 from fruitlangs.engine.config import Config, CountConfig, PhotosConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, SceneError
+from fruitlangs.engine.files import file_hash
+from fruitlangs.engine.lock import only_writer
 from fruitlangs.engine.pipeline import count_scene
+from fruitlangs.engine.scene import source
 from fruitlangs.engine.scene.alignment import align
+from fruitlangs.engine.scene.formats import colmap, layout
 from fruitlangs.engine.scene.formats.cameras_json import dump_cameras
+from fruitlangs.engine.scene.formats.colmap_records import check_records
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.find_cameras import find_poses
 from fruitlangs.engine.scene.sfm.mapping import drop_lost, pairs_to_match
-from fruitlangs.engine.scene.source import photos_alone, pose_photos, posed_before
+from fruitlangs.engine.scene.source import Source
 
 VIEWS, WIDTH, HEIGHT, FOCAL = 6, 160, 120, 150.0
 
@@ -61,11 +67,16 @@ def write_photos(folder: Path, count: int = VIEWS) -> Path:
     return folder
 
 
+def posed(photos: Path, cache: Path) -> Source:
+    """Photos alone with their cameras, estimated or from the cache."""
+    return Source(path=photos).posed(cache, PhotosConfig())
+
+
 @pytest.fixture(scope="session")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder whose images/ has the walk's photos, and whose cache/ the model made of them once."""
     folder = tmp_path_factory.mktemp("walk")
-    pose_photos(write_photos(folder / "images"), folder / "cache", PhotosConfig())
+    posed(write_photos(folder / "images"), folder / "cache")
     return folder
 
 
@@ -75,7 +86,7 @@ def model_of(walk: Path) -> Path:
 
 
 def test_every_photo_is_posed_as_it_was_taken(walk: Path) -> None:
-    scene = pose_photos(walk / "images", walk / "cache", PhotosConfig()).read(SceneConfig())
+    scene = posed(walk / "images", walk / "cache").read(SceneConfig())
     found, true = np.stack([camera.center for camera in scene.cameras]), np.stack([*map(center, range(VIEWS))])
     off = np.linalg.norm(align(found, true).apply(found) - true, axis=1)
     assert [photo.name for photo in scene.images] == [f"walk {view}.png" for view in range(VIEWS)]
@@ -87,7 +98,7 @@ def test_every_photo_is_posed_as_it_was_taken(walk: Path) -> None:
 
 def test_a_finished_model_is_used_again(walk: Path) -> None:
     before = (model_of(walk) / "images.bin").stat().st_mtime_ns
-    found = pose_photos(walk / "images", walk / "cache", PhotosConfig())
+    found = posed(walk / "images", walk / "cache")
     assert found.reused
     assert (model_of(walk) / "images.bin").stat().st_mtime_ns == before
     assert not (model_of(walk).parent / "work").exists()
@@ -109,17 +120,17 @@ def test_two_runs_make_the_same_model_also_where_one_was_interrupted(walk: Path,
 def test_photos_and_settings_name_the_model_and_the_place_does_not(walk: Path, tmp_path: Path) -> None:
     shutil.copytree(walk / "images", tmp_path / "moved" / "images")
     shutil.copytree(walk / "cache", tmp_path / "far" / "away" / "cache")
-    found = pose_photos(tmp_path / "moved" / "images", tmp_path / "far" / "away" / "cache", PhotosConfig())
+    found = posed(tmp_path / "moved" / "images", tmp_path / "far" / "away" / "cache")
     assert found.reused
-    assert found.hash() == pose_photos(walk / "images", walk / "cache", PhotosConfig()).hash()
+    assert found.hash() == posed(walk / "images", walk / "cache").hash()
     with pytest.raises(SceneError, match="no longer in"):
-        posed_before(walk / "images", walk / "cache", tmp_path, PhotosConfig(seed=1))
+        Source(path=walk / "images").posed_before(walk / "cache", tmp_path, PhotosConfig(seed=1))
 
 
 def test_another_result_gets_the_cameras_of_an_earlier_one(walk: Path, tmp_path: Path) -> None:
-    kept = posed_before(walk / "images", walk / "cache", tmp_path, PhotosConfig())
+    kept = Source(path=walk / "images").posed_before(walk / "cache", tmp_path, PhotosConfig())
     assert kept.path.is_relative_to(tmp_path)
-    first = pose_photos(walk / "images", walk / "cache", PhotosConfig())
+    first = posed(walk / "images", walk / "cache")
     assert dump_cameras(kept.read(SceneConfig())) == dump_cameras(first.read(SceneConfig()))
 
 
@@ -127,7 +138,7 @@ def test_a_mask_next_to_photos_without_a_model_is_used(walk: Path, tmp_path: Pat
     shutil.copytree(walk, tmp_path / "walk")
     (tmp_path / "walk" / "masks").mkdir()
     Image.fromarray(np.tile(np.uint8([0, 255]), (HEIGHT, WIDTH // 2))).save(tmp_path / "walk" / "masks" / "walk 2.png")
-    found = pose_photos(tmp_path / "walk" / "images", tmp_path / "walk" / "cache", PhotosConfig())
+    found = posed(tmp_path / "walk" / "images", tmp_path / "walk" / "cache")
     masks = [photo.mask() for photo in found.read(SceneConfig()).images]
     assert masks[2] is not None
     assert masks[2].mean() < 0.6
@@ -200,9 +211,17 @@ def test_a_child_that_crashes_is_an_error_and_not_a_wait(monkeypatch: pytest.Mon
         find_poses(tmp_path / "images", tmp_path)
 
 
+def test_a_database_that_another_process_writes_to_is_left_alone(walk: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    with only_writer(work, work), pytest.raises(SceneError, match=f"in use by process {os.getpid()} on"):
+        find_poses(walk / "images", tmp_path)
+    assert not (work / "database.db").exists()
+
+
 def test_the_run_may_be_in_a_thread_as_in_blender(walk: Path) -> None:
     found = []
-    thread = threading.Thread(target=lambda: found.append(pose_photos(walk / "images", walk / "cache", PhotosConfig())))
+    thread = threading.Thread(target=lambda: found.append(posed(walk / "images", walk / "cache")))
     thread.start()
     thread.join()
     assert found[0].reused
@@ -238,7 +257,7 @@ def unrelated(folder: Path) -> str:
 def test_photos_that_make_no_model_are_one_line_that_says_why(make, tmp_path: Path) -> None:
     said = make(tmp_path / "photos")
     with pytest.raises(SceneError, match=said) as caught:
-        pose_photos(tmp_path / "photos", tmp_path / "cache", PhotosConfig())
+        posed(tmp_path / "photos", tmp_path / "cache")
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.glob("cache/photos-*/model"))
 
@@ -264,9 +283,9 @@ def test_too_few_photos_in_the_model_are_an_error(walk: Path, tmp_path: Path) ->
 def test_photos_alone_lie_in_the_folder_or_in_images(place: str, tmp_path: Path) -> None:
     (tmp_path / place).mkdir(exist_ok=True)
     Image.new("RGB", (32, 24)).save(tmp_path / place / "1.JPG")
-    assert photos_alone(tmp_path) == tmp_path / place
+    assert Source(path=tmp_path).photos_alone() == tmp_path / place
     (tmp_path / "transforms.json").touch()
-    assert photos_alone(tmp_path) is None
+    assert Source(path=tmp_path).photos_alone() is None
 
 
 def test_a_short_capture_is_matched_in_all_pairs() -> None:
@@ -299,6 +318,32 @@ def test_photos_alone_are_counted_and_asked_again_from_another_result(walk: Path
     third = count_scene(tmp_path / "second", ["apple"], tmp_path / "third", config=config)
     assert second.notices == third.notices == []
     assert len(list((third.out / "pictures").iterdir())) == 4
+
+
+def test_a_run_reads_every_photo_for_its_hash_once_and_checks_the_model_once(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hashed, checked = Counter[str](), Counter[str]()
+
+    def count_hash(path: Path) -> str:
+        hashed[path.name] += 1
+        return file_hash(path)
+
+    def count_check(path: Path) -> int:
+        checked[path.name] += 1
+        return check_records(path)
+
+    monkeypatch.setattr(source, "file_hash", count_hash)
+    monkeypatch.setattr(colmap, "check_records", count_check)
+    monkeypatch.setattr(layout, "check_records", count_check)
+    shutil.copytree(walk / "cache", tmp_path / "cache")
+    count_scene(walk / "images", ["fruit"], tmp_path, config=Config(train=TrainConfig(steps=20, max_gaussians=3000)))
+    assert set(hashed.values()) == set(checked.values()) == {1}
+    assert checked.keys() >= {"cameras.bin", "images.bin", "points3D.bin"}
+    hashed.clear()
+    checked.clear()
+    count_scene(tmp_path, ["apple"], tmp_path)
+    assert set(hashed.values()) == set(checked.values()) == {1}
 
 
 def test_a_photo_that_is_placed_absurdly_far_away_is_taken_out_and_no_other() -> None:

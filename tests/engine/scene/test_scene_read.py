@@ -14,7 +14,8 @@ from colmap_models import ring_of_poses, write_model, write_photo
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.files import files_hash
 from fruitlangs.engine.scene.formats.transforms import read_transforms
-from fruitlangs.engine.scene.read import read_scene, scene_files, scene_hash
+from fruitlangs.engine.scene.read import open_scene, read_scene
+from fruitlangs.engine.scene.source import Source
 
 
 def write_transforms(folder: Path, **values: object) -> Path:
@@ -158,7 +159,7 @@ def test_what_is_no_scene_is_named_with_what_is_read(tmp_path: Path, name: str, 
 def test_the_hash_stays_when_the_folder_moves(tmp_path: Path) -> None:
     write_model(tmp_path / "a")
     shutil.copytree(tmp_path / "a", tmp_path / "b")
-    assert scene_hash(tmp_path / "a") == scene_hash(tmp_path / "b")
+    assert Source(path=tmp_path / "a").hash() == Source(path=tmp_path / "b").hash()
 
 
 @pytest.mark.parametrize("write", [write_model, write_transforms])
@@ -169,11 +170,11 @@ def test_the_hash_is_the_same_however_the_scene_is_spelled(
     (tmp_path / "link").symlink_to(tmp_path / "scene")
     monkeypatch.chdir(tmp_path)
     spelled = (tmp_path / "scene", Path("scene"), Path("scene/../scene"), Path("link"))
-    assert len({scene_hash(path) for path in spelled}) == 1
+    assert len({Source(path=path).hash() for path in spelled}) == 1
 
 
 def test_a_transforms_file_hashes_as_its_folder(tmp_path: Path) -> None:
-    assert scene_hash(write_transforms(tmp_path)) == scene_hash(tmp_path)
+    assert Source(path=write_transforms(tmp_path)).hash() == Source(path=tmp_path).hash()
 
 
 def test_photos_outside_the_scenes_folder_are_hashed_with_their_subfolder(tmp_path: Path) -> None:
@@ -183,7 +184,7 @@ def test_photos_outside_the_scenes_folder_are_hashed_with_their_subfolder(tmp_pa
         shutil.copytree(tmp_path / "photos" / "images", tmp_path / name)
         for index in range(3):
             edit_frame(file, index, file_path=f"../{name}/{index}.png")
-        photos = scene_files(tmp_path / "photos")[1:]
+        photos = open_scene(tmp_path / "photos").files()[1:]
         hashes.append(files_hash(photos, tmp_path / "photos"))
     assert hashes[0] != hashes[1]
 
@@ -191,24 +192,24 @@ def test_photos_outside_the_scenes_folder_are_hashed_with_their_subfolder(tmp_pa
 @pytest.mark.parametrize("file", ["images/photo_3.png", "sparse/0/points3D.bin", "masks/photo_0.png"])
 def test_the_hash_follows_every_file_that_is_read(tmp_path: Path, file: str) -> None:
     write_model(tmp_path)
-    before = scene_hash(tmp_path)
+    before = Source(path=tmp_path).hash()
     if file.endswith(".bin"):
         content = bytearray((tmp_path / file).read_bytes())
         content[16] ^= 1
         (tmp_path / file).write_bytes(bytes(content))
     else:
         write_photo(tmp_path / file, 32, 24, seed=99)
-    assert scene_hash(tmp_path) != before
+    assert Source(path=tmp_path).hash() != before
 
 
 def test_the_hash_ignores_files_that_are_not_read(tmp_path: Path) -> None:
     write_model(tmp_path)
-    before = scene_hash(tmp_path)
+    before = Source(path=tmp_path).hash()
     write_photo(tmp_path / "images" / "unposed.png", 32, 24)
     (tmp_path / "truth.json").touch()
-    assert scene_hash(tmp_path) == before
+    assert Source(path=tmp_path).hash() == before
 
 
 def test_transforms_are_hashed_with_their_photos(tmp_path: Path) -> None:
     file = write_transforms(tmp_path)
-    assert scene_files(tmp_path) == [file, *(tmp_path / "images" / f"{index}.png" for index in range(3))]
+    assert open_scene(tmp_path).files() == [file, *(tmp_path / "images" / f"{index}.png" for index in range(3))]

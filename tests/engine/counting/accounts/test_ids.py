@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from fruitlangs.engine.counting.accounts.ids import NO_FRUIT, KnownFruit, number
 from fruitlangs.engine.counting.fruit import FruitCount
+from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.report.results import SCHEMA, dump, fruits_document, known_fruit
+from fruitlangs.engine.result_folder import ResultFolder
 
 LINE = np.stack([np.arange(4.0), np.zeros(4), np.zeros(4)], axis=1)
 """Four fruit of diameter 1 in a row."""
@@ -59,6 +61,10 @@ TRAINING = {"psnr": None, "ssim": None}
 PROVENANCE = {"source": "", "inputs_sha256": "abc", "encoder": "", "prompts": [], "training": TRAINING}
 
 
+def known_in(folder: Path, inputs: str = "abc") -> KnownFruit:
+    return known_fruit(ResultFolder(folder).read(), inputs)
+
+
 def written(folder: Path, found: FruitCount, metres_per_unit: float | None = None) -> KnownFruit:
     """What is known after a count into `folder` that found these."""
     document = fruits_document(
@@ -67,10 +73,10 @@ def written(folder: Path, found: FruitCount, metres_per_unit: float | None = Non
         provenance=PROVENANCE,
         files={},
         metres_per_unit=metres_per_unit,
-        known=known_fruit(folder, "abc"),
+        known=known_in(folder) if (folder / "fruits.json").is_file() else NO_FRUIT,
     )
     (folder / "fruits.json").write_text(dump(document))
-    return known_fruit(folder, "abc")
+    return known_in(folder)
 
 
 def test_fruit_that_a_count_does_not_find_are_known_to_the_next_one_where_they_were(tmp_path: Path):
@@ -103,16 +109,19 @@ def result(folder: Path, **changes: object) -> Path:
 
 
 def test_an_earlier_result_of_the_same_inputs_is_known(tmp_path: Path):
-    known = known_fruit(result(tmp_path, last_id=12), "abc")
+    known = known_in(result(tmp_path, last_id=12))
     assert (known.ids.tolist(), known.centers.tolist(), known.last) == ([3], [[1.0, 2.0, 3.0]], 12)
-    assert known_fruit(result(tmp_path), "abc").last == 3  # written before ids were kept
+    assert known_in(result(tmp_path)).last == 3  # written before ids were kept
+
+
+def test_results_of_other_inputs_number_nothing(tmp_path: Path):
+    assert known_in(result(tmp_path), "another scene") is NO_FRUIT
 
 
 DAMAGED = [{"schema": "another/9"}, {"fruits": [{"id": "three"}]}, {"earlier_fruits": [{"id": 1, "center": [0.0]}]}]
 
 
-@pytest.mark.parametrize("changes", [*DAMAGED, {}])
-def test_results_that_cannot_be_read_or_are_of_other_inputs_number_nothing(tmp_path: Path, changes: dict):
-    inputs = "abc" if changes else "another scene"
-    assert known_fruit(result(tmp_path, **changes), inputs) is NO_FRUIT
-    assert known_fruit(tmp_path / "gone", "abc") is NO_FRUIT
+@pytest.mark.parametrize("changes", DAMAGED)
+def test_results_that_cannot_be_read_say_so(tmp_path: Path, changes: dict):
+    with pytest.raises(FormatError):
+        ResultFolder(result(tmp_path, **changes)).read()
