@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -42,11 +43,21 @@ def run_child(module: str, arguments: Sequence[str], log: Path, progress: Progre
         ChildError: it gave up, crashed, or could not be started.
     """
     command = [sys.executable, "-c", _BOOT, str(ROOT), module, *arguments]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        "PYTHONIOENCODING": "utf-8:backslashreplace",
+    }
     try:
         with log.open("wb") as errors:
             child = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=environment, encoding="utf-8"
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                env=environment,
+                encoding="utf-8",
+                errors="replace",  # libraries and Windows print in other encodings
             )
     except OSError as error:
         raise ChildError(f"{sys.executable} cannot be started ({error.strerror or error})") from error
@@ -56,11 +67,16 @@ def run_child(module: str, arguments: Sequence[str], log: Path, progress: Progre
         if child.poll() is None:
             child.kill()
             child.wait()
-        for pipe in (child.stdin, child.stdout):
-            if pipe is not None:
-                pipe.close()
+        assert child.stdin is not None
+        child.stdin.close()
     if child.returncode or last_words:
-        raise ChildError(last_words or f"it ended with code {child.returncode}")
+        raise ChildError(last_words or f"it ended with code {child.returncode}{_last_line(log)}")
+
+
+def _last_line(log: Path) -> str:
+    """The end of an error message: where the log is, and its last line."""
+    written = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return f". The last line of {log} is: {written[-1].strip()}" if written else f". Its log {log} is empty"
 
 
 def _relay(child: subprocess.Popen[str], progress: Progress) -> str:
@@ -74,7 +90,9 @@ def _relay(child: subprocess.Popen[str], progress: Progress) -> str:
         try:
             line = lines.get(timeout=POLL_SECONDS)
         except Empty:
-            continue
+            if child.poll() is None:
+                continue
+            line = None  # it ended, although a process that it started may keep its output open
         if line is None:
             child.wait()
             return last_words
@@ -83,13 +101,18 @@ def _relay(child: subprocess.Popen[str], progress: Progress) -> str:
             last_words = text
         elif kind == "at":
             number, _, message = text.partition("\t")
-            fraction = float(number)
+            with suppress(ValueError):  # a line of another program
+                fraction = float(number)
 
 
 def _collect(stream: IO[str], lines: SimpleQueue[str | None]) -> None:
-    for line in stream:
-        lines.put(line)
-    lines.put(None)
+    """Pass lines on until the stream ends, and close it: another thread would have to wait for the line that is read."""
+    try:
+        with stream:
+            for line in stream:
+                lines.put(line)
+    finally:
+        lines.put(None)
 
 
 def tell(fraction: float, message: str) -> None:

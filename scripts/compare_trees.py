@@ -33,7 +33,9 @@ from fruitlangs.engine.evaluation.trees import (
     tally,
 )
 from fruitlangs.engine.evaluation.truth import read_truth, true_labels
+from fruitlangs.engine.reconstruction import CAMERAS
 from fruitlangs.engine.result_folder import ResultFolder
+from fruitlangs.engine.scene.formats.cameras_json import read_cameras
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -57,6 +59,7 @@ def compare_row(
 ) -> tuple[TreeComparison, TreeComparison]:
     """The counted fruit of a result folder compared with visible fruit and with all fruit, by tree."""
     document = ResultFolder(folder).read(verify=False)
+    up = read_cameras(folder / CAMERAS).up
     wanted = true_labels([label] if label else document["provenance"]["prompts"])
     truth = read_truth(truth_file, wanted)
     numbers = truth.trees
@@ -64,16 +67,16 @@ def compare_row(
         raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on. Expected a number as its tree")
     places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
     if trees_file is None and document.get("trees"):
-        counted = own_trees(document, places)
+        counted = own_trees(document, places, up)
     else:
-        counted = assign_to_trees(_rows(fruit["center"] for fruit in document["fruits"]), places)
+        counted = assign_to_trees(_rows(fruit["center"] for fruit in document["fruits"]), places, up)
     trees = np.union1d(places.numbers, numbers[numbers != NO_TREE])
     return compare(tally(numbers[truth.visible], trees), counted), compare(tally(numbers, trees), counted)
 
 
-def own_trees(document: Mapping[str, Any], places: TreePlaces) -> NDArray[np.int64]:
+def own_trees(document: Mapping[str, Any], places: TreePlaces, up: NDArray[np.float64]) -> NDArray[np.int64]:
     """(P,) true number of the tree of each fruit: that of the true tree at the position of the result's tree."""
-    stand = assign_to_trees(_rows(tree["position"] for tree in document["trees"]), places)
+    stand = assign_to_trees(_rows(tree["position"] for tree in document["trees"]), places, up)
     numbers = {tree["number"]: int(true) for tree, true in zip(document["trees"], stand, strict=True)}
     return np.array([numbers.get(fruit["tree"], NO_TREE) for fruit in document["fruits"]], dtype=np.int64)
 

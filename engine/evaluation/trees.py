@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..counting.fruit import NO_TREE
-from ..counting.regions.row import nearest_along
+from ..counting.regions.row import nearest_tree
 from ..errors import FormatError
 from .number_table import read_numbers
 
@@ -70,12 +70,11 @@ def places_of(centers: FloatArray, numbers: IntArray) -> TreePlaces:
     return TreePlaces(trees, means, means)
 
 
-def assign_to_trees(centers: FloatArray, places: TreePlaces) -> IntArray:
+def assign_to_trees(centers: FloatArray, places: TreePlaces, up: FloatArray) -> IntArray:
     """(P,) number of the tree of each fruit at (P, 3).
 
-    With boxes: the box that contains it, the one with the nearest centre if there are several. With points: the nearest
-    along the row, whose direction is that of the trees; a fruit more than half a spacing beyond the last tree belongs
-    to none. A single point gets every fruit.
+    With boxes: the box that contains it, the one with the nearest centre if there are several. With points: see
+    `nearest_tree`. up: (3,) unit, away from the ground.
     """
     middles = 0.5 * (places.low + places.high)
     if len(middles) == 0 or len(centers) == 0:
@@ -84,7 +83,7 @@ def assign_to_trees(centers: FloatArray, places: TreePlaces) -> IntArray:
         inside = ((centers[:, None] >= places.low) & (centers[:, None] <= places.high)).all(axis=2)
         distances = np.where(inside, np.linalg.norm(centers[:, None] - middles, axis=2), np.inf)
         return np.where(inside.any(axis=1), places.numbers[distances.argmin(axis=1)], NO_TREE)
-    return np.append(places.numbers, NO_TREE)[nearest_along(centers, middles)]
+    return np.append(places.numbers, NO_TREE)[nearest_tree(centers, middles, up)]
 
 
 def compare(true: TreeCounts, counted: IntArray) -> TreeComparison:

@@ -12,6 +12,8 @@ import pytest
 
 from fruitlangs.engine.errors import FruitLangsError
 from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
+from fruitlangs.engine.scene.formats.cameras_json import dump_cameras
 
 PLACES = np.array([[0.0, 0.0, 1.0], [0.1, 0.1, 1.2], [0.0, 1.0, 1.1], [0.1, 2.0, 1.0]])
 TREES = [1, 1, 2, 3]
@@ -53,6 +55,10 @@ def result(folder: Path, centers: np.ndarray) -> Path:
     document = {"schema": "fruitlangs.fruits/1", "set_id": "", "fruits": found, "config": {}, "files": {}}
     content = {**document, "metres_per_unit": None, "provenance": provenance}
     (folder / "fruits.json").write_text(json.dumps(content))
+    camera = Camera(K=np.eye(3), world_to_camera=np.eye(4), width=8, height=8)
+    photo = ArrayPhoto("a.jpg", np.zeros((8, 8, 3), np.uint8))
+    scene = Scene([camera], [photo], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), up=np.array([0.0, 0.0, 1.0]))
+    (folder / "cameras.json").write_text(dump_cameras(scene))
     return folder
 
 

@@ -311,7 +311,9 @@ def test_the_row_is_compared_tree_by_tree_and_neighbours_belong_to_none(varied: 
     row = truth.trees > 0
     places = places_of(truth.centers, truth.trees)
     assert places.numbers.tolist() == [1, 2]
-    compared = compare(tally(truth.trees, places.numbers), assign_to_trees(truth.centers[row], places))
+    compared = compare(
+        tally(truth.trees, places.numbers), assign_to_trees(truth.centers[row], places, np.array([0.0, 0.0, 1.0]))
+    )
     assert compared.true.tolist() == [12, 12]
     assert compared.counted.sum() >= 20
 

@@ -19,7 +19,7 @@ from .visibility_kernels import measure_discs
 FloatArray = NDArray[np.float64]
 
 SEEN_WEIGHT = 0.3
-"""Summed blending weight in pixels from which a Gaussian counts as visible in a view."""
+"""Summed blending weight, in pixels of the camera's own size, from which a Gaussian counts as visible in a view."""
 MOST_PIXELS = 40_000_000
 """Pixels of all views together; larger views are rendered smaller."""
 SPOTS = 48
@@ -50,7 +50,8 @@ class Picture:
 class Visibility:
     """How N Gaussians appear in the views.
 
-    weights: (N,) pixels drawn by each Gaussian, summed over views; views: (N,) views that show it; directions: (N, 3)
+    weights: (N,) pixels of the cameras' own size drawn by each Gaussian, summed over views; views: (N,) views that show
+    it; directions: (N, 3)
     weighted mean of the unit directions towards the cameras that show it, zero if none does. Its length says how
     similar these directions are. frame: (3, 4) of the cameras, see `frame_of`.
     """
@@ -87,10 +88,11 @@ def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress
     means = gaussians.means.detach().double().cpu().numpy()
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
     directions = np.zeros((len(means), 3))
-    for index, camera in enumerate(_at_drawing_size(cameras)):
+    for index, (own, camera) in enumerate(zip(cameras, _at_drawing_size(cameras), strict=True)):
         progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         nothing = torch.zeros(camera.height, camera.width, 0)
         drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
+        drawn *= own.width * own.height / (camera.width * camera.height)
         towards = camera.center - means
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
         weights += drawn

@@ -1,4 +1,4 @@
-"""Trees of a row: their positions, and which fruit belong to each."""
+"""Trees: their positions, and which fruit belong to each."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
@@ -19,6 +20,8 @@ IntArray = NDArray[np.int64]
 
 STEEPEST = 0.995
 """Share of the distance between two trees along up: on no slope are trees so far above one another."""
+NEIGHBOURS = 12
+"""Nearest trees among which the neighbours of a tree are searched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +67,7 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
     level = centers - np.outer(centers @ up, up)
     if config.tree_places is not None:
         places = np.array(config.tree_places).reshape(-1, 3)
-        return Row(places, nearest_along(level, places - np.outer(places @ up, up)) + 1)
+        return Row(places, nearest_tree(centers, places, up) + 1)
     if config.trees == 0 or len(centers) == 0:
         return None
     if len(centers) < config.trees:
@@ -74,7 +77,7 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
         )
     axis = _main_axis(level)
     along = level @ (axis if axis @ right >= 0.0 else -axis)
-    stations = _stations(along, config.trees, config.seed)
+    stations = _stations(along, config.trees, config.seed) if config.trees > 1 else along.mean(keepdims=True)
     nearest = np.abs(along[:, None] - stations).argmin(axis=1)
     found = len(np.unique(nearest))
     if found < config.trees:
@@ -86,21 +89,38 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
     return Row(places, nearest.astype(np.int64) + 1)
 
 
-def nearest_along(centers: FloatArray, places: FloatArray) -> IntArray:
-    """(F,) index of the place (T, 3) that each centre (F, 3) is nearest to along the row, -1 for none.
+def nearest_tree(centers: FloatArray, places: FloatArray, up: FloatArray) -> IntArray:
+    """(F,) index of the tree (T, 3) that each centre (F, 3) is nearest to as seen from above, -1 for none.
 
-    The direction of the row is that of the places; a centre more than half a spacing beyond the last place belongs to
-    none. A single place gets every fruit.
+    A fruit belongs to none if it is farther away than the tree's nearest neighbour, or more than half a spacing beyond
+    the last tree of a row: there it is nearer to the next one, which is not listed. A single tree gets every fruit.
+    up: (3,) unit.
     """
-    if len(places) == 0:
+    if len(places) == 0 or len(centers) == 0:
         return np.full(len(centers), -1, np.int64)
     if len(places) == 1:
         return np.zeros(len(centers), np.int64)
-    axis = _main_axis(places)
-    along, stations = centers @ axis, places @ axis
-    beyond = 0.5 * float(np.median(np.diff(np.sort(stations))))
-    reachable = (along >= stations.min() - beyond) & (along <= stations.max() + beyond)
-    return np.where(reachable, np.abs(along[:, None] - stations).argmin(axis=1), -1)
+    feet, hang = (each - np.outer(each @ up, up) for each in (places, centers))
+    spacing = cKDTree(feet).query(feet, k=2)[0][:, 1]
+    distance, nearest = cKDTree(np.vstack([feet, _next_in_rows(feet)])).query(hang)
+    own = nearest < len(feet)
+    own[own] = distance[own] <= spacing[nearest[own]]
+    return np.where(own, nearest, -1).astype(np.int64)
+
+
+def _next_in_rows(feet: FloatArray) -> FloatArray:
+    """(G, 3) where the rows of trees (T, 3) would go on: each tree's neighbours mirrored at it, where no tree stands.
+
+    Neighbours have no other tree in the circle between them (Gabriel and Sokal 1969).
+    """
+    tree = cKDTree(feet)
+    near = tree.query(feet, k=min(NEIGHBOURS + 1, len(feet)))[1][:, 1:]
+    own, other = np.repeat(np.arange(len(feet)), near.shape[1]), near.ravel()
+    apart = np.linalg.norm(feet[own] - feet[other], axis=1)
+    clear = tree.query(0.5 * (feet[own] + feet[other]))[0] >= 0.499 * apart
+    beyond = 2.0 * feet[own] - feet[other]
+    free = tree.query(beyond)[0] >= 0.5 * apart
+    return beyond[clear & free]
 
 
 def _main_axis(places: FloatArray) -> FloatArray:

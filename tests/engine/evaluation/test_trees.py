@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.regions.row import check_trees, trees_of_row
@@ -24,6 +26,7 @@ from fruitlangs.engine.evaluation.truth import read_truth
 
 DIAGONAL = np.array([[0.0, 0, 1], [3, 4, 1.2], [6, 8, 0.9]])
 """Three trees 5 apart on a row that runs across the axes."""
+UP, RIGHT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
 
 def points(places: np.ndarray) -> TreePlaces:
@@ -37,28 +40,61 @@ def counts(*values: int) -> TreeCounts:
 def test_a_fruit_belongs_to_the_nearest_tree_along_the_row() -> None:
     along, across = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
     fruit = np.array([2.4 * along - 3 * across, 2.6 * along + 3 * across, 7.6 * along + [0, 0, 4]])
-    assert assign_to_trees(fruit, points(DIAGONAL)).tolist() == [1, 2, 3]
+    assert assign_to_trees(fruit, points(DIAGONAL), UP).tolist() == [1, 2, 3]
 
 
 def test_a_fruit_more_than_half_a_spacing_beyond_the_row_belongs_to_none() -> None:
     along = np.array([0.6, 0.8, 0.0])
     fruit = np.array([-2.3 * along, -2.8 * along, 12.3 * along, 12.8 * along]) + [0, 0, 1]
-    assert assign_to_trees(fruit, points(DIAGONAL)).tolist() == [1, 0, 3, 0]
+    assert assign_to_trees(fruit, points(DIAGONAL), UP).tolist() == [1, 0, 3, 0]
+
+
+BLOCK = np.array([[x, y, 0.1 * x] for y in (0.0, 4.0) for x in (0.0, 2.0, 4.0)])
+"""Two rows of three trees, 2 apart in the row and 4 between the rows, on a slope."""
+
+
+def test_fruit_of_every_row_of_a_block_belong_to_their_own_trees() -> None:
+    random = np.random.default_rng(0)
+    owners = np.repeat(np.arange(6), 50)
+    angle, reach = random.uniform(0, 2 * np.pi, 300), random.uniform(0, 0.95, 300)
+    around = np.stack([reach * np.cos(angle), reach * np.sin(angle), random.uniform(0, 3, 300)], axis=1)
+    row = trees_of_row(BLOCK[owners] + around, CountConfig(tree_places=tuple(BLOCK.ravel())), UP, RIGHT)
+    assert row is not None
+    np.testing.assert_array_equal(row.numbers, owners + 1)
+
+
+@pytest.mark.parametrize(
+    "far", [(17.0, 2.0, 1.0), (2.0, -2.1, 1.0), (5.2, 0.0, 1.0), (2.0, 6.2, 1.0), (-1.2, 0.5, 1.0)]
+)
+def test_a_fruit_farther_away_than_trees_are_apart_belongs_to_none(far: tuple[float, float, float]) -> None:
+    assert assign_to_trees(np.array([far]), points(BLOCK), UP).tolist() == [0]
+
+
+@given(turn=st.floats(0, 7), scale=st.floats(0.01, 100), shift=st.floats(-50, 50), order=st.permutations(range(6)))
+def test_the_tree_of_a_fruit_does_not_depend_on_frame_scale_or_order(
+    turn: float, scale: float, shift: float, order: list[int]
+) -> None:
+    fruit = np.array([[0.3, 0.2, 1], [2.6, 3.5, 2], [4.4, 0.9, 0], [30.0, 1.0, 1], [-0.5, 4.7, 1]])
+    turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]) * scale
+    plain = assign_to_trees(fruit, points(BLOCK), UP)
+    moved = assign_to_trees(fruit @ turned.T + shift, points((BLOCK @ turned.T + shift)[order]), UP)
+    renumbered = np.array([0, *(np.array(order) + 1)])
+    np.testing.assert_array_equal(renumbered[moved], plain)
 
 
 def test_boxes_hold_their_fruit_and_the_nearer_middle_wins_where_they_overlap() -> None:
     boxes = TreePlaces(np.array([4, 7]), np.array([[0.0, 0, 0], [0.8, 0, 0]]), np.array([[1.0, 1, 1], [2.0, 1, 1]]))
     fruit = np.array([[0.85, 0.5, 0.5], [0.98, 0.5, 0.5], [1.5, 0.5, 0.5], [0.5, 0.5, 1.5]])
-    assert assign_to_trees(fruit, boxes).tolist() == [4, 7, 7, 0]
+    assert assign_to_trees(fruit, boxes, UP).tolist() == [4, 7, 7, 0]
 
 
 def test_nothing_counted_is_no_trees_and_no_trees_take_nothing() -> None:
-    assert assign_to_trees(np.zeros((0, 3)), points(DIAGONAL)).tolist() == []
-    assert assign_to_trees(DIAGONAL, points(np.zeros((0, 3)))).tolist() == [0, 0, 0]
+    assert assign_to_trees(np.zeros((0, 3)), points(DIAGONAL), UP).tolist() == []
+    assert assign_to_trees(DIAGONAL, points(np.zeros((0, 3))), UP).tolist() == [0, 0, 0]
 
 
 def test_a_lone_tree_takes_every_fruit() -> None:
-    assert assign_to_trees(DIAGONAL * 100, points(np.zeros((1, 3)))).tolist() == [1, 1, 1]
+    assert assign_to_trees(DIAGONAL * 100, points(np.zeros((1, 3))), UP).tolist() == [1, 1, 1]
 
 
 def test_a_tree_stands_at_the_mean_of_its_fruit_and_fruit_of_no_tree_do_not_count() -> None:
@@ -124,9 +160,6 @@ def test_a_bad_table_of_trees_says_what_is_expected(content: str, tmp_path: Path
     (tmp_path / "trees.txt").write_text(content)
     with pytest.raises(FormatError, match="number x y z"):
         read_places(tmp_path / "trees.txt")
-
-
-UP, RIGHT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
 
 def row_of_fruit(loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -198,6 +231,12 @@ def test_trees_on_a_slope_are_no_error() -> None:
 def test_fruit_in_fewer_places_than_trees_are_an_error_that_names_the_way_out() -> None:
     with pytest.raises(CountingError, match=r"3 trees and the fruit hang about 2 places.*--count\.tree-places"):
         trees_of_row(np.repeat(DIAGONAL[:2], 4, axis=0), CountConfig(trees=3), UP, RIGHT)
+
+
+def test_a_single_tree_is_where_its_fruit_are_also_with_one_fruit() -> None:
+    row = trees_of_row(DIAGONAL[:1], CountConfig(trees=1), UP, RIGHT)
+    assert row is not None
+    assert (row.numbers.tolist(), row.places.tolist()) == ([1], DIAGONAL[:1].tolist())
 
 
 def test_without_fruit_or_a_wish_for_trees_there_are_none() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -207,8 +209,37 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
 def test_a_child_that_crashes_is_an_error_and_not_a_wait(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(child_process, "_BOOT", "import os; os.abort()")
     write_photos(tmp_path / "images", 3)
-    with pytest.raises(SceneError, match=f"No cameras were found .* code -{int(signal.SIGABRT)}"):
+    with pytest.raises(SceneError, match=f"No cameras were found .* code -{int(signal.SIGABRT)}.*log.txt"):
         find_poses(tmp_path / "images", tmp_path)
+
+
+def run_boot(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> list[str]:
+    """The progress messages of a child that runs `code`."""
+    told: list[str] = []
+    monkeypatch.setattr(child_process, "_BOOT", code)
+    child_process.run_child("unused", [], folder / "log.txt", lambda fraction, message: told.append(message))
+    return told
+
+
+def test_output_in_another_encoding_does_not_stop_the_progress(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    write = r"import os; os.write(1, b'at\t0.1\tun\xe9\nd\xe9bogage\nat\tun\t\xe9\nat\t0.2\tdone\n')"
+    assert run_boot(monkeypatch, tmp_path, write)[-1] == "done"
+
+
+def test_a_child_that_ended_is_not_waited_for_although_its_output_stays_open(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    start = "import subprocess, sys; subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(20)'])"
+    begun = time.monotonic()
+    run_boot(monkeypatch, tmp_path, start)
+    assert time.monotonic() - begun < 10
+
+
+def test_a_crash_names_its_log_and_quotes_the_last_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    crash = r"import os; os.write(2, b'first\nd\xe9faut de m\xe9moire\n'); os._exit(7)"
+    said = rf"code 7\. The last line of {re.escape(str(tmp_path / 'log.txt'))} is: d.faut de m.moire"
+    with pytest.raises(child_process.ChildError, match=said):
+        run_boot(monkeypatch, tmp_path, crash)
 
 
 def test_a_database_that_another_process_writes_to_is_left_alone(walk: Path, tmp_path: Path) -> None:

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import simulated_fruit as sim
 
-from fruitlangs.engine.counting.evidence.visibility import RIM, SPOTS, Picture, ViewEvidence, gather_view_evidence
+from fruitlangs.engine.counting.evidence import visibility
+from fruitlangs.engine.counting.evidence.visibility import (
+    RIM,
+    SPOTS,
+    Picture,
+    ViewEvidence,
+    find_visibility,
+    gather_view_evidence,
+)
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.kernels.surface import NOTHING
 
@@ -50,3 +59,15 @@ def test_without_a_free_spot_in_any_view_nothing_counts_against_a_sphere():
     seen = view_evidence(picture(3.0, 0.0))
     assert (seen.free[0], seen.solidity[0], seen.probabilities[0]) == (0.0, 1.0, 1.0)
     assert seen.visible_fractions[0] == 0.0
+
+
+def test_many_views_are_drawn_smaller_and_show_as_many_gaussians(monkeypatch: pytest.MonkeyPatch):
+    tree = sim.simulate(sim.Setting(fruit=8, views=8), seed=3)
+    whole = find_visibility(tree.gaussians, tree.cameras)
+    pixels = sum(camera.width * camera.height for camera in tree.cameras)
+    monkeypatch.setattr(visibility, "MOST_PIXELS", pixels // 9)
+    small = find_visibility(tree.gaussians, tree.cameras)
+    seen = whole.views > 0
+    assert (small.views[seen] == 0).mean() < 0.02
+    assert small.views[seen].mean() == pytest.approx(whole.views[seen].mean(), rel=0.1)
+    assert small.weights.sum() == pytest.approx(whole.weights.sum(), rel=0.02)
