@@ -106,7 +106,7 @@ def _relay(child: subprocess.Popen[str], progress: Progress) -> str:
 
 
 def _collect(stream: IO[str], lines: SimpleQueue[str | None]) -> None:
-    """Pass lines on until the stream ends, and close it: another thread would have to wait for the line that is read."""
+    """Pass lines on until the stream ends, then close it; another thread would have to wait for that."""
     try:
         with stream:
             for line in stream:

@@ -1,5 +1,7 @@
 """Makes the checkout importable as `fruitlangs`, whatever its folder is called; import this first.
 
+It also makes every text printable (`_console`).
+
 An installed package or a loaded Blender extension of the same name is not changed; the checkout wins in this process.
 """
 
@@ -8,6 +10,8 @@ from __future__ import annotations
 import importlib.util
 import sys
 from pathlib import Path
+
+import _console  # noqa: F401
 
 ROOT = Path(__file__).resolve().parent.parent
 

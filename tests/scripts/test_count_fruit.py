@@ -30,7 +30,9 @@ def command(*arguments: str | Path) -> list[str]:
 
 def count(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, **environment}
-    return subprocess.run(command(*arguments), capture_output=True, text=True, check=False, env=environment)
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, errors="replace", check=False, env=environment
+    )
 
 
 def copy_of_sample(folder: Path) -> Path:
@@ -96,6 +98,34 @@ def test_settings_count_as_given_whatever_their_value(arguments: str, given: set
         check=True,
     )
     assert set(done.stdout.split()) == given
+
+
+CONSOLES = {
+    "cp1252": {"PYTHONIOENCODING": "cp1252"},
+    "C": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
+}
+
+
+@pytest.mark.parametrize("script", sorted(path.name for path in (ROOT / "scripts").glob("[!_]*.py")))
+def test_help_is_printed_on_a_console_that_lacks_characters(script: str) -> None:
+    page = "--help-all" if script == "count_fruit.py" else "--help"
+    environment = {**os.environ, **CONSOLES["cp1252"]}
+    run = [sys.executable, str(ROOT / "scripts" / script), page]
+    done = subprocess.run(run, capture_output=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.decode("cp1252").strip()
+    if page == "--help-all":
+        assert b"the paper's tau_pos" in done.stdout
+
+
+@pytest.mark.parametrize("console", CONSOLES)
+def test_a_count_and_its_errors_are_printed_on_consoles_of_any_encoding(console: str, first, tmp_path: Path) -> None:
+    again = count(first[0], "--prompt", "apple", "--out", tmp_path / "ö", "--no-blend", **CONSOLES[console])
+    assert again.returncode == 0, again.stderr
+    assert "visible fruit" in again.stdout
+    wrong = count(first[0], "--prompt", "naïve → σ", "--out", tmp_path / "ö", **CONSOLES[console])
+    assert wrong.returncode == 1
+    assert wrong.stderr.startswith("error: the encoder does not know the word")
 
 
 def test_a_preset_sets_what_the_flags_of_training_start_from() -> None:
