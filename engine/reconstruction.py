@@ -25,6 +25,7 @@ from .result_folder import ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
 from .scene.photos.photo import FilePhoto
+from .scene.photos.spool import spooled
 from .scene.scale import scale_by_length
 from .scene.source import Source
 from .splatting.gaussians import Gaussians
@@ -35,7 +36,7 @@ from .splatting.training.train import Watch, train
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
-RECORD = "training.json"
+RECORD, SPOOL = "training.json", "spool"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
 FIXED = ("scene", "photos", "train", "embed")
@@ -122,9 +123,12 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
     with run.log.timed("scene"):
         scene = _read_photos(source, run, part(progress, 0.0, 0.03))
         inputs = source.hash()
-    if imported is not None:
-        return _with_imported(imported, scene, path, inputs, run, progress)
-    return _with_training(scene, path, inputs, run, progress)
+    with spooled(scene, run.cache / SPOOL) as photos:
+        if imported is not None:
+            made = _with_imported(imported, photos, path, inputs, run, progress)
+        else:
+            made = _with_training(photos, path, inputs, run, progress)
+    return dataclasses.replace(made, scene=dataclasses.replace(made.scene, images=scene.images))
 
 
 def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
@@ -225,13 +229,13 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
     """Train Gaussians, with features if they are trained jointly; returns the training results."""
     checkpoint, embedder, config = folder / "checkpoint.safetensors", run.embedder, run.config
     if embedder.trains:
-        views = list(embedder.views(scene, run.cache, progress=part(progress, 0.0, 0.3)))
-        semantics = embedder.prepare(scene, views, progress=part(progress, 0.3, 0.4))
+        views = embedder.views(scene, run.cache, progress=part(progress, 0.0, 0.3))
+        semantics = embedder.prepare(scene, views, run.cache / SPOOL, progress=part(progress, 0.3, 0.4))
         extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
     else:
-        views, semantics, extra = [], None, None
+        views, semantics, extra = None, None, None
     training = train(scene, config.train, checkpoint=checkpoint, extra=extra, watch=run.watch, progress=progress)
-    if semantics is not None:
+    if semantics is not None and views is not None:
         features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
         save_features(folder / FEATURES, features.of(training.gaussians.means))
     write_ply(folder / GAUSSIANS, training.gaussians)

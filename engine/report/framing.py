@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..counting.evidence.visibility import shrunk
 from ..counting.fruit import Fruit
 from ..scene.camera import Camera, Scene, looking
 from ..splatting.gaussians import Gaussians
@@ -60,7 +59,7 @@ def framing(
     factor = min(TRIED_WIDTH / width, 1.0)
     scores = []
     for camera in framed:
-        shares = shown(gaussians, fruits, shrunk(camera, factor))
+        shares = shown(gaussians, fruits, camera.scaled(factor))
         scores.append((int((shares >= HIDDEN_BELOW).sum()), float(shares.sum())))
     return framed[max(range(len(framed)), key=scores.__getitem__)]
 

@@ -7,7 +7,7 @@ pixel, whose centre is (0.5, 0.5).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -39,6 +39,17 @@ class Camera:
     def forward(self) -> FloatArray:
         """(3,) unit viewing direction in the world."""
         return self.world_to_camera[2, :3]
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera with a picture of this size, in pixels."""
+        K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
+        return replace(self, K=K, width=width, height=height)
+
+    def scaled(self, factor: float) -> Camera:
+        """The same camera with its picture `factor` times as wide and high, in whole pixels, at least one."""
+        if factor == 1.0:
+            return self
+        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(…, 2) pixels and (…,) depths along the axis, in scene units, of (…, 3) points in the world.

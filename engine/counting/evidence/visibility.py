@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import torch
@@ -185,13 +185,4 @@ def _disc(count: int) -> tuple[FloatArray, FloatArray]:
 def _at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
     """The cameras, all scaled down by one factor if their pixels together are too many to keep."""
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return [shrunk(camera, min(1.0, (MOST_PIXELS / pixels) ** 0.5)) for camera in cameras]
-
-
-def shrunk(camera: Camera, factor: float) -> Camera:
-    """The same camera with its picture `factor` times as wide and high, in whole pixels."""
-    if factor == 1.0:
-        return camera
-    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-    K = np.diag([width / camera.width, height / camera.height, 1.0]) @ camera.K
-    return replace(camera, K=K, width=width, height=height)
+    return [camera.scaled(min(1.0, (MOST_PIXELS / pixels) ** 0.5)) for camera in cameras]

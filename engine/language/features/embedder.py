@@ -3,7 +3,7 @@ trained."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,12 +87,34 @@ class Embedder:
             progress=part(progress, 0.8, 1.0),
         )
 
-    def views(self, scene: Scene, cache: Path, *, progress: Progress = silent) -> Iterator[SegmentedView]:
-        """The masks of every photo with their features, one view at a time, cached in `cache`."""
-        assert self.segmenter is not None
-        assert sees_crops(self.encoder)
-        return segmented_views(scene, self.segmenter, self.encoder, cache, progress)
+    def views(self, scene: Scene, cache: Path, *, progress: Progress = silent) -> Views:
+        """The masks of every photo with their features, one view at a time; computed by the first reader."""
+        return Views(self, scene, cache, progress)
 
-    def prepare(self, scene: Scene, views: Sequence[SegmentedView], *, progress: Progress = silent) -> Semantics:
-        """The targets for joint training of codes."""
-        return prepare_joint(scene.cameras, views, self.config, encoder_id=self.encoder.identity, progress=progress)
+    def prepare(
+        self, scene: Scene, views: Iterable[SegmentedView], spool_in: Path, *, progress: Progress = silent
+    ) -> Semantics:
+        """The targets for joint training of codes, with files in the folder `spool_in`."""
+        return prepare_joint(
+            scene.cameras,
+            views,
+            self.config,
+            encoder_id=self.encoder.identity,
+            spool_in=spool_in,
+            progress=progress,
+        )
+
+
+class Views:
+    """The masks of a scene's photos with their features, in the scene's order, for any number of readers: one view is
+    in memory at a time, all are cached on disk."""
+
+    def __init__(self, embedder: Embedder, scene: Scene, cache: Path, progress: Progress) -> None:
+        self._embedder, self._scene, self._cache, self._progress = embedder, scene, cache, progress
+
+    def __iter__(self) -> Iterator[SegmentedView]:
+        segmenter, encoder = self._embedder.segmenter, self._embedder.encoder
+        assert segmenter is not None
+        assert sees_crops(encoder)
+        yield from segmented_views(self._scene, segmenter, encoder, self._cache, self._progress)
+        self._progress = silent  # later readers find the views in the cache

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from ...config import EmbedConfig
 from ...errors import SceneError
 from ...progress import Progress, part, silent
 from ...scene.camera import Camera
+from ...scene.photos.spool import spool
 from ...splatting.gaussians import Gaussians
 from ...splatting.training.extra_channels import ExtraChannels
 from ..masks.segments import SegmentedView
@@ -89,34 +91,44 @@ class Semantics:
 
 def prepare_joint(
     cameras: Sequence[Camera],
-    views: Sequence[SegmentedView],
+    views: Iterable[SegmentedView],
     config: EmbedConfig,
     *,
     encoder_id: str,
+    spool_in: Path | None = None,
     progress: Progress = silent,
 ) -> Semantics:
     """Learn the codes of the masks and prepare them for training; pass `.channels(config)` to `train` as `extra`.
 
-    views: one per camera of the scene, including held-out ones, which are not trained on.
+    views: one per camera of the scene, including held-out ones, which are not trained on; read twice, one at a time.
+    spool_in: a folder for files from which the cells of the pixels are mapped; without it they are in memory.
 
     Raises:
         SceneError: views and cameras do not fit, or no photo has a mask.
         EncoderError: a mask's vector is not finite.
     """
-    known = [view for _, view in with_masks(cameras, views)]
-    shapes = {(len(view.labels), view.vectors.shape[1]) for view in known}
+    shapes: set[tuple[int, int]] = set()
+    used: list[list[Tensor]] = []
+    for _, view in with_masks(cameras, views):
+        shapes.add((len(view.labels), view.vectors.shape[1]))
+        used.append([view.vectors[_used(labels)] for labels in view.labels])
     if len(shapes) > 1:
         raise SceneError(f"The photos' masks differ in levels or features ({shapes}). Segment all the same way")
-    levels = len(known[0].labels)
-    of_level = [torch.cat([view.vectors[_used(view.labels[level])] for view in known]) for level in range(levels)]
+    of_level = [torch.cat(vectors) for vectors in zip(*used, strict=True)]
     if not sum(map(len, of_level)):
         raise SceneError("No photo has a mask with a feature. Use other masks, or the embedded encoder")
+    levels = len(of_level)
     autoencoders = train_autoencoders(of_level, config, progress=progress)
-    coded = [_coded(view, autoencoders) for view in known]
+    coded = []
+    for index, (_, view) in enumerate(with_masks(cameras, views)):
+        targets = _coded(view, autoencoders)
+        if spool_in is not None:
+            targets = replace(targets, cells=spool(targets.cells, spool_in / f"{index:06d}.cells.npy"))
+        coded.append(targets)
     digest = hashlib.sha256(json.dumps([asdict(config), encoder_id], sort_keys=True).encode())
-    for view in coded:
-        digest.update(np.ascontiguousarray(view.cells).tobytes())
-        digest.update(view.codes.tobytes())
+    for each in coded:
+        digest.update(np.ascontiguousarray(each.cells).tobytes())
+        digest.update(each.codes.tobytes())
     return Semantics(coded, levels, autoencoders, encoder_id, digest.hexdigest())
 
 
@@ -125,7 +137,7 @@ def judged(
     channels: Tensor,
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    views: Sequence[SegmentedView],
+    views: Iterable[SegmentedView],
     *,
     progress: Progress = silent,
 ) -> Features:

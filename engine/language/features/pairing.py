@@ -12,9 +12,16 @@ Given = TypeVar("Given")
 
 
 def paired(
-    cameras: Sequence[Camera], views: Iterable[Given], size_of: Callable[[Given], Sequence[int]], what: str
+    cameras: Sequence[Camera],
+    views: Iterable[Given],
+    size_of: Callable[[Given], Sequence[int]],
+    what: str,
+    *,
+    smaller: bool = False,
 ) -> Iterator[tuple[Camera, Given]]:
     """Each camera with its view's `what`, for example "masks"; size_of: its height and width in pixels.
+
+    smaller: views may be evenly scaled down; then the camera is scaled to them.
 
     Raises:
         SceneError: there are not as many as cameras, one has not its camera's size, or there is no camera.
@@ -25,6 +32,11 @@ def paired(
         if view is None:
             raise SceneError(f"{what} for {index} of {len(cameras)} views were given. Give them for each camera")
         size = tuple(size_of(view))
+        height, width = size
+        # Scaled evenly, and rounded to whole pixels.
+        even = abs(width / camera.width - height / camera.height) <= 1.0 / camera.width + 1.0 / camera.height
+        if smaller and even and width < camera.width:
+            camera = camera.resized(width, height)
         if size != (camera.height, camera.width):
             raise SceneError(
                 f"The {what} of view {index} are {'×'.join(map(str, reversed(size)))} pixels, its camera has "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,9 @@ class Picture:
 class PhotoShelf:
     """The scene's photos by view; those that fit into `limit` bytes are decoded once."""
 
-    def __init__(self, scene: Scene, limit: int = KEPT) -> None:
+    def __init__(self, scene: Scene, limit: int | None = None) -> None:
         self.scene = scene
-        self.limit = limit
+        self.limit = KEPT if limit is None else limit
         self._kept: dict[tuple[int, int], Picture] = {}
         self._bytes = 0
         self._ahead: dict[tuple[int, int], Future[Picture]] = {}
@@ -77,7 +77,7 @@ class PhotoShelf:
                 f" {camera.width}×{camera.height}. Use the photos the model was made from"
             )
         if smaller > 1:
-            camera = shrunk(camera, smaller)
+            camera = camera.scaled(1.0 / smaller)
             pixels = np.rint(shrink(pixels.astype(np.float32), camera.width, camera.height)).astype(np.uint8)
             if mask is not None:
                 usable = shrink(mask[..., None].astype(np.float32), camera.width, camera.height)[..., 0]
@@ -86,12 +86,3 @@ class PhotoShelf:
             mask = None
         planes = np.ascontiguousarray(pixels.transpose(2, 0, 1))
         return Picture(camera, planes.transpose(1, 2, 0), mask, view)
-
-
-def shrunk(camera: Camera, smaller: int) -> Camera:
-    """The camera of a photo whose sides are divided by `smaller`, rounded, and at least one pixel."""
-    width, height = max(round(camera.width / smaller), 1), max(round(camera.height / smaller), 1)
-    K = camera.K.copy()
-    K[0] *= width / camera.width
-    K[1] *= height / camera.height
-    return replace(camera, K=K, width=width, height=height)

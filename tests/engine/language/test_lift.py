@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.engine.language.features.lift import at_size, encode_photos, lift_features
+from fruitlangs.engine.language.features.lift import encode_photos, lift_features
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
@@ -93,23 +93,26 @@ class _Brightness:
         return torch.stack([bright, 1.0 - bright], dim=-1)
 
 
-def test_photos_are_encoded_at_their_cameras_size_with_their_masks():
+def test_photos_are_encoded_with_their_masks_at_the_encoders_size():
     image = np.zeros((SIDE, SIDE, 3), np.uint8)
     image[:, SIDE // 2 :] = 255
     mask = np.ones((SIDE, SIDE), bool)
-    mask[:4] = False
+    mask[:5] = False
     photo = ArrayPhoto("a.png", image, mask)
     scene = Scene([_camera()], [photo], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
     (target,) = encode_photos(scene, _Brightness())  # type: ignore[arg-type]
-    assert target.shape == (SIDE, SIDE, 2)
-    assert not target[:4].any()
-    assert torch.allclose(target[8, 2], torch.tensor([0.0, 1.0]))
-    assert torch.allclose(target[8, -2], torch.tensor([1.0, 0.0]))
+    assert target.shape == (SIDE // 2, SIDE // 2, 2)
+    assert not target[:3].any()  # the third row of the smaller picture is half masked
+    assert target[3, 2].tolist() == [0.0, 1.0]
+    assert target[3, -2].tolist() == [1.0, 0.0]
 
 
-def test_resized_features_stay_unit():
-    features = torch.nn.functional.normalize(torch.rand(8, 8, 5, generator=torch.Generator().manual_seed(0)), dim=-1)
-    assert torch.allclose(at_size(features, 19, 23).norm(dim=-1), torch.ones(19, 23), atol=1e-5)
+def test_features_of_a_smaller_picture_count_as_the_pixels_of_the_camera():
+    whole = lift_features(_gaussians(LEFT, BEHIND), [_camera()], [_halves()], encoder_id="x")
+    half = lift_features(_gaussians(LEFT, BEHIND), [_camera()], [_halves()[::2, ::2].contiguous()], encoder_id="x")
+    # Drawn smaller, a Gaussian is widened more: 0.3 square pixels are added to its variance at any size.
+    assert torch.allclose(half.weights, whole.weights, rtol=0.25)
+    assert torch.allclose(half.unit(0), whole.unit(0), atol=0.01)
 
 
 def test_agreement_is_the_mean_cosine_of_the_views_to_the_feature():
