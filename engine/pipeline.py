@@ -17,7 +17,6 @@ from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.count import count_fruit
 from .counting.published.template_shape import read_template
 from .errors import ConfigError, FruitLangsError, OutputError, VocabularyError
-from .files import file_hash
 from .language.features.embedder import Embedder
 from .language.prompts.relevancy import check_prompts
 from .language.prompts.selection import select
@@ -30,6 +29,7 @@ from .result_folder import ResultFolder
 from .scale import scaled
 from .scene.source import Source
 from .splatting.training.train import Watch
+from .storage.files import file_hash
 
 
 def count_scene(

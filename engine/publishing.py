@@ -15,7 +15,6 @@ from .config import Config
 from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.fruit import FruitCount
 from .errors import OutputError
-from .files import file_hash, write_text
 from .language.features.features import Features
 from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, RunLog
 from .report.audit import audit_text
@@ -33,6 +32,7 @@ from .result_folder import SOURCE, ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import with_scene_facts
 from .splatting.gaussians import Gaussians
+from .storage.files import file_hash, write_text
 
 PICTURES = "pictures"
 STILL, PAGE = "still.jpg", "report.html"

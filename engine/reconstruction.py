@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .cache import stage_key
 from .config import Config, decisive, without_effect
 from .errors import ConfigError, FruitLangsError, SceneError
-from .files import write_text
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
@@ -32,6 +30,8 @@ from .splatting.gaussians import Gaussians
 from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
 from .splatting.ply import read_ply, write_ply
 from .splatting.training.train import Watch, train
+from .storage.files import write_text
+from .storage.keys import stage_key
 
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""

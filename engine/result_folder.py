@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from .errors import FruitLangsError, OutputError
-from .files import file_hash, require_writable, write_text
-from .lock import only_writer
 from .report.results import FRUITS_JSON, parse_results
+from .storage.files import file_hash, require_writable, write_text
+from .storage.lock import only_writer
 
 CACHE, SOURCE = "cache", "cache/source.txt"
 """The folder of a result that stays on this computer, and the file in it that contains the path of the source."""

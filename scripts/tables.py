@@ -25,8 +25,8 @@ from fruitlangs.benchmarks.paper.pages import ablation_table, count_table, recon
 from fruitlangs.benchmarks.paper.tables import SceneTables, measure_tables
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.engine.files import write_text
 from fruitlangs.engine.progress import Progress
+from fruitlangs.engine.storage.files import write_text
 
 if TYPE_CHECKING:
     import tyro

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ...engine.cache import stage_key
 from ...engine.config import Config
 from ...engine.errors import FormatError
 from ...engine.evaluation.renders import DEPTH, INSTANCES
 from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
-from ...engine.files import file_hash, files_hash
 from ...engine.scene.source import Source
+from ...engine.storage.files import file_hash, files_hash
+from ...engine.storage.keys import stage_key
 from ..ladder.stages import LadderStages
 from ..orchards import TRUTH, read_origin
 from .baselines import Found, Surface, surface_of

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...engine.cache import stage_key
 from ...engine.errors import FormatError
 from ...engine.evaluation.judgement import judge
 from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
 from ...engine.evaluation.truth import Truth
-from ...engine.files import files_hash
+from ...engine.storage.files import files_hash
+from ...engine.storage.keys import stage_key
 from .baselines import Found
 from .touching import Touching, separated
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from ...engine.cache import stage_key
 from ...engine.config import Config
 from ...engine.errors import FruitLangsError, VocabularyError
 from ...engine.evaluation.calibration import calibration_error
@@ -21,10 +20,11 @@ from ...engine.evaluation.judgement import Judgement, judge
 from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
 from ...engine.evaluation.renders import DEPTH, INSTANCES
 from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
-from ...engine.files import file_hash, files_hash, write_text
 from ...engine.language.encoders.open_encoder import open_encoder
 from ...engine.progress import Progress, part, silent
 from ...engine.scene.source import Source
+from ...engine.storage.files import file_hash, files_hash, write_text
+from ...engine.storage.keys import stage_key
 from ..orchards import TRUTH, read_origin
 from .mistakes import draw_mistakes
 from .stages import END_TO_END, STAGES, TRUE_POSES, Counted, LadderStages

@@ -12,8 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ...engine.evaluation.judgement import Judgement
 from ...engine.evaluation.truth import Truth
-from ...engine.files import replacing
 from ...engine.scene.camera import Camera, Scene
+from ...engine.storage.files import replacing
 from .stages import Counted
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ...engine.evaluation.metrics import CountMetrics
 from ...engine.evaluation.summary import summarise
-from ...engine.files import replacing, write_text
+from ...engine.storage.files import replacing, write_text
 from ..markdown import markdown
 from .ladder import StageResult
 from .stages import COUNTING_ONLY, END_TO_END, STAGES, TRUE_MASKS, TRUE_POSES

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ...engine.files import write_text
+from ...engine.storage.files import write_text
 from .ladder import StageResult
 from .pages import rows_csv, table_parts
 

@@ -23,7 +23,6 @@ from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
 from ...engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ...engine.evaluation.true_surface import TrueSurface, true_surface
 from ...engine.evaluation.truth import TrueView, Truth
-from ...engine.files import write_text
 from ...engine.language.features.embedder import Embedder
 from ...engine.language.prompts.relevancy import MIN_WEIGHT
 from ...engine.language.prompts.selection import select
@@ -34,6 +33,7 @@ from ...engine.scene.photos.photo import FilePhoto
 from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...engine.splatting.rendering.rasterize import accumulate
+from ...engine.storage.files import write_text
 from .frames import by_cameras, by_fruit, cameras_by_file
 
 FloatArray = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
 from ..counting.fruit import Fruit, FruitCount
-from ..files import replacing, write_text
+from ..storage.files import replacing, write_text
 from .words import file_unit, object_name
 
 FloatArray = NDArray[np.float64]

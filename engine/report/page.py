@@ -14,7 +14,7 @@ from PIL import Image
 
 from ..counting.fruit import KIND_TEXTS, Fruit, FruitCount, Tree
 from ..errors import OutputError
-from ..files import write_text
+from ..storage.files import write_text
 from .histogram import drawing, histogram
 from .meshes import id_color
 from .provenance import versions

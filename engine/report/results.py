@@ -20,7 +20,7 @@ from ..counting.accounts.describe import nearest_sphere
 from ..counting.accounts.ids import NO_FRUIT, KnownFruit
 from ..counting.fruit import AuditEntry, Fruit, FruitCount, Tree
 from ..errors import FormatError, OutputError
-from ..files import text_hash
+from ..storage.files import text_hash
 from .words import file_unit, place
 
 SCHEMA = "fruitlangs.fruits/1"

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..counting.fruit import FruitCount, member_ids
 from ..errors import FormatError
-from ..files import read_tensors, write_tensors
+from ..storage.files import read_tensors, write_tensors
 
 SELECTION = "selection.safetensors"
 FORMAT = "fruitlangs-selection-1"

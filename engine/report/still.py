@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from ..counting.fruit import Fruit
-from ..files import replacing
 from ..progress import Progress, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from ..splatting.rendering.rasterize import render
+from ..storage.files import replacing
 from .ellipses import Ellipse, ellipses
 from .labels import Label, place_labels, round_length
 from .meshes import id_color

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from ..cache import stage_key
 from ..config import PhotosConfig, SceneConfig
 from ..errors import OutputError, SceneError
-from ..files import file_hash, files_hash, text_hash
 from ..progress import Progress, silent
+from ..storage.files import file_hash, files_hash, text_hash
+from ..storage.keys import stage_key
 from .camera import Scene
 from .formats.layout import find_model
 from .formats.transforms import TRANSFORMS

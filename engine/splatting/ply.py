@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from ..errors import FormatError
-from ..files import replacing
+from ..storage.files import replacing
 from .gaussians import Gaussians
 
 _GEOMETRY = ("x", "y", "z", "opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)))

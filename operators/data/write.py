@@ -14,7 +14,7 @@ import bpy
 from numpy.typing import NDArray
 
 from ...engine.errors import OutputError
-from ...engine.files import replacing
+from ...engine.storage.files import replacing
 from ..blender_data import OWNER, new_object, owned_collection
 from ..viewport.appearance import set_threshold
 from ..viewport.gaussian_nodes import THRESHOLD

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ...engine.files import write_text
 from ...engine.progress import Progress
+from ...engine.storage.files import write_text
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_cameras import read_up
 from .export_file import ExportFile, Write

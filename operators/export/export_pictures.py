@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.errors import SceneError
-from ...engine.files import replacing
 from ...engine.progress import Progress, part
+from ...engine.storage.files import replacing
 from ..blender_data import owned_object
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_cameras import active_camera, read_scene

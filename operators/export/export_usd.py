@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.errors import OutputError
-from ...engine.files import replacing
+from ...engine.storage.files import replacing
 from ..data.fruit_objects import standing
 from .export_file import ExportFile, Write, chosen_file
 

@@ -35,7 +35,7 @@ from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, TRUE_MASKS
 from fruitlangs.benchmarks.orchards import scene_folder
 from fruitlangs.engine.config import Config
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.engine.files import require_writable, write_text
+from fruitlangs.engine.storage.files import require_writable, write_text
 
 tyro = import_tyro()
 

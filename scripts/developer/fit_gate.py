@@ -33,7 +33,7 @@ from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.counting.evidence.gate import STORED, WEIGHED, Gate, weighed
 from fruitlangs.engine.evaluation.judgement import judge
-from fruitlangs.engine.files import write_text
+from fruitlangs.engine.storage.files import write_text
 from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched, surface_cases
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 

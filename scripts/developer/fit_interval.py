@@ -39,7 +39,7 @@ from fruitlangs.engine.counting.accounts.interval import (
 )
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.evaluation.metrics import count_metrics
-from fruitlangs.engine.files import write_text
+from fruitlangs.engine.storage.files import write_text
 from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 

@@ -6,10 +6,10 @@ import re
 
 import pytest
 
-from fruitlangs.engine.cache import stage_key
 from fruitlangs.engine.config import REMOVED, STAGES, Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.setting import level_of
+from fruitlangs.engine.storage.keys import stage_key
 
 
 def test_a_config_survives_its_document() -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from fruitlangs.engine.errors import OutputError
-from fruitlangs.engine.files import files_hash, replacing, require_writable, write_tensors, write_text
+from fruitlangs.engine.storage.files import files_hash, replacing, require_writable, write_tensors, write_text
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LAYERS = (
     # The engine, from the ground up.
     ("engine/errors", "engine/progress", "engine/setting", "engine/user_folders"),
-    ("engine/files", "engine/config", "engine/compiled", "engine/lock"),
-    ("engine/cache", "engine/child_process"),
+    ("engine/storage", "engine/config", "engine/compiled", "engine/child_process"),
     ("engine/scene/camera", "engine/scene/pycolmap_import"),
     ("engine/scene/orientation", "engine/scene/alignment", "engine/scene/scale"),
     ("engine/scene/photos",),

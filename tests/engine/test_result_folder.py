@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 from safetensors.torch import load_file
 
-from fruitlangs.engine import lock, pipeline
+from fruitlangs.engine import pipeline
 from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConfig, TrainConfig, UnitsConfig
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.errors import Cancelled, ConfigError, OutputError, SceneError
@@ -30,6 +30,7 @@ from fruitlangs.engine.result_folder import ResultFolder
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.training.checkpoint import read_checkpoint, training_key
 from fruitlangs.engine.splatting.training.train import train
+from fruitlangs.engine.storage import lock
 
 NO_FRUIT_COUNT = FruitCount(fruits=[], audit=[], max_probability=0.0, mean_diameter=None)
 TINY = Config(train=TrainConfig(steps=20, max_gaussians=3000))

@@ -12,13 +12,13 @@ import torch
 
 from fruitlangs.engine.config import Config, UnitsConfig
 from fruitlangs.engine.errors import ConfigError, SceneError
-from fruitlangs.engine.files import write_text
 from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
 from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.scene.formats.cameras_json import camera_names, read_cameras, with_scene_facts
 from fruitlangs.engine.scene.scale import scale_by_length
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
 from fruitlangs.engine.splatting.subject.extent import longest_side
+from fruitlangs.engine.storage.files import write_text
 
 UP = np.array([0.0, 0.0, 1.0])
 

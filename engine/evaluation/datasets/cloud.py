@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...files import replacing
+from ...storage.files import replacing
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...files import write_text
+from ...storage.files import write_text
 from ..number_table import read_numbers
 from ..truth import Truth
 

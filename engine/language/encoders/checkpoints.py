@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import EncoderError
-from ...files import files_hash
+from ...storage.files import files_hash
 from ...user_folders import checkpoints_folder
 
 _INSTALL = "python -m pip install 'transformers>=5'"

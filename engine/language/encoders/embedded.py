@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...errors import EncoderError
-from ...files import read_tensors, write_tensors
+from ...storage.files import read_tensors, write_tensors
 from ..colours import colour_words
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import Question

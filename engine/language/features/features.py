@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...errors import FormatError
-from ...files import read_tensors, write_tensors
+from ...storage.files import read_tensors, write_tensors
 
 FORMAT = "fruitlangs-features-2"
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from ...cache import stage_key
 from ...errors import SceneError
-from ...files import read_tensors, write_tensors
 from ...progress import Progress, part, silent
 from ...scene.camera import Scene
+from ...storage.files import read_tensors, write_tensors
+from ...storage.keys import stage_key
 from ..encoders.encoder import CropEncoder
 from .crops import masked_crops
 from .segmenter import Segmenter

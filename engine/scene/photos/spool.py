@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import OutputError
-from ...files import replacing
+from ...storage.files import replacing
 from ..camera import Photo, Scene
 
 HEADER = 128

@@ -15,8 +15,8 @@ from PIL import Image
 from ...child_process import ChildError, run_child
 from ...config import PhotosConfig
 from ...errors import OutputError, SceneError
-from ...files import replacing
 from ...progress import Progress, part, silent
+from ...storage.files import replacing
 from ..formats.colmap_records import check_records
 from ..photos.photo import DECODE_ERRORS, read_header
 from .mapping import FOUND, Copy, Job

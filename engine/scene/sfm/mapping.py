@@ -14,8 +14,8 @@ import numpy as np
 from ...child_process import end_with_parent, give_up, tell
 from ...config import PhotosConfig
 from ...errors import OutputError
-from ...lock import only_writer
 from ...progress import Progress, part
+from ...storage.lock import only_writer
 from ..pycolmap_import import colmap_library
 
 JOB, FOUND = "job.json", "poses.json"

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ...cache import stage_key
 from ...config import SceneConfig
 from ...errors import FormatError, SceneError
-from ...files import file_hash, write_text
 from ...scene.camera import FloatArray, Scene
 from ...scene.formats.cameras_json import dump_cameras, read_cameras
+from ...storage.files import file_hash, write_text
+from ...storage.keys import stage_key
 from ..gaussians import Gaussians
 from ..ply import read_ply, write_ply
 from .frame_check import Fit, measure_fit

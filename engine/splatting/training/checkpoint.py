@@ -13,8 +13,8 @@ import torch
 
 from ...config import TrainConfig, decisive
 from ...errors import TrainingError
-from ...files import read_tensors, write_tensors
 from ...scene.camera import Scene
+from ...storage.files import read_tensors, write_tensors
 from ..gaussians import PARAMETERS
 from .densify import GradientStats
 from .exposure import Exposures

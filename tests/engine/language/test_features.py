@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.files import write_tensors
 from fruitlangs.engine.language.features.features import FORMAT, Features, Perceptron, load_features, save_features
+from fruitlangs.engine.storage.files import write_tensors
 
 FILE = "features.safetensors"
 

@@ -14,12 +14,12 @@ from fruit_examples import count_of, fruit
 
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
-from fruitlangs.engine.files import file_hash, write_text
 from fruitlangs.engine.report.meshes import id_color
 from fruitlangs.engine.report.results import dump, fruits_document, stored_count
 from fruitlangs.engine.report.tables import fruits_csv, summary
 from fruitlangs.engine.report.words import count_text, location_text, nothing_found
 from fruitlangs.engine.result_folder import ResultFolder
+from fruitlangs.engine.storage.files import file_hash, write_text
 
 
 def two_fruit() -> FruitCount:

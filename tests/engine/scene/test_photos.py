@@ -22,8 +22,6 @@ from scipy.ndimage import gaussian_filter
 from fruitlangs.engine import child_process
 from fruitlangs.engine.config import Config, CountConfig, PhotosConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, SceneError
-from fruitlangs.engine.files import file_hash
-from fruitlangs.engine.lock import only_writer
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.engine.scene import source
 from fruitlangs.engine.scene.alignment import align
@@ -34,6 +32,8 @@ from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.find_cameras import find_poses
 from fruitlangs.engine.scene.sfm.mapping import drop_lost, pairs_to_match
 from fruitlangs.engine.scene.source import Source
+from fruitlangs.engine.storage.files import file_hash
+from fruitlangs.engine.storage.lock import only_writer
 
 VIEWS, WIDTH, HEIGHT, FOCAL = 6, 160, 120, 150.0
 

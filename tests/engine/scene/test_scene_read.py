@@ -12,10 +12,10 @@ import pytest
 from colmap_models import ring_of_poses, write_model, write_photo
 
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.engine.files import files_hash
 from fruitlangs.engine.scene.formats.transforms import read_transforms
 from fruitlangs.engine.scene.read import open_scene, read_scene
 from fruitlangs.engine.scene.source import Source
+from fruitlangs.engine.storage.files import files_hash
 
 
 def write_transforms(folder: Path, **values: object) -> Path:

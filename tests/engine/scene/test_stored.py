@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.errors import FormatError, OutputError
-from fruitlangs.engine.files import write_text
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.scene.formats.cameras_json import dump_cameras, read_cameras
+from fruitlangs.engine.storage.files import write_text
 
 
 def one_view() -> Scene:

@@ -16,13 +16,13 @@ from splats import drawn_scene, random_gaussians
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError, OutputError, SceneError
-from fruitlangs.engine.files import file_hash
 from fruitlangs.engine.pipeline import Result, count_scene
 from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
 from fruitlangs.engine.splatting.imported.imported_gaussians import import_gaussians
 from fruitlangs.engine.splatting.ply import read_ply, write_ply
 from fruitlangs.engine.splatting.subject import viewpoints
+from fruitlangs.engine.storage.files import file_hash
 
 TINY = Config(
     train=TrainConfig(steps=60, max_gaussians=4000), count=CountConfig(threshold=0.2, diameter=0.08, sample_budget=3000)

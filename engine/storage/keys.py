@@ -11,7 +11,7 @@ from typing import Any
 
 from .files import files_hash, text_hash
 
-_ENGINE = Path(__file__).resolve().parent
+_ENGINE = Path(__file__).resolve().parents[1]
 
 
 @cache

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
 
-from .errors import OutputError
+from ..errors import OutputError
 
 PATIENCE = 5.0
 """Seconds to wait for a process that is about to end."""

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import OutputError
+from ..errors import OutputError
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -1,0 +1,1 @@
+"""Files, the names of cached outputs, and the lock of a folder."""
