@@ -18,6 +18,7 @@ from .errors import ConfigError, FruitLangsError, SceneError
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
+from .memory import require_memory
 from .progress import Progress, part
 from .result_folder import ResultFolder
 from .scene.camera import Scene
@@ -161,6 +162,7 @@ def _with_training(scene: Scene, path: Path, inputs: str, run: Run, progress: Pr
             run.log.reused += ["train", "embed"] if embedder.trains else ["train"]
             training = json.loads(record.read_text(encoding="utf-8"))
         else:
+            require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
             training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
         if training["ssim"] is not None and training["ssim"] < POOR:
             run.log.notices.append(
@@ -186,6 +188,7 @@ def _with_imported(
         imported = import_gaussians(file, scene, inputs, run.config.scene, run.cache)
     run.log.notices += imported.notices
     run.log.reused += ["import"] if imported.reused else []
+    require_memory(len(imported.gaussians), run.config, imported.scene.cameras, trained=False)
     features = _embed_into(imported.key, imported.scene, imported.gaussians, run, part(progress, 0.1, 1.0))
     files = Files(imported.gaussians_file, imported.cameras_file, features)
     training: dict[str, Any] = {

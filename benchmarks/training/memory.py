@@ -8,10 +8,10 @@ import sys
 import numpy as np
 
 from ...engine.config import TrainConfig
+from ...engine.memory import training_bytes
 from ...engine.scene.camera import ArrayPhoto, Scene
 from ...engine.splatting.training.checkpoint import TrainingState
 from ...engine.splatting.training.densify import GradientStats
-from ...engine.splatting.training.memory import training_bytes
 from ...engine.splatting.training.parameters import Parameters
 from ...engine.splatting.training.photos import PhotoShelf
 from ...engine.splatting.training.schedule import Schedule

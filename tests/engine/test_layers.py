@@ -41,6 +41,7 @@ LAYERS = (
     ("engine/result_folder",),
     ("engine/evaluation/truth", "engine/evaluation/number_table"),
     ("engine/evaluation/datasets", "engine/evaluation"),
+    ("engine/memory",),
     ("engine/reconstruction",),
     ("engine/publishing", "engine/scale"),
     ("engine/pipeline", "engine/open_result"),

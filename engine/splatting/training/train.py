@@ -25,7 +25,6 @@ from .exposure import Exposures, fitted
 from .extra_channels import ExtraChannels
 from .initialise import first_gaussians
 from .losses import psnr, ssim
-from .memory import require_memory
 from .parameters import Parameters
 from .photos import PhotoShelf, Picture
 from .poses import Poses
@@ -105,7 +104,6 @@ def train(
         raise TrainingError("The scene has no photo to train on. Give at least one")
     middle = scene.middle
     require_digits(middle, scene.extent)
-    require_memory(config.max_gaussians, config.sh_degree, scene.cameras)
     measured = _usable(PhotoShelf(scene, limit=0), sorted(held_out), progress)
     if config.patience > 0 and (config.check_every == 0 or not measured):
         raise TrainingError(

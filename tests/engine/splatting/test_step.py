@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from splats import drawn_scene, random_gaussians, ring_camera
 
 from fruitlangs.engine.config import TrainConfig
-from fruitlangs.engine.errors import TrainingError
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 from fruitlangs.engine.splatting.rendering.reference import blending_weights, render_reference
@@ -29,7 +27,6 @@ from fruitlangs.engine.splatting.rendering.render import (
 from fruitlangs.engine.splatting.rendering.workspace import Workspace
 from fruitlangs.engine.splatting.training.exposure import Exposures, fitted
 from fruitlangs.engine.splatting.training.losses import unevenness
-from fruitlangs.engine.splatting.training.memory import available_bytes, require_memory, training_bytes
 from fruitlangs.engine.splatting.training.parameters import Parameters, Rates
 from fruitlangs.engine.splatting.training.photos import PhotoShelf
 from fruitlangs.engine.splatting.training.poses import Poses, moved, twist_gradient
@@ -281,30 +278,6 @@ def test_the_pixels_that_differ_most_are_forgiven() -> None:
     assert not use[6:10, 8:12].any()
     assert use[20:].mean() > 0.9
     assert use.mean() == pytest.approx(0.8, abs=0.02)
-
-
-def test_a_job_has_no_more_memory_than_its_batch_system_gives_it(tmp_path: Path) -> None:
-    job = tmp_path / "groups" / "slurm" / "job_7"
-    (job / "task").mkdir(parents=True)
-    for folder, limit in ((job, "5000000"), (job / "task", "max")):
-        (folder / "memory.max").write_text(limit + "\n")
-        (folder / "memory.current").write_text("3000000\n")
-        (folder / "memory.stat").write_text("anon 2000000\ninactive_file 1000000\n")
-    own = tmp_path / "own"
-    own.write_text("0::/slurm/job_7/task\n")
-    assert available_bytes(tmp_path / "groups", own) == 3_000_000
-    assert available_bytes(tmp_path / "groups", tmp_path / "missing") > 10_000_000
-
-
-def test_memory_is_estimated_and_refused_with_what_would_fit() -> None:
-    cameras = [ring_camera(width=800, height=600)] * 100
-    needed = training_bytes(200_000, 3, cameras)
-    assert needed < 2 * 2**30
-    require_memory(200_000, 3, cameras, free=needed)
-    with pytest.raises(TrainingError, match=r"--train.max-gaussians \d+"):
-        require_memory(2_000_000, 3, cameras, free=needed)
-    with pytest.raises(TrainingError, match=r"--scene.downscale"):
-        require_memory(200_000, 3, cameras, free=1 << 28)
 
 
 def test_a_smaller_picture_has_the_camera_of_its_size() -> None:

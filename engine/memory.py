@@ -1,0 +1,125 @@
+"""The memory that each stage of a run needs, and whether it is available."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import psutil
+
+from .config import Config
+from .counting.evidence.visibility import MOST_PIXELS
+from .errors import ConfigError
+from .language.encoders.embedded import MAX_SIDE
+from .scene.camera import Camera
+from .splatting.kernels.project_backward import MOMENT
+from .splatting.kernels.records import RECORD
+from .splatting.training.losses import REMEMBERED
+from .splatting.training.photos import KEPT
+
+TILES_EACH = 6
+"""Mean number of tiles per Gaussian and view: 3 to 5 were measured."""
+STEP_PLANES = 40
+"""float32 planes of a photo's size that a step of training keeps: blending, gradients, the loss's scratch."""
+FEATURE_PLANES = 200
+"""float32 planes of an encoded photo's size at the peak of encoding and lifting it."""
+LIFTED_VALUES = 260
+"""float32 values per Gaussian that lifting keeps: sums and features of all channels, and those of a view's tiles."""
+MASK_BYTES = 120
+"""Bytes per pixel of a photo while its masks are found, at three levels."""
+DRAWN_BYTES = 8
+"""Bytes per drawn pixel of all views that counting keeps: depth and probability."""
+POINT_BYTES = 1_500
+"""Bytes per sampled surface point at the peak of counting."""
+BASE = 500 << 20
+"""Bytes of the program itself, its libraries and the machine code."""
+
+
+def training_bytes(gaussians: int, sh_degree: int, cameras: Sequence[Camera]) -> int:
+    """Approximate peak memory of training, in bytes."""
+    values = 11 + 3 * (sh_degree + 1) ** 2
+    # Values, two moments, gradients, and a second copy of the first three while Gaussians are added.
+    a_gaussian = 4 * (7 * values + RECORD + 8) + TILES_EACH * (4 * MOMENT + 12)
+    pixels = [camera.width * camera.height for camera in cameras]
+    both_sizes = 1.25 * sum(pixels)  # full and half size
+    photos = min(int(4 * both_sizes), KEPT)  # with masks
+    moments = min(int(24 * both_sizes), REMEMBERED)
+    return BASE + gaussians * a_gaussian + photos + moments + 4 * STEP_PLANES * max(pixels, default=0)
+
+
+def features_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) -> int:
+    """Approximate peak memory of computing features, in bytes, without the weights of a CLIP or SAM checkpoint."""
+    if config.embed.encoder == "clip":
+        pixels = max(camera.width * camera.height for camera in cameras)
+        return BASE + MASK_BYTES * pixels + 4 * LIFTED_VALUES * gaussians
+    shares = [min(1.0, MAX_SIDE / max(camera.width, camera.height)) for camera in cameras]
+    encoded = max(camera.width * camera.height * share**2 for camera, share in zip(cameras, shares, strict=True))
+    return int(BASE + 4 * FEATURE_PLANES * encoded + 4 * LIFTED_VALUES * gaussians)
+
+
+def counting_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) -> int:
+    """Approximate peak memory of counting, in bytes."""
+    drawn = min(sum(camera.width * camera.height for camera in cameras), MOST_PIXELS)
+    points = min(config.count.sample_budget, 20 * gaussians)
+    return BASE + DRAWN_BYTES * drawn + POINT_BYTES * points + 4 * LIFTED_VALUES * gaussians
+
+
+def stage_bytes(gaussians: int, config: Config, cameras: Sequence[Camera], *, trained: bool) -> dict[str, int]:
+    """{stage: approximate peak memory in bytes} of a run up to this number of Gaussians."""
+    stages = {
+        "computing features": features_bytes(gaussians, config, cameras),
+        "counting": counting_bytes(gaussians, config, cameras),
+    }
+    if trained:
+        stages = {"training": training_bytes(gaussians, config.train.sh_degree, cameras), **stages}
+    return stages
+
+
+def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int:
+    """Memory that this process may still use, in bytes: of the machine, and of its control groups under Linux.
+
+    Batch systems and containers limit a job by its group (version 2), whose files lie in `groups` at the path that
+    `own` names; cached files do not count.
+    """
+    free = psutil.virtual_memory().available
+    try:
+        folder = groups / own.read_text(encoding="utf-8").split("0::/", 1)[1].strip()
+    except (OSError, IndexError):
+        return free
+    while folder.is_relative_to(groups):
+        try:
+            limit = int((folder / "memory.max").read_text(encoding="utf-8"))
+            used = int((folder / "memory.current").read_text(encoding="utf-8"))
+            shares = (folder / "memory.stat").read_text(encoding="utf-8").split()
+            free = min(free, limit - used + int(shares[shares.index("inactive_file") + 1]))
+        except (OSError, ValueError):  # no limit here ("max"), or none given
+            pass
+        folder = folder.parent
+    return max(free, 0)
+
+
+def require_memory(
+    gaussians: int, config: Config, cameras: Sequence[Camera], *, trained: bool, free: int | None = None
+) -> None:
+    """Refuse a run that does not fit, before it starts.
+
+    gaussians: most that there will be; free: usable bytes; `available_bytes` if not given.
+
+    Raises:
+        ConfigError: a stage needs more; names it and what would fit.
+    """
+    available = available_bytes() if free is None else free
+    needed, stage = max(
+        (size, stage) for stage, size in stage_bytes(gaussians, config, cameras, trained=trained).items()
+    )
+    if needed <= available:
+        return
+    fixed = stage_bytes(0, config, cameras, trained=trained)[stage]
+    fitting = int((available - fixed) / (needed - fixed) * gaussians) // 1000 * 1000
+    advice = f"--train.max-gaussians {fitting}" if trained and fitting >= 1000 else "--scene.downscale 2 or more"
+    raise ConfigError(
+        f"{stage.capitalize()} with up to {gaussians:,} Gaussians and {len(cameras)} photos of up to "
+        f"{max(camera.width for camera in cameras)}×{max(camera.height for camera in cameras)} needs about "
+        f"{needed / 2**30:.1f} GB of memory and {available / 2**30:.1f} GB are free. Close other programs, or use "
+        f"{advice}"
+    )

@@ -1,0 +1,73 @@
+"""The memory that a run needs is known before it starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.memory import available_bytes, require_memory, stage_bytes, training_bytes
+from fruitlangs.engine.pipeline import count_scene
+from fruitlangs.engine.scene.camera import Camera
+
+
+def cameras(count: int, width: int, height: int) -> list[Camera]:
+    return [Camera(K=np.eye(3), world_to_camera=np.eye(4), width=width, height=height)] * count
+
+
+def test_a_job_has_no_more_memory_than_its_batch_system_gives_it(tmp_path: Path) -> None:
+    job = tmp_path / "groups" / "slurm" / "job_7"
+    (job / "task").mkdir(parents=True)
+    for folder, limit in ((job, "5000000"), (job / "task", "max")):
+        (folder / "memory.max").write_text(limit + "\n")
+        (folder / "memory.current").write_text("3000000\n")
+        (folder / "memory.stat").write_text("anon 2000000\ninactive_file 1000000\n")
+    own = tmp_path / "own"
+    own.write_text("0::/slurm/job_7/task\n")
+    assert available_bytes(tmp_path / "groups", own) == 3_000_000
+    assert available_bytes(tmp_path / "groups", tmp_path / "missing") > 10_000_000
+
+
+def test_a_training_that_does_not_fit_is_refused_with_what_would_fit() -> None:
+    views = cameras(100, 800, 600)
+    config = Config(train=TrainConfig(sh_degree=3))
+    needed = training_bytes(200_000, 3, views)
+    assert needed < 2.2 * 2**30
+    require_memory(200_000, config, views, trained=True, free=needed)
+    with pytest.raises(ConfigError, match=r"^Training with up to 2,000,000 .*--train.max-gaussians \d+"):
+        require_memory(2_000_000, config, views, trained=True, free=needed)
+    with pytest.raises(ConfigError, match=r"--scene.downscale"):
+        require_memory(200_000, config, views, trained=True, free=1 << 28)
+
+
+def test_every_stage_is_checked_and_the_largest_is_named() -> None:
+    few = cameras(8, 1600, 1200)
+    stages = stage_bytes(1000, Config(), few, trained=True)
+    assert list(stages) == ["training", "computing features", "counting"]
+    with pytest.raises(ConfigError, match=r"^Computing features with .* 8 photos of up to 1600×1200 needs about"):
+        require_memory(1000, Config(), few, trained=True, free=max(stages.values()) - 1)
+    many = stage_bytes(1000, Config(), cameras(3000, 1600, 1200), trained=False)
+    assert many["counting"] < stages["counting"] + 400 * 2**20  # views are drawn smaller
+    assert many["computing features"] == stages["computing features"]  # one photo at a time
+
+
+def test_photos_above_the_encoders_size_need_no_more_memory_for_features() -> None:
+    config = Config(scene=SceneConfig(max_side=0))
+    here, there = (stage_bytes(1000, config, cameras(9, *size), trained=False) for size in ((1600, 1200), (4000, 3000)))
+    assert here["computing features"] == there["computing features"]
+
+
+@pytest.mark.parametrize("encoder", ["embedded", "clip"])
+def test_more_gaussians_need_more_memory_in_every_stage(encoder: str) -> None:
+    config = Config(embed=EmbedConfig(encoder=encoder), count=CountConfig())  # type: ignore[arg-type]
+    few, many = (stage_bytes(n, config, cameras(9, 800, 600), trained=True) for n in (10_000, 1_000_000))
+    assert all(few[stage] < many[stage] for stage in few)
+
+
+def test_a_run_that_does_not_fit_is_refused_before_the_first_step(few_photos: Path, tmp_path: Path) -> None:
+    huge = Config(train=TrainConfig(max_gaussians=100_000_000, steps=10**6))
+    with pytest.raises(ConfigError, match=r"GB are free\. Close other programs, or use --train\.max-gaussians"):
+        count_scene(few_photos, ["fruit"], tmp_path, config=huge)
