@@ -113,7 +113,7 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
     if run.embedder.trains and (alone or imported is not None):
         raise ConfigError("--features joint trains with the Gaussians, and these are given. Use --features lift")
     if alone:
-        return _with_imported(path, None, path, "", run, progress)
+        return _with_imported(path, None, {"source": str(path)}, run, progress)
     if imported is None and source.photos_alone() is not None:
         start = 0.4
         with run.log.timed("photos"):
@@ -123,12 +123,12 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
     progress = part(progress, start, 1.0)
     with run.log.timed("scene"):
         scene = _read_photos(source, run, part(progress, 0.0, 0.03))
-        inputs = source.hash()
+        inputs = {"source": str(path), "inputs_sha256": source.hash()}
     with spooled(scene, run.cache / SPOOL) as photos:
         if imported is not None:
-            made = _with_imported(imported, photos, path, inputs, run, progress)
+            made = _with_imported(imported, photos, inputs, run, progress)
         else:
-            made = _with_training(photos, path, inputs, run, progress)
+            made = _with_training(photos, inputs, run, progress)
     return dataclasses.replace(made, scene=dataclasses.replace(made.scene, images=scene.images))
 
 
@@ -147,12 +147,12 @@ def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
     return scene
 
 
-def _with_training(scene: Scene, path: Path, inputs: str, run: Run, progress: Progress) -> Reconstruction:
-    """The scene with trained Gaussians."""
+def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: Progress) -> Reconstruction:
+    """The scene with trained Gaussians. inputs: path and hash of the scene, for the provenance."""
     embedder, config = run.embedder, run.config
     # The up direction does not affect training.
     settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
-    key = stage_key(("scene", "splatting"), inputs, *settings)
+    key = stage_key(("scene", "splatting"), inputs["inputs_sha256"], *settings)
     if embedder.trains:
         key = stage_key(("language",), key, embedder.key)
     folder = run.cache / f"train-{key}"
@@ -169,48 +169,42 @@ def _with_training(scene: Scene, path: Path, inputs: str, run: Run, progress: Pr
                 f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
                 "count may be wrong. Check the pictures, and take more photos in smaller steps"
             )
-        scene = dataclasses.replace(scene, cameras=read_cameras(folder / CAMERAS).cameras)
-        # Read back even when just trained: the first prompt must use the same bytes as later ones.
-        gaussians = read_ply(folder / GAUSSIANS)
-    if embedder.trains:
-        features = folder / FEATURES
-    else:
-        features = _embed_into(key, scene, gaussians, run, part(progress, 0.75, 1.0))
-    files = Files(folder / GAUSSIANS, folder / CAMERAS, features)
-    return _made(scene, gaussians, files, path, inputs, run, training)
+    return _made(folder, key, scene, {**inputs, "training": training}, run, part(progress, 0.75, 1.0))
 
 
 def _with_imported(
-    file: Path, scene: Scene | None, path: Path, inputs: str, run: Run, progress: Progress
+    file: Path, scene: Scene | None, inputs: Mapping[str, str], run: Run, progress: Progress
 ) -> Reconstruction:
     """An imported reconstruction with the scene's photos, or with its own renders."""
     with run.log.timed("import"):
-        imported = import_gaussians(file, scene, inputs, run.config.scene, run.cache)
+        imported = import_gaussians(file, scene, inputs.get("inputs_sha256", ""), run.config.scene, run.cache)
     run.log.notices += imported.notices
     run.log.reused += ["import"] if imported.reused else []
-    require_memory(len(imported.gaussians), run.config, imported.scene.cameras, trained=False)
-    features = _embed_into(imported.key, imported.scene, imported.gaussians, run, part(progress, 0.1, 1.0))
-    files = Files(imported.gaussians_file, imported.cameras_file, features)
-    training: dict[str, Any] = {
-        "steps": 0,
-        "gaussians": len(imported.gaussians),
-        "psnr": None,
-        "ssim": None,
-        "held_out": [],
-    }
-    inputs = inputs or imported.record["sha256"]
-    made = _made(imported.scene, imported.gaussians, files, path, inputs, run, training)
-    return dataclasses.replace(made, origin={**made.origin, "imported": imported.record})
+    origin = {"inputs_sha256": imported.record["sha256"], **inputs, "imported": imported.record}
+    return _made(imported.folder, imported.key, scene, origin, run, part(progress, 0.1, 1.0))
 
 
 def _made(
-    scene: Scene, gaussians: Gaussians, files: Files, path: Path, inputs: str, run: Run, training: Mapping[str, Any]
+    folder: Path, key: str, scene: Scene | None, origin: Mapping[str, Any], run: Run, progress: Progress
 ) -> Reconstruction:
+    """What is in the folder of a stage, with features, and with the photos of the scene or else renders."""
+    # Read back even when just made: the first prompt must use the same bytes as later ones.
+    gaussians, stored = read_ply(folder / GAUSSIANS), read_cameras(folder / CAMERAS)
+    scene = dataclasses.replace(scene, cameras=stored.cameras) if scene else rendered_again(gaussians, stored)
+    if "training" not in origin:
+        require_memory(len(gaussians), run.config, scene.cameras, trained=False)
+    files = Files(
+        gaussians=folder / GAUSSIANS,
+        cameras=folder / CAMERAS,
+        features=folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress),
+    )
+    untrained: dict[str, Any] = {"steps": 0, "gaussians": len(gaussians), "psnr": None, "ssim": None, "held_out": []}
     origin = {
-        "source": str(path),
-        "inputs_sha256": inputs,
+        "source": origin["source"],
+        "inputs_sha256": origin["inputs_sha256"],
         "encoder": run.embedder.encoder.identity,
-        "training": training,
+        "training": untrained,
+        **origin,
     }
     return Reconstruction(scene, gaussians, load_features(files.features), files, run.config, origin)
 

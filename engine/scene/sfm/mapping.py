@@ -211,14 +211,7 @@ def _match(job: Job) -> None:
 
 def _map(job: Job) -> None:
     """Place one photo after the other; write the largest model with the photos' own names, and a summary."""
-    best: list[Any] = []
-    for attempt, least_inliers in enumerate(_LEAST_INLIERS):
-        start = 0.7 + 0.3 * attempt / len(_LEAST_INLIERS)
-        models = _models(job, least_inliers, part(tell, start, start + 0.3 / len(_LEAST_INLIERS)))
-        if not best or (models and models[0].num_reg_images() > best[0].num_reg_images()):
-            best = models
-        if best and best[0].num_reg_images() >= ENOUGH * len(job.photos):
-            break
+    best = best_models(job)
     if not best:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
     largest = best[0]
@@ -229,6 +222,20 @@ def _map(job: Job) -> None:
     placed = sorted(image.name for image in largest.images.values() if image.has_pose)
     found = {"placed": placed, "models": [model.num_reg_images() for model in best]}
     (folder / FOUND).write_text(json.dumps(found), encoding="utf-8")
+
+
+def best_models(job: Job) -> list[Any]:
+    """The models of the photos, largest first, of the attempt that placed most; the second is made only if the first
+    placed less than `ENOUGH`."""
+    best: list[Any] = []
+    for attempt, least_inliers in enumerate(_LEAST_INLIERS):
+        start = 0.7 + 0.3 * attempt / len(_LEAST_INLIERS)
+        models = _models(job, least_inliers, part(tell, start, start + 0.3 / len(_LEAST_INLIERS)))
+        if not best or (models and models[0].num_reg_images() > best[0].num_reg_images()):
+            best = models
+        if best and best[0].num_reg_images() >= ENOUGH * len(job.photos):
+            break
+    return best
 
 
 def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:

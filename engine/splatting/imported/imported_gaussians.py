@@ -13,11 +13,11 @@ import numpy as np
 from ...config import SceneConfig
 from ...errors import FormatError, SceneError
 from ...scene.camera import FloatArray, Scene
-from ...scene.formats.cameras_json import dump_cameras, read_cameras
+from ...scene.formats.cameras_json import dump_cameras
 from ...storage.files import file_hash, write_text
 from ...storage.keys import stage_key
 from ..gaussians import Gaussians
-from ..ply import read_ply, write_ply
+from ..ply import write_ply
 from .frame_check import Fit, measure_fit
 from .read_ply import ImportedPly, read_imported_ply
 from .rendered_photos import render_photos, scene_around
@@ -30,18 +30,15 @@ _UPS = {"gaussians": np.array([0.0, -1.0, 0.0]), "points": np.array([0.0, 0.0, 1
 """Up if no ground defines it: 3DGS files mostly keep COLMAP's axes, clouds those of a scanner."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ImportedGaussians:
-    """A reconstruction of another program, with cameras.
+    """A reconstruction of another program, with cameras, in the files gaussians.ply and cameras.json of `folder`.
 
     key: hash of all inputs; record: its entry in the provenance (file, sha256, kind, cameras); notices: messages for
     the user; reused: it was in the cache.
     """
 
-    scene: Scene
-    gaussians: Gaussians
-    gaussians_file: Path
-    cameras_file: Path
+    folder: Path
     key: str
     record: dict[str, Any]
     notices: Sequence[str]
@@ -63,41 +60,21 @@ def import_gaussians(
     sha256 = _hash(file)
     key = stage_key(("scene", "splatting"), inputs, sha256, config)
     folder = cache / f"imported-{key}"
-    gaussians_file, cameras_file, record_file = (
-        folder / "gaussians.ply",
-        folder / "cameras.json",
-        folder / "imported.json",
-    )
-    reused = record_file.is_file() and gaussians_file.is_file() and cameras_file.is_file()
+    record_file = folder / "imported.json"
+    reused = record_file.is_file()
     if not reused:
         imported = read_imported_ply(file)
         notices = list(imported.notices)
-        if scene is None:
-            used = _scene_around(imported, file, config.up, notices)
-        else:
-            used = scene
+        if scene is not None:
             _check_fit(measure_fit(imported.gaussians, scene), file)
-        write_ply(gaussians_file, imported.gaussians)
-        write_text(cameras_file, dump_cameras(used))
+        used = scene or _scene_around(imported, file, config.up, notices)
+        write_ply(folder / "gaussians.ply", imported.gaussians)
+        write_text(folder / "cameras.json", dump_cameras(used))
         write_text(record_file, json.dumps({"kind": imported.kind, "notices": notices}))
     kept = json.loads(record_file.read_text(encoding="utf-8"))
-    # Read back even when just written: the first prompt must use the same bytes as later ones.
-    gaussians, stored = read_ply(gaussians_file), read_cameras(cameras_file)
-    return ImportedGaussians(
-        scene=rendered_again(gaussians, stored) if scene is None else replace(scene, cameras=stored.cameras),
-        gaussians=gaussians,
-        gaussians_file=gaussians_file,
-        cameras_file=cameras_file,
-        key=key,
-        record={
-            "file": file.name,
-            "sha256": sha256,
-            "kind": kept["kind"],
-            "cameras": PLACED if scene is None else "given",
-        },
-        notices=kept["notices"],
-        reused=reused,
-    )
+    cameras = PLACED if scene is None else "given"
+    record = {"file": file.name, "sha256": sha256, "kind": kept["kind"], "cameras": cameras}
+    return ImportedGaussians(folder, key, record, kept["notices"], reused)
 
 
 def rendered_again(gaussians: Gaussians, stored: Scene) -> Scene:

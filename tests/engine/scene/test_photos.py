@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from collections import Counter
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from fruitlangs.engine.scene.formats import colmap, layout
 from fruitlangs.engine.scene.formats.cameras_json import dump_cameras
 from fruitlangs.engine.scene.formats.colmap_records import check_records
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm import mapping
 from fruitlangs.engine.scene.sfm.find_cameras import find_poses
 from fruitlangs.engine.scene.sfm.mapping import drop_lost, pairs_to_match
 from fruitlangs.engine.scene.source import Source
@@ -375,6 +377,26 @@ def test_a_run_reads_every_photo_for_its_hash_once_and_checks_the_model_once(
     checked.clear()
     count_scene(tmp_path, ["apple"], tmp_path)
     assert set(hashed.values()) == set(checked.values()) == {1}
+
+
+@pytest.mark.parametrize(
+    ("photos", "placed", "attempts"), [(300, [299, 300], 1), (34, [33, 34], 1), (34, [32, 30], 2), (6, [0, 6], 2)]
+)
+def test_the_search_is_repeated_only_if_more_than_a_few_photos_were_not_placed(
+    photos: int, placed: list[int], attempts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+
+    def models(job: mapping.Job, least_inliers: int, report: object) -> list[object]:
+        made.append(least_inliers)
+        number = placed[len(made) - 1]
+        return [types.SimpleNamespace(num_reg_images=lambda: number)] if number else []
+
+    monkeypatch.setattr(mapping, "_models", models)
+    copy = mapping.Copy(name="a", width=8, height=6, copy="0.png", copy_width=4, copy_height=3, file="/x")
+    (best,) = mapping.best_models(mapping.Job(folder="/x", photos=[copy] * photos, config=PhotosConfig()))
+    assert len(made) == attempts
+    assert best.num_reg_images() == max(placed[:attempts])
 
 
 def test_a_photo_that_is_placed_absurdly_far_away_is_taken_out_and_no_other() -> None:
