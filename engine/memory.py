@@ -21,18 +21,22 @@ TILES_EACH = 6
 """Mean number of tiles per Gaussian and view: 3 to 5 were measured."""
 STEP_PLANES = 40
 """float32 planes of a photo's size that a step of training keeps: blending, gradients, the loss's scratch."""
-FEATURE_PLANES = 200
+FEATURE_PLANES = 100
 """float32 planes of an encoded photo's size at the peak of encoding and lifting it."""
-LIFTED_VALUES = 260
+LIFTED_VALUES = 270
 """float32 values per Gaussian that lifting keeps: sums and features of all channels, and those of a view's tiles."""
 MASK_BYTES = 120
 """Bytes per pixel of a photo while its masks are found, at three levels."""
 DRAWN_BYTES = 8
 """Bytes per drawn pixel of all views that counting keeps: depth and probability."""
-POINT_BYTES = 1_500
+POINT_BYTES = 1_800
 """Bytes per sampled surface point at the peak of counting."""
+COUNTED_VALUES = 130
+"""float32 values per Gaussian while counting."""
 BASE = 500 << 20
 """Bytes of the program itself, its libraries and the machine code."""
+LEFT = 600 << 20
+"""Bytes that a training leaves in use by the process."""
 
 
 def training_bytes(gaussians: int, sh_degree: int, cameras: Sequence[Camera]) -> int:
@@ -61,18 +65,19 @@ def counting_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) ->
     """Approximate peak memory of counting, in bytes."""
     drawn = min(sum(camera.width * camera.height for camera in cameras), MOST_PIXELS)
     points = min(config.count.sample_budget, 20 * gaussians)
-    return BASE + DRAWN_BYTES * drawn + POINT_BYTES * points + 4 * LIFTED_VALUES * gaussians
+    return BASE + DRAWN_BYTES * drawn + POINT_BYTES * points + 4 * COUNTED_VALUES * gaussians
 
 
 def stage_bytes(gaussians: int, config: Config, cameras: Sequence[Camera], *, trained: bool) -> dict[str, int]:
     """{stage: approximate peak memory in bytes} of a run up to this number of Gaussians."""
-    stages = {
+    later = {
         "computing features": features_bytes(gaussians, config, cameras),
         "counting": counting_bytes(gaussians, config, cameras),
     }
-    if trained:
-        stages = {"training": training_bytes(gaussians, config.train.sh_degree, cameras), **stages}
-    return stages
+    if not trained:
+        return later
+    training = {"training": training_bytes(gaussians, config.train.sh_degree, cameras)}
+    return training | {stage: size + LEFT for stage, size in later.items()}
 
 
 def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int:
