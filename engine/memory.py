@@ -17,6 +17,8 @@ from .splatting.kernels.records import RECORD
 from .splatting.training.losses import REMEMBERED
 from .splatting.training.photos import KEPT
 
+BOTH_SIZES = 1.25
+"""Pixels of a photo at full and at half size, in pixels of the photo."""
 TILES_EACH = 6
 """Mean number of tiles per Gaussian and view: 3 to 5 were measured."""
 STEP_PLANES = 40
@@ -27,16 +29,16 @@ LIFTED_VALUES = 270
 """float32 values per Gaussian that lifting keeps: sums and features of all channels, and those of a view's tiles."""
 MASK_BYTES = 120
 """Bytes per pixel of a photo while its masks are found, at three levels."""
-DRAWN_BYTES = 8
-"""Bytes per drawn pixel of all views that counting keeps: depth and probability."""
-POINT_BYTES = 1_800
+DRAWN_BYTES = 29
+"""Bytes per drawn pixel of all views at the peak of counting."""
+POINT_BYTES = 180
 """Bytes per sampled surface point at the peak of counting."""
 COUNTED_VALUES = 130
 """float32 values per Gaussian while counting."""
 BASE = 500 << 20
 """Bytes of the program itself, its libraries and the machine code."""
-LEFT = 600 << 20
-"""Bytes that a training leaves in use by the process."""
+LEFT, LEFT_OF_PHOTOS = 150 << 20, 0.5
+"""Bytes, and share of the photos' bytes, that a training leaves in use by the process."""
 
 
 def training_bytes(gaussians: int, sh_degree: int, cameras: Sequence[Camera]) -> int:
@@ -45,10 +47,14 @@ def training_bytes(gaussians: int, sh_degree: int, cameras: Sequence[Camera]) ->
     # Values, two moments, gradients, and a second copy of the first three while Gaussians are added.
     a_gaussian = 4 * (7 * values + RECORD + 8) + TILES_EACH * (4 * MOMENT + 12)
     pixels = [camera.width * camera.height for camera in cameras]
-    both_sizes = 1.25 * sum(pixels)  # full and half size
-    photos = min(int(4 * both_sizes), KEPT)  # with masks
-    moments = min(int(24 * both_sizes), REMEMBERED)
+    moments = min(int(24 * BOTH_SIZES * sum(pixels)), REMEMBERED)
+    photos = photo_bytes(cameras)
     return BASE + gaussians * a_gaussian + photos + moments + 4 * STEP_PLANES * max(pixels, default=0)
+
+
+def photo_bytes(cameras: Sequence[Camera]) -> int:
+    """Approximate bytes of photos and masks that training keeps in memory."""
+    return min(int(4 * BOTH_SIZES * sum(camera.width * camera.height for camera in cameras)), KEPT)
 
 
 def features_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) -> int:
@@ -77,7 +83,8 @@ def stage_bytes(gaussians: int, config: Config, cameras: Sequence[Camera], *, tr
     if not trained:
         return later
     training = {"training": training_bytes(gaussians, config.train.sh_degree, cameras)}
-    return training | {stage: size + LEFT for stage, size in later.items()}
+    left = LEFT + int(LEFT_OF_PHOTOS * photo_bytes(cameras))
+    return training | {stage: size + left for stage, size in later.items()}
 
 
 def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int:
