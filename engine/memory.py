@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,6 +36,12 @@ POINT_BYTES = 180
 """Bytes per sampled surface point at the peak of counting."""
 COUNTED_VALUES = 130
 """float32 values per Gaussian while counting."""
+SIFT_BYTES = 550
+"""Bytes per pixel of a copy while its features are found, in each thread."""
+SEARCHED_PHOTO = 2 << 20
+"""Bytes per photo of its features and matches while cameras are placed."""
+SEARCH_BASE = 250 << 20
+"""Bytes of the process that finds cameras."""
 BASE = 500 << 20
 """Bytes of the program itself, its libraries and the machine code."""
 LEFT, LEFT_OF_PHOTOS = 150 << 20, 0.5
@@ -85,6 +92,33 @@ def stage_bytes(gaussians: int, config: Config, cameras: Sequence[Camera], *, tr
     training = {"training": training_bytes(gaussians, config.train.sh_degree, cameras)}
     left = LEFT + int(LEFT_OF_PHOTOS * photo_bytes(cameras))
     return training | {stage: size + left for stage, size in later.items()}
+
+
+def camera_search_bytes(photos: int, pixels: int, threads: int) -> int:
+    """Approximate peak memory of finding cameras, in bytes; pixels: of the largest copy of a photo."""
+    return SEARCH_BASE + photos * SEARCHED_PHOTO + threads * SIFT_BYTES * pixels
+
+
+def require_memory_for_cameras(
+    sizes: Sequence[tuple[int, int]], max_side: int, *, threads: int | None = None, free: int | None = None
+) -> None:
+    """Refuse a camera search that does not fit, before it starts.
+
+    sizes: (width, height) of the photos; threads: all cores if not given.
+
+    Raises:
+        ConfigError: it needs more memory; says what would fit.
+    """
+    available, cores = available_bytes() if free is None else free, threads or os.cpu_count() or 1
+    largest = max(min(1.0, max_side / max(size)) ** 2 * size[0] * size[1] for size in sizes)
+    needed = camera_search_bytes(len(sizes), int(largest), cores)
+    if needed > available:
+        smaller = int(max_side * max(available / needed, 0.04) ** 0.5) // 100 * 100
+        raise ConfigError(
+            f"Finding the cameras of {len(sizes)} photos on {cores} cores needs about {needed / 2**30:.1f} GB of memory"
+            f" and {available / 2**30:.1f} GB are free. Close other programs, or use --photos.max-side "
+            f"{max(smaller, 400)}"
+        )
 
 
 def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int:

@@ -18,14 +18,15 @@ from .errors import ConfigError, FruitLangsError, SceneError
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
-from .memory import require_memory
+from .memory import require_memory, require_memory_for_cameras
 from .progress import Progress, part
 from .result_folder import ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
-from .scene.photos.photo import FilePhoto
+from .scene.photos.photo import FilePhoto, read_header
 from .scene.photos.spool import spooled
 from .scene.scale import scale_by_length
+from .scene.sfm.find_cameras import list_photos
 from .scene.source import Source
 from .splatting.gaussians import Gaussians
 from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
@@ -114,9 +115,14 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         raise ConfigError("--features joint trains with the Gaussians, and these are given. Use --features lift")
     if alone:
         return _with_imported(path, None, {"source": str(path)}, run, progress)
-    if imported is None and source.photos_alone() is not None:
+    photos = source.photos_alone() if imported is None else None
+    if photos is not None:
         start = 0.4
         with run.log.timed("photos"):
+            if not source.has_poses(run.cache, run.config.photos):
+                headers = [read_header(file) for file in list_photos(photos)]
+                sizes = [(header.width, header.height) for header in headers]
+                require_memory_for_cameras(sizes, run.config.photos.max_side)
             source = source.posed(run.cache, run.config.photos, progress=part(progress, 0.0, start))
         run.log.notices += source.notices
         run.log.reused += ["photos"] if source.reused else []
@@ -124,11 +130,11 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
     with run.log.timed("scene"):
         scene = _read_photos(source, run, part(progress, 0.0, 0.03))
         inputs = {"source": str(path), "inputs_sha256": source.hash()}
-    with spooled(scene, run.cache / SPOOL) as photos:
+    with spooled(scene, run.cache / SPOOL) as decoded_once:
         if imported is not None:
-            made = _with_imported(imported, photos, inputs, run, progress)
+            made = _with_imported(imported, decoded_once, inputs, run, progress)
         else:
-            made = _with_training(photos, inputs, run, progress)
+            made = _with_training(decoded_once, inputs, run, progress)
     return dataclasses.replace(made, scene=dataclasses.replace(made.scene, images=scene.images))
 
 

@@ -107,6 +107,11 @@ class Source:
         found = find_poses(photos, model.path.parent, config, progress=progress)
         return replace(model, path=found.model, notices=found.notices, reused=found.reused)
 
+    def has_poses(self, cache: Path, config: PhotosConfig) -> bool:
+        """Whether the cameras of photos alone are in `cache`."""
+        photos = self.photos_alone()
+        return photos is not None and self._model(photos, cache, config).path.is_dir()
+
     def posed_before(self, earlier: Path, cache: Path, config: PhotosConfig) -> Source:
         """As `posed`, with the cameras of an earlier run in the cache `earlier`; they are copied to `cache`.
 

@@ -6,10 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from fruitlangs.engine import memory
 from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.engine.memory import available_bytes, require_memory, stage_bytes, training_bytes
+from fruitlangs.engine.memory import (
+    available_bytes,
+    require_memory,
+    require_memory_for_cameras,
+    stage_bytes,
+    training_bytes,
+)
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.engine.scene.camera import Camera
 
@@ -71,3 +79,24 @@ def test_a_run_that_does_not_fit_is_refused_before_the_first_step(few_photos: Pa
     huge = Config(train=TrainConfig(max_gaussians=100_000_000, steps=10**6))
     with pytest.raises(ConfigError, match=r"GB are free\. Close other programs, or use --train\.max-gaussians"):
         count_scene(few_photos, ["fruit"], tmp_path, config=huge)
+
+
+def test_a_camera_search_that_does_not_fit_is_refused_with_a_size_that_would() -> None:
+    sizes = [(4000, 3000)] * 60
+    require_memory_for_cameras(sizes, 1600, threads=2, free=3 << 30)
+    with pytest.raises(ConfigError, match=r"60 photos on 16 cores needs about .* --photos\.max-side (\d+)") as caught:
+        require_memory_for_cameras(sizes, 1600, threads=16, free=8 << 30)
+    smaller = int(str(caught.value).split()[-1])
+    require_memory_for_cameras(sizes, smaller, threads=16, free=8 << 30)
+    require_memory_for_cameras([(480, 360)] * 60, 1600, threads=16, free=3 << 30)
+
+
+def test_photos_whose_cameras_cannot_be_found_in_memory_are_refused_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tree").mkdir()
+    for number in range(3):
+        Image.new("RGB", (64, 48)).save(tmp_path / "tree" / f"{number}.jpg")
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1 << 20)
+    with pytest.raises(ConfigError, match="Finding the cameras of 3 photos"):
+        count_scene(tmp_path / "tree", ["apple"], tmp_path / "out")
