@@ -26,6 +26,8 @@ STEP_PLANES = 40
 """float32 planes of a photo's size that a step of training keeps: blending, gradients, the loss's scratch."""
 FEATURE_PLANES = 100
 """float32 planes of an encoded photo's size at the peak of encoding and lifting it."""
+DECODED_BYTES = 12
+"""Bytes per pixel of a photo while it is scaled down for the encoder."""
 LIFTED_VALUES = 270
 """float32 values per Gaussian that lifting keeps: sums and features of all channels, and those of a view's tiles."""
 MASK_BYTES = 120
@@ -71,7 +73,8 @@ def features_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) ->
         return BASE + MASK_BYTES * pixels + 4 * LIFTED_VALUES * gaussians
     shares = [min(1.0, MAX_SIDE / max(camera.width, camera.height)) for camera in cameras]
     encoded = max(camera.width * camera.height * share**2 for camera, share in zip(cameras, shares, strict=True))
-    return int(BASE + 4 * FEATURE_PLANES * encoded + 4 * LIFTED_VALUES * gaussians)
+    decoded = max(camera.width * camera.height for camera in cameras)
+    return int(BASE + DECODED_BYTES * decoded + 4 * FEATURE_PLANES * encoded + 4 * LIFTED_VALUES * gaussians)
 
 
 def counting_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) -> int:

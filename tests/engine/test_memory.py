@@ -62,10 +62,10 @@ def test_every_stage_is_checked_and_the_largest_is_named() -> None:
     assert many == more
 
 
-def test_photos_above_the_encoders_size_need_no_more_memory_for_features() -> None:
+def test_photos_above_the_encoders_size_need_little_more_memory_for_features() -> None:
     config = Config(scene=SceneConfig(max_side=0))
     here, there = (stage_bytes(1000, config, cameras(9, *size), trained=False) for size in ((1600, 1200), (4000, 3000)))
-    assert here["computing features"] == there["computing features"]
+    assert there["computing features"] < here["computing features"] + 150 * 2**20
 
 
 @pytest.mark.parametrize("encoder", ["embedded", "clip"])
