@@ -74,7 +74,7 @@ def count_scene(
         read_template(Path(config.count.template))  # nor must an invalid template
         template["template_sha256"] = file_hash(Path(config.count.template))
     folder = ResultFolder(out)
-    run = Run(folder.cache, embedder, config, config.changed() if given is None else given, watch)
+    run = Run(folder.cache, embedder, config, given, watch)
     opened = _opened(source, imported, out, progress)
     with folder.locked():
         made = _before_prompts(opened, imported, run, part(progress, 0.0, 0.9))
@@ -126,7 +126,7 @@ def reconstruct_scene(
     Returns it with the log of the run. Arguments and errors as of `count_scene`.
     """
     folder = ResultFolder(out)
-    run = Run(folder.cache, Embedder.open(config.embed), config, config.changed() if given is None else given, watch)
+    run = Run(folder.cache, Embedder.open(config.embed), config, given, watch)
     opened = _opened(source, imported, out, progress)
     with folder.locked():
         made = _before_prompts(opened, imported, run, progress)
@@ -175,7 +175,7 @@ def _before_prompts(
                 run.config,
                 run.log,
                 cache=run.cache,
-                given=run.given,
+                given=run.config.changed() if run.given is None else run.given,
                 encoder_id=encoder.identity,
             )
         else:

@@ -117,7 +117,7 @@ def _stale(folder: ResultFolder, names: Sequence[str], keep: Path | None) -> lis
     """The pictures and the scene.blend of the earlier set that the new one lacks."""
     old = [f"{PICTURES}/{path.name}" for path in (folder.path / PICTURES).glob("view_*.png")]
     blend = folder.path / BLEND
-    if BLEND in folder.listed() and blend.is_file() and (keep is None or keep.resolve() != blend.resolve()):
+    if BLEND in folder.listed() and (keep is None or keep.resolve() != blend.resolve()):
         old.append(BLEND)
     return [name for name in old if name not in names]
 

@@ -20,7 +20,7 @@ from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
 from .memory import require_memory, require_memory_for_cameras
 from .progress import Progress, part
-from .result_folder import ResultFolder
+from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
 from .scene.photos.photo import FilePhoto, read_header
@@ -38,7 +38,7 @@ from .storage.keys import stage_key
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
-RECORD, SPOOL = "training.json", "spool"
+RECORD = "training.json"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
 FIXED = ("scene", "photos", "train", "embed")
@@ -89,13 +89,13 @@ class Run:
     """What all stages of a run share.
 
     cache: the folder of the outputs of stages; given: settings ("train.steps") that the user gave, whatever their
-    value; watch: receives the Gaussians during training.
+    value, None if that is not known; watch: receives the Gaussians during training.
     """
 
     cache: Path
     embedder: Embedder
     config: Config
-    given: Collection[str] = ()
+    given: Collection[str] | None = None
     watch: Watch | None = None
     log: RunLog = field(default_factory=RunLog)
 

@@ -18,6 +18,8 @@ from .storage.lock import only_writer
 
 CACHE, SOURCE = "cache", "cache/source.txt"
 """The folder of a result that stays on this computer, and the file in it that contains the path of the source."""
+SPOOL = "spool"
+"""The folder in the cache of pixels that a run has decoded."""
 _STAGING, _OLD, _SWAP = "publish", "old", "swap.json"
 
 
@@ -50,7 +52,7 @@ class ResultFolder:
         with only_writer(self.cache, self.path):
             self._undo()
             # Killed runs left them: only the owner of the lock writes here.
-            for left in self.cache.glob(f"{_STAGING}*"):
+            for left in (*self.cache.glob(f"{_STAGING}*"), self.cache / SPOOL):
                 shutil.rmtree(left, ignore_errors=True)
             yield
 

@@ -16,7 +16,7 @@ from ...engine.user_folders import KERNELS, checkpoints_folder, kernels_folder
 from ..jobs.jobs import busy
 from ..settings.settings import result_folder
 
-STAGES = ("photos-", "train-", "embed-", "imported-", "segments-", "publish")
+STAGES = ("photos-", "train-", "embed-", "imported-", "segments-", "publish", "spool")
 """Prefixes of the folders of a run in the cache of its results."""
 LOST = "Training starts again; a scene without a count needs it before the next prompt"
 """The consequence of deleting the cached stages of a scene."""

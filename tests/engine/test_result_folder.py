@@ -133,6 +133,7 @@ def test_what_killed_runs_left_is_removed(counted: Path, tmp_path: Path) -> None
     left = tmp_path / "cache" / "publish-1234"
     left.mkdir(parents=True)
     (left / "fruits.csv").write_text("id\n")
+    (tmp_path / "cache" / "spool").mkdir()
     count_scene(counted, ["apple"], tmp_path)
     assert sorted(path.name for path in (tmp_path / "cache").iterdir()) == ["lock", "lock-owner.txt", "source.txt"]
 

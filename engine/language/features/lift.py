@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from ...progress import Progress, silent
 from ...scene.camera import Camera, Scene
-from ...scene.photos.resample import shrink
+from ...scene.photos.resample import shrink_mask
 from ...splatting.gaussians import Gaussians
 from ...splatting.rendering.rasterize import accumulate
 from ..encoders.encoder import DenseEncoder
@@ -62,6 +61,6 @@ def encode_photos(scene: Scene, encoder: DenseEncoder) -> Iterator[Tensor]:
     for photo in scene.images:
         features, mask = encoder.encode_dense(photo.pixels()), photo.mask()
         if mask is not None:
-            usable = shrink(mask[..., None].astype(np.float32), features.shape[1], features.shape[0])[..., 0] > 0.999
-            features = features * torch.from_numpy(usable)[..., None]
+            usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
+            features = features * usable[..., None]
         yield features.contiguous()

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from ...errors import SceneError
 from ...scene.camera import Camera
+from ...scene.photos.photo import same_shape
 
 Given = TypeVar("Given")
 
@@ -33,9 +34,7 @@ def paired(
             raise SceneError(f"{what} for {index} of {len(cameras)} views were given. Give them for each camera")
         size = tuple(size_of(view))
         height, width = size
-        # Scaled evenly, and rounded to whole pixels.
-        even = abs(width / camera.width - height / camera.height) <= 1.0 / camera.width + 1.0 / camera.height
-        if smaller and even and width < camera.width:
+        if smaller and width < camera.width and same_shape(width, height, camera.width, camera.height):
             camera = camera.resized(width, height)
         if size != (camera.height, camera.width):
             raise SceneError(

@@ -106,9 +106,13 @@ def understood(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -
     meanings = {encoder.meaning(word): word for word in words}
     texts, kinds = [meanings[meaning] for meaning in sorted(meanings)], encoder.kinds()
     named = encoder.encode_text(texts) @ kinds.T > 0.0
-    telling = named.any(1) & ~named.all(1)
-    believed = named[telling].any(0) if sought else torch.zeros(len(kinds), dtype=torch.bool)
+    believed = named[_telling(named)].any(0) if sought else torch.zeros(len(kinds), dtype=torch.bool)
     return Words(texts, [encoder.questions(word) for word in texts], kinds, named, believed)
+
+
+def _telling(named: Tensor) -> Tensor:
+    """(P,) whether each word names some kinds of fruit, and not all; named: (P, K)."""
+    return named.any(1) & ~named.all(1)
 
 
 def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
@@ -116,7 +120,7 @@ def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
 
     Kinds of fruit are weighted by their share of the scene and by what is believed to be there (see `prior`).
     """
-    telling = words.named.any(1) & ~words.named.all(1)
+    telling = _telling(words.named)
     weighed = in_scene(vectors, weights, words.kinds, words.believed) if telling.any() else vectors
     pairs = zip(words.questions, telling, strict=True)
     return torch.stack([answer(weighed if tells else vectors, questions) for questions, tells in pairs])

@@ -16,7 +16,7 @@ from ...errors import SceneError
 from ..camera import Camera, FloatArray, Scene
 from ..orientation import up_direction
 from .lens import Lens, source_map, view_of
-from .resample import look_up, shrink
+from .resample import WHOLE, look_up, shrink
 
 LEAST_SIDE = 8
 """Photos with fewer pixels a side, after downscaling, are refused."""
@@ -117,10 +117,10 @@ class FilePhoto:
             covers.append(np.asarray(self._decode(self.path).convert("RGBA"))[..., 3] >= 128)
         shares = [shrink(cover[..., None].astype(np.float32), self.width, self.height) for cover in covers]
         if self.lens.is_pinhole:
-            usable = [share[..., 0] > 0.999 for share in shares]
+            usable = [share[..., 0] > WHOLE for share in shares]
         else:
             source = source_map(self.lens, self.face, self.width, self.height)
-            usable = [source.valid, *(look_up(share, source)[..., 0] > 0.999 for share in shares)]
+            usable = [source.valid, *(look_up(share, source)[..., 0] > WHOLE for share in shares)]
         everywhere = np.logical_and.reduce(usable) if usable else None
         return None if everywhere is None or everywhere.all() else everywhere
 
@@ -187,8 +187,8 @@ def posed_photos(
     header = read_header(path)
     turn = None
     width, height = header.width, header.height
-    if not _same_shape(width, height, lens.width, lens.height):
-        if header.orientation < 5 or not _same_shape(height, width, lens.width, lens.height):
+    if not same_shape(width, height, lens.width, lens.height):
+        if header.orientation < 5 or not same_shape(height, width, lens.width, lens.height):
             raise SceneError(
                 f"{path} has {width}x{height} pixels but its camera {lens.width}x{lens.height}, another shape. "
                 "Give the photos that the model was made from, whole or evenly resized"
@@ -196,7 +196,7 @@ def posed_photos(
         turn, width, height = _UPRIGHT[header.orientation], height, width
     if mask_path is not None:
         mask = read_header(mask_path)
-        if not _same_shape(mask.width, mask.height, header.width, header.height):
+        if not same_shape(mask.width, mask.height, header.width, header.height):
             raise SceneError(
                 f"Mask {mask_path} has {mask.width}x{mask.height} pixels but its photo {header.width}x{header.height}. "
                 "Make the mask for this photo"
@@ -243,6 +243,6 @@ def make_scene(views: Sequence[PosedPhoto], points: FloatArray, colors: NDArray[
     )
 
 
-def _same_shape(width: int, height: int, other_width: int, other_height: int) -> bool:
+def same_shape(width: int, height: int, other_width: int, other_height: int) -> bool:
     """True when one size is the other, scaled evenly and rounded to whole pixels."""
     return abs(width / other_width - height / other_height) <= 1.0 / other_width + 1.0 / other_height

@@ -8,6 +8,9 @@ from scipy import ndimage, sparse
 
 from .lens import SourceMap
 
+WHOLE = 0.999
+"""Share of a new pixel from which all of it is usable: 1, but for rounding."""
+
 
 def shrink(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
     """Resize (H, W, C) to (height, width, C); each new pixel is the exact average of the area it covers."""
@@ -18,6 +21,11 @@ def shrink(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.fl
     columns = rows.reshape(height, -1, channels).transpose(1, 0, 2).reshape(image.shape[1], -1)
     averaged = _coverage(image.shape[1], width) @ columns
     return np.ascontiguousarray(averaged.reshape(width, height, channels).transpose(1, 0, 2))
+
+
+def shrink_mask(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.bool_]:
+    """Resize (H, W) to (height, width); True where all of the area that a new pixel covers is."""
+    return shrink(mask[..., None].astype(np.float32), width, height)[..., 0] > WHOLE
 
 
 def _coverage(old: int, new: int) -> sparse.csr_array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import SceneError
 from ...scene.camera import Camera, Scene
-from ...scene.photos.resample import shrink
+from ...scene.photos.resample import shrink, shrink_mask
 
 KEPT = 1 << 30
 """Bytes of decoded photos in the cache."""
@@ -80,8 +80,7 @@ class PhotoShelf:
             camera = camera.scaled(1.0 / smaller)
             pixels = np.rint(shrink(pixels.astype(np.float32), camera.width, camera.height)).astype(np.uint8)
             if mask is not None:
-                usable = shrink(mask[..., None].astype(np.float32), camera.width, camera.height)[..., 0]
-                mask = usable > 0.999
+                mask = shrink_mask(mask, camera.width, camera.height)
         if mask is not None and mask.all():
             mask = None
         planes = np.ascontiguousarray(pixels.transpose(2, 0, 1))
