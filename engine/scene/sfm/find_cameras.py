@@ -19,11 +19,13 @@ from ...progress import Progress, part, silent
 from ...storage.files import replacing
 from ..formats.colmap_records import check_records
 from ..photos.photo import DECODE_ERRORS, read_header
-from .mapping import FOUND, Copy, Job
+from .job import FOUND, Copy, Job
 
 PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng", ".bmp"}
 LEAST_PHOTOS = 3
 _MODEL, _WORK = "model", "work"
+_ENLARGED, _LARGEST_SCALE = 270_000, 2.0
+"""Photos of fewer pixels are enlarged to this many, at most by this factor: SIFT finds three times as many leaves."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +56,11 @@ def find_poses(
 ) -> FoundPoses:
     """Estimate the cameras of the photos in the folder `photos` and write a COLMAP model (binary) to `out`/model.
 
-    SIFT features, guided matching with verification, then incremental mapping, all in a child process that a cancel
-    ends at once. Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. Up to
-    `config.exhaustive_up_to` photos every pair is matched; above that each photo is matched with the next
-    `config.overlap` ones in name order, and an evenly spread subset of `exhaustive_up_to` photos exhaustively, which
-    closes the loop without a vocabulary tree. EXIF orientation is ignored, as COLMAP does, except that photos of
-    several orientations are not assumed to be upright; masks are not used.
+    SIFT features, matching of neighbours in name order and of photos with similar content, incremental mapping, then a
+    refinement on matches along the epipolar lines of all near photos; all in a child process that a cancel ends at
+    once. Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. EXIF orientation
+    is ignored, as COLMAP does, except that photos of several orientations are not assumed to be upright; masks are not
+    used.
 
     The model's frame and scale are arbitrary; names and pixels are those of the photos. Equal photos, settings and
     versions give equal models. `out` is for one set of photos and settings: a finished model in it is returned
@@ -99,7 +100,7 @@ def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progres
         copies.append(_copy(file, work / "copies" / f"{index:06d}.png", config.max_side))
     for folder in ("models", _MODEL):
         shutil.rmtree(work / folder, ignore_errors=True)
-    job = Job(folder=str(work.resolve()), photos=copies, config=config)
+    job = Job(folder=str(work.resolve()), photos=copies, config=config, threads=os.cpu_count() or 1)
     try:
         run_child("scene.sfm.mapping", [str(job.write())], work / "log.txt", part(progress, 0.1, 1.0))
     except ChildError as error:
@@ -113,22 +114,23 @@ def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progres
 
 
 def _copy(file: Path, copy: Path, max_side: int) -> Copy:
-    """Write a grey copy with sides of at most `max_side` pixels, unless it exists.
+    """Write a copy with sides of at most `max_side` pixels, unless it exists.
 
     Raises:
         SceneError: the photo cannot be decoded.
     """
     header = read_header(file)
-    share = min(1.0, max_side / max(header.width, header.height))
+    enlarged = min((_ENLARGED / (header.width * header.height)) ** 0.5, _LARGEST_SCALE)
+    share = min(max(enlarged, 1.0), max_side / max(header.width, header.height))
     size = max(round(header.width * share), 1), max(round(header.height * share), 1)
     if not copy.is_file():
         try:
             with Image.open(file) as image:
-                grey = _grey(image)
+                pixels = _rgb(image)
         except DECODE_ERRORS as error:
             raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
         with replacing(copy) as temporary:
-            grey.resize(size, Image.Resampling.LANCZOS).save(temporary)
+            pixels.resize(size, Image.Resampling.LANCZOS).save(temporary, compress_level=1)
     return Copy(
         name=file.name,
         width=header.width,
@@ -136,15 +138,19 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
         copy=copy.name,
         copy_width=size[0],
         copy_height=size[1],
-        file=str(file.resolve()),
+        focal=_focal(file),
     )
 
 
-def _grey(image: Image.Image) -> Image.Image:
-    """8-bit grey of any picture; 16-bit grey is scaled, not clipped."""
+def _focal(file: Path) -> float:
+    return 0.0
+
+
+def _rgb(image: Image.Image) -> Image.Image:
+    """8-bit RGB of any picture; 16-bit grey is scaled, not clipped."""
     if image.mode.startswith("I"):
-        return image.convert("F").point(lambda value: value / 257.0).convert("L")
-    return image.convert("RGB").convert("L")
+        image = image.convert("F").point(lambda value: value / 257.0).convert("L")
+    return image.convert("RGB")
 
 
 def _notices(files: Sequence[Path], model: Path) -> list[str]:

@@ -1,0 +1,178 @@
+"""Which pairs of photos are matched, and their matches, verified by epipolar geometry, in the database."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config import PhotosConfig
+from ...progress import Progress, part
+from ..pycolmap_import import colmap_library
+from .features import Features, image_ids
+from .job import Job
+from .matching import MatchArray, match, match_along_lines
+
+Pair = tuple[int, int]
+"""Positions of two photos in name order, the smaller first."""
+
+LARGEST = 2048
+"""Features per photo that are compared first: the largest are found again, and they suffice to place the photo."""
+LEAST_INLIERS = 10
+"""Matches on one epipolar geometry below which a pair shows nothing in common."""
+SURE_INLIERS = 30
+"""Matches on one geometry that no chance gives, even if all lie in a plane."""
+ERROR, TOLERANCE = 2.0, 3.0
+"""Largest distances in pixels from the epipolar line: in RANSAC, and of the matches along the lines."""
+_TRIALS = 1500
+"""Trials of RANSAC: pairs without common content need all of them."""
+_SIMILAR = 8
+"""Photos of similar content that each photo is matched with, besides its neighbours."""
+_ROUNDS = 3
+"""Rounds in which the neighbours of matched photos are matched, to close the loop."""
+_BLOCK = 32
+"""Pairs between two writes to the database: the work that a cancel loses, and a step of the progress."""
+
+
+def first_pairs(similarity: NDArray[np.float32] | None, count: int, config: PhotosConfig) -> list[Pair]:
+    """The pairs to match first.
+
+    similarity: (count, count) of the photos' content. All pairs up to `exhaustive_up_to` photos; above that, each photo
+    with the next `overlap` ones in name order and with those of the most similar content.
+    """
+    if count <= config.exhaustive_up_to or similarity is None:
+        return list(itertools.combinations(range(count), 2))
+    chosen = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + config.overlap, count))}
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count))) > config.overlap
+    for i in range(count):
+        ranked = np.argsort(np.where(apart[i], -similarity[i], np.inf), kind="stable")[:_SIMILAR]
+        chosen |= {(min(i, int(j)), max(i, int(j))) for j in ranked if apart[i, j]}
+    return sorted(chosen)
+
+
+def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: int, config: PhotosConfig) -> list[Pair]:
+    """Pairs next to verified ones that are not neighbours: where the camera path returns, all photos there meet."""
+    steps = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
+    near = {
+        (i + a, j + b)
+        for i, j in verified
+        if j - i > config.overlap
+        for a, b in steps
+        if 0 <= i + a < j + b < count
+    }
+    return sorted(near - set(tried))
+
+
+def match_photos(job: Job, features: Sequence[Features], report: Progress) -> None:
+    """Match the planned pairs, then those that close loops."""
+    from .retrieval import similarities
+
+    count = len(features)
+    similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
+    planned, tried = first_pairs(similarity, count, job.config), set[Pair]()
+    for round_ in range(1 + _ROUNDS):
+        match_pairs(job, features, planned, part(report, min(0.9, 0.9 * round_), min(1.0, 0.9 + 0.1 * round_)))
+        tried |= set(planned)
+        planned = closing_pairs(verified_pairs(job), tried, count, job.config)
+        if not planned:
+            break
+
+
+def verified_pairs(job: Job) -> list[Pair]:
+    """The pairs in the database that show something in common."""
+    database = job.open_database()
+    try:
+        positions = {image: position for position, image in enumerate(image_ids(database, job))}
+        pairs, inliers = database.read_two_view_geometry_num_inliers()
+        ids = [colmap_library().pair_id_to_image_pair(pair) for pair in pairs]
+    finally:
+        database.close()
+    found = [(positions[a], positions[b]) for (a, b), number in zip(ids, inliers, strict=True) if number]
+    return sorted((min(pair), max(pair)) for pair in found)
+
+
+def match_pairs(job: Job, features: Sequence[Features], pairs: Iterable[Pair], report: Progress) -> None:
+    """Match and verify the pairs that are not in the database yet; a pair's result does not depend on the others."""
+    database = job.open_database()
+    try:
+        images = image_ids(database, job)
+        cameras = [database.read_camera(database.read_image(image).camera_id) for image in images]
+        large = [each.largest(LARGEST) for each in features]
+        todo = [pair for pair in pairs if not database.exists_two_view_geometry(images[pair[0]], images[pair[1]])]
+        with ThreadPoolExecutor(job.threads) as pool:
+            for start in range(0, len(todo), _BLOCK):
+                report(start / len(todo), f"matching photos: pair {start + 1} of {len(todo)}")
+                block = todo[start : start + _BLOCK]
+                found = _match_block(job, features, large, cameras, block, pool)
+                with colmap_library().DatabaseTransaction(database):
+                    for (i, j), geometry in zip(block, found, strict=True):
+                        database.write_two_view_geometry(images[i], images[j], geometry)
+    finally:
+        database.close()
+
+
+def _match_block(
+    job: Job,
+    features: Sequence[Features],
+    large: Sequence[NDArray[np.int64]],
+    cameras: Sequence[Any],
+    pairs: Sequence[Pair],
+    pool: ThreadPoolExecutor,
+) -> list[Any]:
+    """The two-view geometry of each pair with its inliers, numbered as in `features`; without inliers if there is
+    nothing in common."""
+    chosen = {i: features[i].select(large[i]) for pair in pairs for i in pair}
+    options = _verification(job)
+    nothing = colmap_library().TwoViewGeometry()
+
+    def verify(pair: Pair, matches: MatchArray | None) -> Any:
+        if matches is None or len(matches) < LEAST_INLIERS:
+            return nothing
+        i, j = pair
+        return colmap_library().estimate_two_view_geometry(
+            cameras[i], chosen[i].positions.astype(np.float64), cameras[j], chosen[j].positions.astype(np.float64),
+            matches, options,
+        )  # fmt: skip
+
+    first = list(pool.map(verify, pairs, [match(chosen[i], chosen[j]) for i, j in pairs]))
+    along = [
+        _along(geometry, chosen[i], chosen[j]) for (i, j), geometry in zip(pairs, first, strict=True)
+    ]
+    second = list(pool.map(verify, pairs, along))
+    return [
+        _numbered(_better(before, after, nothing), large[i], large[j])
+        for (i, j), before, after in zip(pairs, first, second, strict=True)
+    ]
+
+
+def _verification(job: Job) -> Any:
+    options = colmap_library().TwoViewGeometryOptions()
+    options.min_num_inliers = LEAST_INLIERS
+    options.ransac.random_seed = job.config.seed
+    options.ransac.max_error = ERROR
+    options.ransac.max_num_trials = _TRIALS
+    return options
+
+
+def _along(geometry: Any, one: Features, other: Features) -> MatchArray | None:
+    if len(geometry.inlier_matches) < LEAST_INLIERS or geometry.F is None or not np.any(geometry.F):
+        return None
+    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE)
+
+
+def _better(before: Any, after: Any, nothing: Any) -> Any:
+    """The geometry of the matches along the lines, if it has more; else the first, if chance cannot explain it."""
+    if len(after.inlier_matches) >= max(len(before.inlier_matches), LEAST_INLIERS):
+        return after
+    return before if len(before.inlier_matches) >= SURE_INLIERS else nothing
+
+
+def _numbered(geometry: Any, one: NDArray[np.int64], other: NDArray[np.int64]) -> Any:
+    """With the numbers of all features in place of those of the largest."""
+    inliers = np.asarray(geometry.inlier_matches).reshape(-1, 2)
+    geometry.inlier_matches = np.stack([one[inliers[:, 0]], other[inliers[:, 1]]], axis=1).astype(np.uint32)
+    return geometry

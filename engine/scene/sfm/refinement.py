@@ -1,0 +1,166 @@
+"""Refines placed photos: all features are matched again along known epipolar lines, then cameras and points adjusted."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...progress import Progress, part
+from ..pycolmap_import import colmap_library
+from .features import Features, image_ids
+from .job import Job
+from .matching import match_along_lines
+from .pairs import Pair
+
+_PASSES = ((3.0, 3.0), (2.0, 2.0))
+"""Largest distance in pixels from an epipolar line, and then of a point from its features, in each pass."""
+_NEAREST = 12
+"""Photos that each one is matched with: those with the most similar direction of view and place."""
+_LARGEST_ANGLE = 45.0
+"""Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
+_LEAST_ANGLE = 1.5
+"""Least angle in degrees between the rays of a point."""
+_ENOUGH_POINTS = 600
+"""Points per photo, those seen most often, that adjust the cameras; more take longer and change nothing."""
+_LOSS_SCALE = 0.5
+"""Scale in pixels of the Cauchy loss."""
+_ADJUSTMENTS = 2
+"""Adjustments in each pass, with a removal of outliers after each."""
+
+
+def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
+    """The model with cameras refined on longer tracks, and with the points of all tracks."""
+    for number, (tolerance, error) in enumerate(_PASSES):
+        share = part(report, number / len(_PASSES), (number + 1) / len(_PASSES))
+        database = _match_again(job, features, model, tolerance, part(share, 0.0, 0.7))
+        share(0.7, "refining cameras")
+        model = _triangulated(job, database, model, error)
+        kept = _most_seen(model)
+        for _ in range(_ADJUSTMENTS):
+            _adjust(job, kept)
+            colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
+        model = _triangulated(job, database, kept, error)
+    return model
+
+
+def _match_again(job: Job, features: Sequence[Features], model: Any, tolerance: float, report: Progress) -> Path:
+    """A database with the matches of placed photos along their epipolar lines."""
+    path = job.database.with_name("refined.db")
+    shutil.copy(job.database, path)
+    database = colmap_library().Database.open(path)
+    try:
+        numbers = image_ids(database, job)
+        database.clear_matches()
+        database.clear_two_view_geometries()
+        database.clear_descriptors()
+        placed = {i: model.images[number] for i, number in enumerate(numbers) if _has_pose(model, number)}
+        straight = {i: _undistorted(model.cameras[image.camera_id], features[i]) for i, image in placed.items()}
+        pairs = near_pairs(placed)
+        for done, (i, j) in enumerate(pairs):
+            report(done / len(pairs), f"matching placed photos: pair {done + 1} of {len(pairs)}")
+            geometry = _geometry(model, placed[i], placed[j])
+            matches = match_along_lines(geometry.F, straight[i], straight[j], tolerance)
+            if matches is not None:
+                geometry.inlier_matches = matches
+                database.write_two_view_geometry(numbers[i], numbers[j], geometry)
+    finally:
+        database.close()
+    return path
+
+
+def _has_pose(model: Any, image: int) -> bool:
+    return image in model.images and model.images[image].has_pose
+
+
+def near_pairs(placed: Mapping[int, Any]) -> list[Pair]:
+    """The pairs of photos that may show the same: similar directions of view from near places."""
+    order = sorted(placed)
+    poses = [placed[i].cam_from_world() for i in order]
+    views = np.stack([pose.rotation.matrix()[2] for pose in poses])
+    centers = np.stack([placed[i].projection_center() for i in order])
+    turns = np.degrees(np.arccos(np.clip(views @ views.T, -1.0, 1.0)))
+    apart = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    extent = max(float(np.median(apart[apart > 0])), 1e-12) if len(order) > 1 else 1.0
+    cost = turns + np.degrees(1.0) * apart / extent
+    cost[turns > _LARGEST_ANGLE] = np.inf
+    np.fill_diagonal(cost, np.inf)
+    pairs = set()
+    for row, ranked in enumerate(np.argsort(cost, axis=1, kind="stable")[:, :_NEAREST]):
+        pairs |= {(min(row, int(k)), max(row, int(k))) for k in ranked if np.isfinite(cost[row, k])}
+    return [(order[i], order[j]) for i, j in sorted(pairs)]
+
+
+def _undistorted(camera: Any, features: Features) -> Features:
+    """The features at the pixels where they would be without distortion of the lens."""
+    K = camera.calibration_matrix()
+    rays = np.asarray(camera.cam_from_img(features.positions.astype(np.float64))).reshape(-1, 2)
+    pixels = rays * [K[0, 0], K[1, 1]] + K[:2, 2]
+    return Features(np.ascontiguousarray(pixels, np.float32), features.sizes, features.descriptors)
+
+
+def _geometry(model: Any, one: Any, other: Any) -> Any:
+    """The epipolar geometry of two placed photos."""
+    relative = other.cam_from_world() * one.cam_from_world().inverse()
+    x, y, z = relative.translation / max(float(np.linalg.norm(relative.translation)), 1e-12)
+    essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ relative.rotation.matrix()
+    inverse, other_inverse = (
+        np.linalg.inv(model.cameras[image.camera_id].calibration_matrix()) for image in (one, other)
+    )
+    pycolmap = colmap_library()
+    geometry = pycolmap.TwoViewGeometry()
+    geometry.config = int(pycolmap.TwoViewGeometryConfiguration.CALIBRATED)
+    geometry.E, geometry.F = essential, other_inverse.T @ essential @ inverse
+    geometry.cam2_from_cam1 = relative
+    return geometry
+
+
+def _triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
+    """The model with the points of all tracks in the database, its cameras fixed."""
+    pycolmap = colmap_library()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.extract_colors = False
+    options.random_seed = options.triangulation.random_seed = options.mapper.random_seed = job.config.seed
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = _LEAST_ANGLE
+    options.triangulation.ignore_two_view_tracks = False
+    options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error
+    options.mapper.filter_max_reproj_error = error
+    folder = Path(job.folder) / "refined"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
+
+
+def _most_seen(model: Any) -> Any:
+    """A copy with the points that most photos see, as many as each photo needs."""
+    kept = colmap_library().Reconstruction(model)
+    counts: dict[int, int] = {}
+    ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
+    for number, point in ranked:
+        images = {element.image_id for element in point.track.elements}
+        if min(counts.get(image, 0) for image in images) >= _ENOUGH_POINTS:
+            kept.delete_point3D(number)
+            continue
+        for image in images:
+            counts[image] = counts.get(image, 0) + 1
+    return kept
+
+
+def _adjust(job: Job, model: Any) -> None:
+    """Bundle adjustment with a robust loss; photos of one camera share focal length and distortion."""
+    pycolmap = colmap_library()
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_principal_point = False
+    options.min_track_length = 2
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = _LOSS_SCALE
+    options.ceres.use_gpu = False
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.max_num_iterations = 30
+    pycolmap.bundle_adjustment(model, options)
