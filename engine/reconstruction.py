@@ -139,9 +139,10 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
 
 
 def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
-    """The posed photos of `source`; adds a notice if they are scaled down."""
+    """The posed photos of `source`; adds a notice if some are missing, or if they are scaled down."""
     config = run.config
     scene = source.read(config.scene, progress=progress)
+    run.log.notices += source.opened().notices
     # Photos that held-out measurement cannot read must not cost a training run.
     scale_by_length(config.units, [photo.name for photo in scene.images], scene.cameras)
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
