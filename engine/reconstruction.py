@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .config import Config, decisive, without_effect
+from .counting.accounts.zero import Quality
 from .errors import ConfigError, FruitLangsError, SceneError
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
@@ -35,8 +36,6 @@ from .splatting.training.train import Watch, train
 from .storage.files import write_text
 from .storage.keys import stage_key
 
-POOR = 0.4
-"""Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
 RECORD = "training.json"
 FORMER_IMPORTED = "foreign"
@@ -171,7 +170,7 @@ def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: 
         else:
             require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
             training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
-        if training["ssim"] is not None and training["ssim"] < POOR:
+        if Quality.of(training).poor:
             run.log.notices.append(
                 f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
                 "count may be wrong. Check the pictures, and take more photos in smaller steps"
