@@ -174,7 +174,7 @@ def count_fruit(
         return placed
     # Without fruit anywhere: what was found has not the shape of one, or the reconstruction or the size is wrong.
     if config.diameter is not None and notices:
-        raise CountingError(f"0 {label} were found, but this is not a count: {notices[0]}")
+        raise CountingError(f"The 0 for {label} is not a count: {notices[0]}")
     pixels = _typical_pixels(gaussians, matching, sized.diameter, cameras)
     require_answer(label, NO_SHAPE, quality, matching=len(matching), pixels=pixels)
     if searched is None or len(searched.found.spheres) == 0 or size is None:
@@ -430,7 +430,7 @@ def _require_fine(
         if config.diameter is None
         else f"--count.diameter {diameter:.4g} is too small: give it in scene units, or leave it out"
     )
-    raise CountingError(f"0 {label} were found, but this is not a count: {reason}. {advice}")
+    raise CountingError(f"The 0 for {label} is not a count: {reason}. {advice}")
 
 
 def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:

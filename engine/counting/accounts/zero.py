@@ -77,13 +77,13 @@ def require_answer(
     """
     if quality.poor or (matching and quality.blurred):
         raise CountingError(
-            f"0 {label} were found, but this is not a count, because held-out photos are reproduced poorly ({quality}):"
-            f" {reason}. Check the cameras, take sharper photos in smaller steps, or train for more steps"
+            f"The 0 for {label} is not a count: held-out photos are reproduced poorly ({quality}), and {reason}. Check "
+            "the cameras, take sharper photos in smaller steps, or train for more steps"
         )
     if matching and pixels is not None and pixels < LEAST_PIXELS:
         raise CountingError(
-            f"0 {label} were found, but this is not a count, because they are only about {pixels:.0f} pixels wide:"
-            f" {reason}. Read the photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
+            f"The 0 for {label} is not a count: a fruit is only about {pixels:.0f} pixels wide, and {reason}. Read the "
+            "photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
         )
 
 
@@ -94,11 +94,8 @@ def with_bounds(counted: FruitCount, most: int, matching: int, label: str, *, vi
     """
     if counted.interval is not None and counted.total_interval is not None:
         most = max(most, counted.interval[1])
-    hidden = "" if visible else "hidden "
-    notice = (
-        f"0 {label} were counted, but {matching} Gaussians match the prompt: up to {most} {hidden}fruit may be there. "
-        "The audit has the reason"
-    )
+    may = f"up to {most} {'' if visible else 'hidden '}fruit may be there. The audit has the reason"
+    notice = f"no fruit was counted, but {matching} Gaussians match {label}: {may}"
     return replace(
         counted,
         interval=(0, most if visible else 0),
