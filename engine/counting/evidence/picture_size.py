@@ -6,7 +6,7 @@ Blurred Gaussians have no surface that a sphere fits, but they still draw region
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,51 +38,61 @@ SPREAD = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """R connected regions of pixels that match the prompt.
+    """R connected regions of pixels.
 
-    pixels, widths: (R,) diameter of the largest inscribed circle, in pixels and in scene units; areas: (R,) pixels;
-    single: (R,) whether it may be one fruit: round, wide enough, and not cut by the border of the view.
+    rows, columns: (R,) centre of the largest circle inside; widths: (R,) its diameter in pixels; areas: (R,) pixels;
+    single: (R,) whether the region may be one fruit: round, wide enough, and not cut by the border of the view.
     """
 
-    pixels: FloatArray
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
     widths: FloatArray
     areas: FloatArray
     single: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, shown: NDArray[np.bool_]) -> Regions:
+        """The regions of the pixels (H, W) that are True."""
+        labels, count = ndimage.label(shown)
+        numbers = np.arange(1, count + 1)
+        distances = ndimage.distance_transform_edt(shown)
+        centers = np.array(ndimage.maximum_position(distances, labels, numbers), np.int64).reshape(-1, 2)
+        rows, columns = centers.T
+        radii = distances[rows, columns]  # to the centre of the nearest pixel outside
+        areas = np.bincount(labels.reshape(-1), minlength=count + 1)[1:].astype(np.float64)
+        cut = np.isin(numbers, np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+        single = (2.0 * radii >= NARROWEST) & (np.pi * (radii - 0.5) ** 2 >= LEAST_ROUND * areas) & ~cut
+        return cls(rows, columns, 2.0 * radii, areas, single)
 
 
 def size_from_pictures(pictures: Sequence[Picture], threshold: float, contains: Contains) -> FruitSize | None:
     """The most common width of the round regions whose blended probability reaches `threshold`; None if there are few.
 
-    Wide regions weigh more, because a pixel is a smaller part of them. contains: which positions (M, 3) belong to the
-    part of the scene that is counted.
+    contains: which positions (M, 3) belong to the part of the scene that is counted.
     """
-    found = [regions_of(picture, threshold, contains) for picture in pictures]
-    pixels, widths, areas, single = (
-        np.concatenate([getattr(each, field.name) for each in found]) for field in fields(Regions)
-    )
+    found = []
+    for picture in pictures:
+        regions = Regions.of((picture.fruit >= threshold) & (picture.depth < NOTHING))
+        depths, camera = picture.depth[regions.rows, regions.columns].astype(np.float64), picture.camera
+        pixels = np.stack([regions.columns + 0.5, regions.rows + 0.5, np.ones(len(depths))], axis=1)
+        rays = pixels @ np.linalg.inv(camera.K).T * depths[:, None]
+        inside = contains(rays @ camera.world_to_camera[:3, :3] + camera.center)
+        scales = depths / focal_length(camera)
+        found.append((regions.widths[inside], scales[inside], regions.areas[inside], regions.single[inside]))
+    width = common_width(*map(np.concatenate, zip(*found, strict=True)))
+    return None if width is None else FruitSize(width, SPREAD)
+
+
+def common_width(pixels: FloatArray, scales: FloatArray, areas: FloatArray, single: NDArray[np.bool_]) -> float | None:
+    """The most common width of regions that may be one fruit; None if there are few, or if most of the area is in other
+    regions.
+
+    Wide regions weigh more, because a pixel is a smaller part of them. pixels, areas: (R,) of the regions; scales: (R,)
+    length of a pixel; single: (R,) whether a region may be one fruit.
+    """
     if single.sum() < FEWEST_REGIONS or areas[single].sum() < LEAST_SHARE * areas.sum():
         return None
-    logs = np.log(widths[single])
+    logs = np.log(pixels[single] * scales[single])
     places = np.arange(logs.min(), logs.max() + 0.02, 0.02)
     density = (pixels[single] * np.exp(-0.5 * ((places[:, None] - logs) / BANDWIDTH) ** 2)).sum(axis=1)
-    return FruitSize(float(np.exp(places[int(density.argmax())])), SPREAD)
-
-
-def regions_of(picture: Picture, threshold: float, contains: Contains) -> Regions:
-    """The regions of a view that lie in the part of the scene that is counted."""
-    shown = (picture.fruit >= threshold) & (picture.depth < NOTHING)
-    labels, count = ndimage.label(shown)
-    if count == 0:
-        return Regions(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, bool))
-    distances = ndimage.distance_transform_edt(shown)
-    numbers = np.arange(1, count + 1)
-    row, column = np.array(ndimage.maximum_position(distances, labels, numbers)).T
-    radii = distances[row, column]  # to the centre of the nearest pixel outside
-    areas = np.bincount(labels.reshape(-1), minlength=count + 1)[1:].astype(np.float64)
-    cut = np.isin(numbers, np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    single = (2.0 * radii >= NARROWEST) & (np.pi * (radii - 0.5) ** 2 >= LEAST_ROUND * areas) & ~cut
-    depths, camera = picture.depth[row, column].astype(np.float64), picture.camera
-    rays = np.stack([column + 0.5, row + 0.5, np.ones(count)], axis=1) @ np.linalg.inv(camera.K).T
-    inside = contains((rays * depths[:, None]) @ camera.world_to_camera[:3, :3] + camera.center)
-    widths = 2.0 * radii * depths / focal_length(camera)
-    return Regions(2.0 * radii[inside], widths[inside], areas[inside], single[inside])
+    return float(np.exp(places[int(density.argmax())]))
