@@ -78,6 +78,19 @@ def test_a_0_with_cameras_that_the_photos_contradict_is_an_error_and_the_earlier
     assert len([notice for notice in log.notices if "the cameras and the count may be wrong" in notice]) == 1
 
 
+def test_missing_photos_are_reported_once(tmp_path: Path) -> None:
+    scene = shutil.copytree(SAMPLE, tmp_path / "scene")
+    photos = sorted((scene / "images").iterdir())
+    for photo in photos[5:8]:
+        photo.unlink()
+    config = Config(scene=SceneConfig(max_side=60), train=TrainConfig(steps=2, max_gaussians=500))
+    made, log = reconstruct_scene(scene, tmp_path / "out", config=config)
+    (notice,) = [notice for notice in log.notices if "are missing" in notice]
+    assert notice.startswith(f"3 of the {len(photos)} photos that ")
+    assert all(photo.name in notice for photo in photos[5:8])
+    assert len(made.scene.cameras) == len(made.scene.images) == len(photos) - 3
+
+
 def test_the_files_agree_on_the_count(counted: Result) -> None:
     rows = (counted.out / "fruits.csv").read_text().splitlines()[1:]
     assert document(counted.out)["count"] == len(rows) == counted.fruit_count.count > 0

@@ -18,7 +18,7 @@ from fruitlangs.engine.scene.photos.photo import make_scene, posed_photos
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.scene.source import Source
 
-SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
+SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
 
 
 def scene_of(folder: Path, config: SceneConfig) -> Scene:
