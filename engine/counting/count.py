@@ -22,10 +22,10 @@ from .accounts.audit import account_for
 from .accounts.describe import describe, place_fruit, point_colors
 from .accounts.ids import NO_FRUIT, KnownFruit, number
 from .accounts.interval import Estimate, estimate, evidence_of
-from .accounts.zero import UNKNOWN, Quality, most_fruit, require_answer, separate_groups, with_bounds
+from .accounts.zero import UNKNOWN, Matching, Quality
 from .evidence.cluster import Clusters, Search, find_fruit, search
 from .evidence.picture_size import size_from_pictures
-from .evidence.pixel_width import focal_length, pixel_widths
+from .evidence.pixel_width import pixel_widths
 from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .evidence.surface_points import LARGEST_SCALE, SURFACE, SurfacePoints, sample_enough, sample_surface, sample_volume
 from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
@@ -102,17 +102,13 @@ def count_fruit(
     check_trees(config, up)
     inside = _inside(region, gaussians)
     highest = float(probabilities[inside].max())
-
-    matching = np.flatnonzero(inside & (probabilities >= config.threshold))
+    chosen = np.flatnonzero(inside & (probabilities >= config.threshold))
+    matching = Matching.of(gaussians, probabilities, chosen, cameras, label, quality)
 
     def nothing(reason: str, diameter: float | None = None, *, points: int = 0, visible: bool = True) -> FruitCount:
-        pixels = None if diameter is None else _typical_pixels(gaussians, matching, diameter, cameras)
-        require_answer(label, reason, quality, matching=len(matching), pixels=pixels)
-        counted = _none(highest, known, reason, points, diameter)
-        if len(matching):
-            most = _most(gaussians, probabilities, matching, diameter)
-            counted = with_bounds(counted, most, len(matching), label, visible=visible)
-        return _on_trees(counted, [], config, up, cameras)
+        matching.require_answer(reason, diameter)
+        none = _none(highest, known, reason, points, diameter)
+        return _on_trees(matching.with_bounds(none, diameter, visible=visible), [], config, up, cameras)
 
     selected = select_gaussians(gaussians, probabilities, config)
     if highest < config.threshold:
@@ -170,16 +166,16 @@ def count_fruit(
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
         placed = _with_intervals(placed, searched, region, pictures, config.seed)
-    if len(found.spheres):
+    if len(spheres):
         return placed
-    # Without fruit anywhere: what was found has not the shape of one, or the reconstruction or the size is wrong.
+    if len(found.spheres):
+        matching.require_answer("all fruit that were found lie outside the region")
+        return placed
     if config.diameter is not None and notices:
         raise CountingError(f"The 0 for {label} is not a count: {notices[0]}")
-    pixels = _typical_pixels(gaussians, matching, sized.diameter, cameras)
-    require_answer(label, NO_SHAPE, quality, matching=len(matching), pixels=pixels)
-    if searched is None or len(searched.found.spheres) == 0 or size is None:
-        return with_bounds(placed, _most(gaussians, probabilities, matching, sized.diameter), len(matching), label)
-    return placed
+    matching.require_answer(NO_SHAPE, sized.diameter)
+    estimated = searched is not None and len(searched.found.spheres) > 0 and size is not None
+    return placed if estimated else matching.with_bounds(placed, sized.diameter)
 
 
 def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence[Picture]) -> float | None:
@@ -187,28 +183,6 @@ def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence
     widths = pixel_widths(spheres.centers, 2.0 * spheres.radii, cameras, pictures)
     known = widths[np.isfinite(widths)]
     return float(np.median(known)) if len(known) else None
-
-
-def _typical_pixels(
-    gaussians: Gaussians, matching: IntArray, diameter: float, cameras: Sequence[Camera]
-) -> float | None:
-    """The width in pixels of a fruit of this diameter in the middle of the Gaussians that match; the median over the
-    cameras, None if it is behind all of them."""
-    middle = np.median(gaussians.means.detach().double().cpu().numpy()[matching], axis=0)
-    depths = np.array([camera.project(middle)[1] for camera in cameras])
-    focal = np.array([focal_length(camera) for camera in cameras])
-    front = depths > 0.0
-    return float(np.median(diameter * focal[front] / depths[front])) if front.any() else None
-
-
-def _most(gaussians: Gaussians, probabilities: FloatArray, matching: IntArray, diameter: float | None) -> int:
-    """How many fruit the Gaussians that match may be: the number of places a diameter apart; without a size, the number
-    of their groups that do not touch."""
-    order = matching[np.argsort(-probabilities[matching], kind="stable")]
-    positions = gaussians.means.detach().double().cpu().numpy()[order]
-    if diameter is None:
-        return separate_groups(positions, 2.0 * SURFACE * float(np.median(_widths(gaussians, matching))))
-    return most_fruit(positions, diameter)
 
 
 def _on_trees(

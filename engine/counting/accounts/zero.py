@@ -5,7 +5,7 @@ A known cause of the 0 is an error. Otherwise the 0 is an answer, and its interv
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,11 +14,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...errors import CountingError
+from ...scene.camera import Camera
+from ...splatting.gaussians import Gaussians
 from ..evidence.cluster import LINKS
+from ..evidence.pixel_width import focal_length
+from ..evidence.surface_points import SURFACE
 from ..fruit import FruitCount
 from ..geometry.cells import Cells, linked
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 POOR = 0.4
 """Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
@@ -64,45 +69,85 @@ class Quality:
 UNKNOWN = Quality()
 
 
-def require_answer(
-    label: str, reason: str, quality: Quality, *, matching: int = 0, pixels: float | None = None
-) -> None:
-    """Refuse a 0 whose cause is the reconstruction.
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """The M Gaussians in the counted part of the scene that match the prompt, and what may be the cause of a 0.
 
-    label: of the fruit; reason: of the 0; matching: number of Gaussians that match the prompt; pixels: width of a
-    fruit in the photos, if known.
-
-    Raises:
-        CountingError: names the cause and what to do.
+    label: of the fruit; positions: (M, 3) scene units, by descending probability; outline: typical width of a Gaussian,
+    scene units; cameras, quality: of the reconstruction.
     """
-    if quality.poor or (matching and quality.blurred):
-        raise CountingError(
-            f"The 0 for {label} is not a count: held-out photos are reproduced poorly ({quality}), and {reason}. Check "
-            "the cameras, take sharper photos in smaller steps, or train for more steps"
+
+    label: str
+    positions: FloatArray
+    outline: float
+    cameras: Sequence[Camera]
+    quality: Quality
+
+    @classmethod
+    def of(
+        cls, gaussians: Gaussians, probabilities: FloatArray, matching: IntArray, cameras: Sequence[Camera], label: str,
+        quality: Quality,
+    ) -> Matching:  # fmt: skip
+        """The Gaussians at `matching` (M,) of all with probabilities (N,)."""
+        order = matching[np.argsort(-probabilities[matching], kind="stable")]
+        positions = gaussians.means.detach().double().cpu().numpy()[order]
+        widths = gaussians.scales.detach().double().cpu().numpy()[order].max(axis=1)
+        outline = 2.0 * SURFACE * float(np.median(widths)) if len(widths) else 0.0
+        return cls(label, positions, outline, cameras, quality)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def require_answer(self, reason: str, diameter: float | None = None) -> None:
+        """Refuse a 0 whose cause is the reconstruction. reason: of the 0; diameter: of the fruit that was searched for.
+
+        Raises:
+            CountingError: names the cause and what to do.
+        """
+        if self.quality.poor or (len(self) and self.quality.blurred):
+            raise CountingError(
+                f"The 0 for {self.label} is not a count: held-out photos are reproduced poorly ({self.quality}), and "
+                f"{reason}. Check the cameras, take sharper photos in smaller steps, or train for more steps"
+            )
+        pixels = None if diameter is None else self.pixels(diameter)
+        if pixels is not None and pixels < LEAST_PIXELS:
+            raise CountingError(
+                f"The 0 for {self.label} is not a count: a fruit is only about {pixels:.0f} pixels wide, and {reason}. "
+                "Read the photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
+            )
+
+    def with_bounds(self, counted: FruitCount, diameter: float | None = None, *, visible: bool = True) -> FruitCount:
+        """A count of 0 with intervals up to the fruit that may be there, and a notice that says so; unchanged if no
+        Gaussian matches. visible: whether these fruit would be visible."""
+        if len(self) == 0:
+            return counted
+        most = max(self.most(diameter), counted.interval[1] if counted.interval else 0)
+        may = f"up to {most} {'' if visible else 'hidden '}fruit may be there. The audit has the reason"
+        return replace(
+            counted,
+            interval=(0, most if visible else 0),
+            total=counted.total or 0.0,
+            total_interval=(0, max(most, counted.total_interval[1] if counted.total_interval else 0)),
+            notices=[*counted.notices, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}"],
         )
-    if matching and pixels is not None and pixels < LEAST_PIXELS:
-        raise CountingError(
-            f"The 0 for {label} is not a count: a fruit is only about {pixels:.0f} pixels wide, and {reason}. Read the "
-            "photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
-        )
 
+    def most(self, diameter: float | None) -> int:
+        """How many fruit these Gaussians may be: the number of places a diameter apart; without a diameter, the number
+        of their groups that do not touch."""
+        if diameter is None:
+            return separate_groups(self.positions, self.outline)
+        return most_fruit(self.positions, diameter)
 
-def with_bounds(counted: FruitCount, most: int, matching: int, label: str, *, visible: bool = True) -> FruitCount:
-    """A count of 0 with intervals up to `most` fruit, and a notice that gives the reason.
-
-    matching: number of Gaussians that match the prompt; visible: whether the fruit that may be there would be visible.
-    """
-    if counted.interval is not None and counted.total_interval is not None:
-        most = max(most, counted.interval[1])
-    may = f"up to {most} {'' if visible else 'hidden '}fruit may be there. The audit has the reason"
-    notice = f"no fruit was counted, but {matching} Gaussians match {label}: {may}"
-    return replace(
-        counted,
-        interval=(0, most if visible else 0),
-        total=counted.total or 0.0,
-        total_interval=(0, max(most, counted.total_interval[1] if counted.total_interval else 0)),
-        notices=[*counted.notices, notice],
-    )
+    def pixels(self, diameter: float) -> float | None:
+        """The width in pixels of a fruit in the middle of these Gaussians, the median over the cameras; None without
+        Gaussians in front of a camera."""
+        if len(self) == 0:
+            return None
+        middle = np.median(self.positions, axis=0)
+        depths = np.array([camera.project(middle)[1] for camera in self.cameras])
+        focal = np.array([focal_length(camera) for camera in self.cameras])
+        front = depths > 0.0
+        return float(np.median(diameter * focal[front] / depths[front])) if front.any() else None
 
 
 def most_fruit(positions: FloatArray, diameter: float) -> int:
