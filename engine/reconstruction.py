@@ -366,7 +366,10 @@ def _with_photos(
         raise SceneError(f"The photos at {path} are missing")
     source = Source(path=path).posed_before(folder.cache, cache, stored.photos)
     if source.hash() != origin["inputs_sha256"]:
-        raise SceneError(f"The photos at {path} have changed since they were counted. Count again from the photos")
+        missing = "".join(f" ({notice})" for notice in source.opened().notices)
+        raise SceneError(
+            f"The photos at {path} have changed since they were counted{missing}. Count again from the photos"
+        )
     photos = source.read(stored.scene)
     return dataclasses.replace(photos, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit)
 
