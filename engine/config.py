@@ -50,7 +50,8 @@ class SceneConfig(_Checked):
     downscale: float = number(1.0, 1, 100)
     """Divide the photos' width and height by this (2 = half size)."""
     max_side: int = number(1600, 0, LARGEST)
-    """Scale down photos whose longer side has more pixels than this, as 3DGS does; 0 keeps the full size."""
+    """Scale down photos whose longer side has more pixels than this; 0 keeps the full size. If not given, photos with
+    narrow fruit are read larger."""
     up: tuple[float, float, float] | None = None
     """Direction away from the ground in the scene frame, for example 0 0 1; estimated if not given."""
 

@@ -14,13 +14,16 @@ from pathlib import Path
 from .compile_ahead import compiled_ahead
 from .config import Config
 from .counting.accounts.ids import NO_FRUIT, KnownFruit
+from .counting.accounts.zero import Quality
 from .counting.count import count_fruit
+from .counting.fruit import FruitCount
 from .counting.published.template_shape import read_template
 from .errors import ConfigError, FruitLangsError, OutputError, VocabularyError
 from .language.features.embedder import Embedder
 from .language.prompts.relevancy import check_prompts
 from .language.prompts.selection import select
 from .language.vocabulary import parse
+from .photo_size import width_notices
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
 from .reconstruction import Reconstruction, Run, RunLog, reconstruct, reopen
@@ -89,6 +92,7 @@ def count_scene(
                 label=_label(prompts),
                 known=known,
                 up=made.scene.up,
+                quality=Quality.of(made.origin["training"]),
                 progress=part(progress, 0.9, 0.97),
             )
         result = Result(
@@ -102,7 +106,7 @@ def count_scene(
             config=made.config,
             seconds=run.log.seconds,
             reused=run.log.reused,
-            notices=[*run.log.notices, *fruit_count.notices],
+            notices=[*run.log.notices, *fruit_count.notices, *_narrow(fruit_count, made)],
             out=out,
         )
         progress(0.97, "Writing results")
@@ -181,6 +185,13 @@ def _before_prompts(
         else:
             made = reconstruct(opened, imported, run, progress)
     return scaled(made, encoder, run.config.units, run.log)
+
+
+def _narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
+    """A message if the photos that were trained on were scaled down until the fruit became too narrow."""
+    if "imported" in made.origin:
+        return []
+    return width_notices(fruit_count.pixel_width, made.scene.images, made.scene.cameras, made.config)
 
 
 def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:

@@ -102,6 +102,7 @@ def publish(
                 unhashed_files=list(writers),
                 metres_per_unit=result.scene.metres_per_unit,
                 known=result.known,
+                notices=result.notices,
             )
             write_text(staging / FRUITS_JSON, dump(document))
             names = [*hashed, *writers, FRUITS_JSON]

@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from .config import Config, decisive, without_effect
+from .counting.accounts.zero import Quality
 from .errors import ConfigError, FruitLangsError, SceneError
+from .language.encoders.encoder import sees_whole
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
 from .memory import require_memory, require_memory_for_cameras
-from .progress import Progress, part
+from .photo_size import needed_bytes, reduction, seen_width, side_to_read
+from .progress import Progress, part, silent
 from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
@@ -35,8 +38,6 @@ from .splatting.training.train import Watch, train
 from .storage.files import write_text
 from .storage.keys import stage_key
 
-POOR = 0.4
-"""Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
 RECORD = "training.json"
 FORMER_IMPORTED = "foreign"
@@ -128,7 +129,8 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         run.log.reused += ["photos"] if source.reused else []
     progress = part(progress, start, 1.0)
     with run.log.timed("scene"):
-        scene = _read_photos(source, run, part(progress, 0.0, 0.03))
+        run = reading_larger(source, run, part(progress, 0.0, 0.01)) if imported is None else run
+        scene = _read_photos(source, run, part(progress, 0.01, 0.03))
         inputs = {"source": str(path), "inputs_sha256": source.hash()}
     with spooled(scene, run.cache / SPOOL) as decoded_once:
         if imported is not None:
@@ -139,9 +141,10 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
 
 
 def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
-    """The posed photos of `source`; adds a notice if they are scaled down."""
+    """The posed photos of `source`; adds a notice if some are missing, or if they are scaled down."""
     config = run.config
     scene = source.read(config.scene, progress=progress)
+    run.log.notices += source.opened().notices
     # Photos that held-out measurement cannot read must not cost a training run.
     scale_by_length(config.units, [photo.name for photo in scene.images], scene.cameras)
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
@@ -151,6 +154,42 @@ def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
             f"photos with up to {largest} pixels a side were read at {config.scene.max_side}; --scene.max-side sets it"
         )
     return scene
+
+
+def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run:
+    """The run with a larger `scene.max_side` if fruit would be too narrow and the user did not set the size.
+
+    The decision is stored in the cache, because it depends on the free memory, and later prompts must find the same
+    Gaussians.
+    """
+    config, encoder = run.config, run.embedder.encoder
+    given = config.changed() if run.given is None else set(run.given)
+    if {"scene.max_side", "scene.downscale"} & given or not sees_whole(encoder):
+        return run
+    scene = source.read(config.scene)
+    if reduction(scene.images) <= 1.0:
+        return run
+    key = stage_key(("scene",), source.hash(), encoder.identity, config.scene, decisive(config.train))
+    record = run.cache / f"size-{key}.json"
+    if record.is_file():
+        decided = json.loads(record.read_text(encoding="utf-8"))
+    else:
+        progress(0.0, "Measuring the width of fruit in a few photos")
+        width = seen_width(scene.images, encoder)
+        decided = {"width": width, "max_side": side_to_read(width, scene.images, scene.cameras, config)}
+        write_text(record, json.dumps(decided))
+    side = decided["max_side"]
+    if side == config.scene.max_side:
+        return run
+    factor = side / config.scene.max_side
+    run.log.notices.append(
+        f"fruit would be about {decided['width']:.0f} pixels wide, so the photos were read larger than usual. This "
+        f"needs about {needed_bytes(factor, scene.cameras, config) / 2**30:.1f} GB of memory and up to "
+        f"{factor**2:.1f} times the time; --scene.max-side {config.scene.max_side} prevents it"
+    )
+    return dataclasses.replace(
+        run, config=dataclasses.replace(config, scene=dataclasses.replace(config.scene, max_side=side))
+    )
 
 
 def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: Progress) -> Reconstruction:
@@ -170,7 +209,7 @@ def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: 
         else:
             require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
             training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
-        if training["ssim"] is not None and training["ssim"] < POOR:
+        if Quality.of(training).poor:
             run.log.notices.append(
                 f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
                 "count may be wrong. Check the pictures, and take more photos in smaller steps"
@@ -327,7 +366,10 @@ def _with_photos(
         raise SceneError(f"The photos at {path} are missing")
     source = Source(path=path).posed_before(folder.cache, cache, stored.photos)
     if source.hash() != origin["inputs_sha256"]:
-        raise SceneError(f"The photos at {path} have changed since they were counted. Count again from the photos")
+        missing = "".join(f" ({notice})" for notice in source.opened().notices)
+        raise SceneError(
+            f"The photos at {path} have changed since they were counted{missing}. Count again from the photos"
+        )
     photos = source.read(stored.scene)
     return dataclasses.replace(photos, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit)
 

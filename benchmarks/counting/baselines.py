@@ -19,6 +19,7 @@ from ...engine.counting.evidence.size import FruitSize
 from ...engine.counting.evidence.surface_points import SurfacePoints, sample_enough
 from ...engine.counting.evidence.visibility import Visibility, find_visibility
 from ...engine.counting.geometry.sphere import REACH, fit_spheres
+from ...engine.errors import CountingError
 from ...engine.scene.camera import Camera
 from ...engine.splatting.gaussians import Gaussians
 
@@ -69,29 +70,29 @@ def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequenc
 
 def ours(surface: Surface) -> Found:
     """Centres (F, 3) and diameters (F,) by the product's default."""
-    counted = count_fruit(
-        surface.gaussians,
-        surface.probability,
-        surface.cameras,
-        CountConfig(),
-        label="fruit",
-        visibility=surface.visibility,
-    )
-    return counted.centers, counted.diameters
+    return _counted(surface, CountConfig())
 
 
 def by_method(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
     """A published method of the product, given the same size; it samples its own points (the paper's eq. 12)."""
     if surface.sample is None:
         return NONE
-    counted = count_fruit(
-        surface.gaussians,
-        surface.probability,
-        surface.cameras,
-        CountConfig(method=method, diameter=surface.sample[1].diameter),
-        label="fruit",
-        visibility=surface.visibility,
-    )
+    return _counted(surface, CountConfig(method=method, diameter=surface.sample[1].diameter))
+
+
+def _counted(surface: Surface, config: CountConfig) -> Found:
+    """What the product counts; no fruit where it reports that a 0 is not a count."""
+    try:
+        counted = count_fruit(
+            surface.gaussians,
+            surface.probability,
+            surface.cameras,
+            config,
+            label="fruit",
+            visibility=surface.visibility,
+        )
+    except CountingError:
+        return NONE
     return counted.centers, counted.diameters
 
 

@@ -22,11 +22,15 @@ from .accounts.audit import account_for
 from .accounts.describe import describe, place_fruit, point_colors
 from .accounts.ids import NO_FRUIT, KnownFruit, number
 from .accounts.interval import Estimate, estimate, evidence_of
+from .accounts.zero import UNKNOWN, Matching, Quality
 from .evidence.cluster import Clusters, Search, find_fruit, search
+from .evidence.picture_size import size_from_pictures
+from .evidence.pixel_width import pixel_widths
 from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
 from .evidence.surface_points import LARGEST_SCALE, SURFACE, SurfacePoints, sample_enough, sample_surface, sample_volume
 from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from .fruit import NO_TREE, AuditEntry, FruitCount
+from .geometry.sphere import Spheres
 from .published.fruitnerf import cluster_as_fruitnerf
 from .published.template import split_by_template
 from .published.template_shape import read_template
@@ -48,6 +52,8 @@ ROUNDING = 1e-5
 """Tolerance of a probability outside 0…1: rounding of sums in float32."""
 DEFAULT_SPREAD = 0.2
 """Standard deviation of log diameter between fruit if the diameter is given."""
+NO_SHAPE = "no candidate among the matching Gaussians has the shape of a fruit"
+"""Reason of a 0 for which the audit lists the candidates."""
 FACELESS = "has a side that faces the cameras and is not inside another"
 """Text for Gaussians that give no surface points: seen equally from opposite sides, they have no outer side."""
 UNLIKE = 1.6
@@ -66,17 +72,20 @@ def count_fruit(
     up: FloatArray | None = None,
     visibility: Visibility | None = None,
     known: KnownFruit = NO_FRUIT,
+    quality: Quality = UNKNOWN,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit formed by the Gaussians with a probability (N,) near or above `config.threshold`.
 
     If a part of a fruit is about as probable as the threshold, its fainter Gaussians count as well. With a region, size
     and fruit come from its inside; a fruit that its border cuts is fitted whole. A prompt that no Gaussian matches is a
-    count of 0 with one audit entry that gives the highest probability.
+    count of 0 with one audit entry that gives the highest probability. If Gaussians match, but none has the size or
+    shape of a fruit, the count is 0 with an interval that admits what may be there, unless the cause is known.
 
     up: (3,) away from the ground; estimated from the cameras if not given. visibility: of the Gaussians in the cameras,
     if known; rendered otherwise. known: fruit that an earlier count of the scene numbered, whose ids stay; new fruit
-    are numbered from top to bottom, from 1 or after the last id.
+    are numbered from top to bottom, from 1 or after the last id. quality: of the Gaussians, which may be the cause of a
+    0.
 
     Raises:
         ConfigError: the region is invalid, two trees stand above one another, or the file that `config.template`
@@ -84,7 +93,8 @@ def count_fruit(
         FormatError: that file holds no template.
         CountingError: a shape does not fit, a value is not finite, a probability is invalid, `up` is not a direction,
             there are no Gaussians or no cameras, all Gaussians lie at one position, none lies in the region, there are
-            fewer fruit, or places with fruit, than trees, or the diameter is larger than all that may be fruit.
+            fewer fruit, or places with fruit, than trees, the diameter is larger than all that may be fruit, or no
+            fruit is found because the reconstruction is poor or the diameter is not that of the scene.
     """
     probabilities = _checked(gaussians, probability, cameras)
     up = _mean_top(cameras) if up is None else _checked_up(up)
@@ -92,33 +102,46 @@ def count_fruit(
     check_trees(config, up)
     inside = _inside(region, gaussians)
     highest = float(probabilities[inside].max())
+    chosen = np.flatnonzero(inside & (probabilities >= config.threshold))
+    matching = Matching.of(gaussians, probabilities, chosen, cameras, label, quality)
 
-    def nothing(reason: str, points: int = 0, diameter: float | None = None) -> FruitCount:
-        return _on_trees(_none(highest, known, reason, points, diameter), [], config, up, cameras)
+    def nothing(reason: str, diameter: float | None = None, *, points: int = 0, visible: bool = True) -> FruitCount:
+        matching.require_answer(reason, diameter)
+        none = _none(highest, known, reason, points, diameter)
+        return _on_trees(matching.with_bounds(none, diameter, visible=visible), [], config, up, cameras)
 
     selected = select_gaussians(gaussians, probabilities, config)
     if highest < config.threshold:
         return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     if not inside[selected].any():
-        sure = int((probabilities[inside] >= config.threshold).sum())
-        return nothing(f"all {sure} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}")
+        return nothing(
+            f"all {len(matching)} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}"
+        )
     progress(0.0, "Rendering the Gaussians in each view")
     if visibility is None:
         visibility = find_visibility(gaussians, cameras, progress=part(progress, 0.0, 0.3))
     seen = selected[visibility.weights[selected] > 0]
     own = seen[inside[seen]]
     if len(own) == 0:
-        return nothing(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}")
+        return nothing(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}", visible=False)
     notices = _check_diameter(gaussians, probabilities, visibility, own, config, part(progress, 0.3, 0.4))
-    sized = fruit_size(gaussians, probabilities, visibility, own, config, part(progress, 0.4, 0.5))
+    size = fruit_size(gaussians, probabilities, visibility, own, config, part(progress, 0.4, 0.5))
+    pictures = draw(gaussians, probabilities, cameras, progress=part(progress, 0.5, 0.7))
+    sized = size or size_from_pictures(pictures, config.threshold, region.contains)
     if sized is None:
-        return nothing(_why_no_size(gaussians, probabilities, visibility, own, config, label), len(own))
+        return nothing(_why_no_size(gaussians, probabilities, visibility, own, config, label), points=len(own))
+    if size is None:
+        notices = [
+            f"no surface of {label} is round, so the size of the fruit was estimated from the widths of its regions in "
+            "the rendered views. Check the sizes and the count"
+        ]
     points = _sampled(gaussians, probabilities, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        none = nothing(_why_no_points(gaussians, own, sized.diameter, label), len(own), sized.diameter)
-        return replace(none, notices=notices)
-    pictures = draw(gaussians, probabilities, cameras, progress=part(progress, 0.5, 0.7))
+        reason = _why_no_points(gaussians, own, sized.diameter, label)
+        _require_fine(gaussians, own, sized.diameter, config, reason, label)
+        none = nothing(reason, sized.diameter, points=len(own))
+        return replace(none, notices=[*notices, *none.notices])
     found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
     spheres = clusters.spheres
@@ -136,11 +159,30 @@ def count_fruit(
         point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
         notices=notices,
+        pixel_width=_pixel_width(spheres, cameras, pictures),
     )
     others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
-    return placed if searched is None else _with_intervals(placed, searched, region, pictures, config.seed)
+    if searched is not None:
+        placed = _with_intervals(placed, searched, region, pictures, config.seed)
+    if len(spheres):
+        return placed
+    if len(found.spheres):
+        matching.require_answer("all fruit that were found lie outside the region")
+        return placed
+    if config.diameter is not None and notices:
+        raise CountingError(f"The 0 for {label} is not a count: {notices[0]}")
+    matching.require_answer(NO_SHAPE, sized.diameter)
+    estimated = searched is not None and len(searched.found.spheres) > 0 and size is not None
+    return placed if estimated else matching.with_bounds(placed, sized.diameter)
+
+
+def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence[Picture]) -> float | None:
+    """The median width of the fruit in pixels of the photos as they were read; None if no view frames one."""
+    widths = pixel_widths(spheres.centers, 2.0 * spheres.radii, cameras, pictures)
+    known = widths[np.isfinite(widths)]
+    return float(np.median(known)) if len(known) else None
 
 
 def _on_trees(
@@ -344,6 +386,25 @@ def _why_no_size(
     if len(_sizing_points(gaussians, probabilities, visibility, seen, config)) == 0:
         return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
     return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
+
+
+def _require_fine(
+    gaussians: Gaussians, seen: IntArray, diameter: float, config: CountConfig, reason: str, label: str
+) -> None:
+    """Refuse a 0 that comes from Gaussians larger than the fruit, or from a diameter smaller than the Gaussians.
+
+    Raises:
+        CountingError: most of the visible Gaussians are larger than the expected fruit.
+    """
+    if np.mean(_widths(gaussians, seen) > LARGEST_SCALE * diameter) <= 0.5:
+        return
+    advice = (
+        "The reconstruction is too blurred: take sharper photos, read them larger (--scene.max-side), or train more "
+        "Gaussians for more steps (--train.max-gaussians, --train.steps)"
+        if config.diameter is None
+        else f"--count.diameter {diameter:.4g} is too small: give it in scene units, or leave it out"
+    )
+    raise CountingError(f"The 0 for {label} is not a count: {reason}. {advice}")
 
 
 def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:

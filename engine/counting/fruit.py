@@ -102,7 +102,8 @@ class FruitCount:
     None if the method gives no interval; trees: those of the row, if requested; notices: what the user should know;
     mean_diameter: scene units, None without fruit; last_id: the highest id that this and earlier counts of the scene
     gave; max_probability: the highest of any Gaussian; points, point_fruit_ids: (P, 3) and (P,) the sampled surface
-    points with the id of their fruit (-1 none); point_colors: (P, 3) uint8 sRGB.
+    points with the id of their fruit (-1 none); point_colors: (P, 3) uint8 sRGB; pixel_width: median width of the fruit
+    in pixels of the photos as they were read, None if it is not known.
     """
 
     fruits: Sequence[Fruit]
@@ -119,6 +120,7 @@ class FruitCount:
     total_interval: tuple[int, int] | None = None
     trees: Sequence[Tree] = ()
     notices: Sequence[str] = ()
+    pixel_width: float | None = None
 
     @property
     def count(self) -> int:

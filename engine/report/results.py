@@ -53,12 +53,13 @@ def fruits_document(
     unhashed_files: Sequence[str] = (),
     metres_per_unit: float | None,
     known: KnownFruit = NO_FRUIT,
+    notices: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The content of fruits.json.
 
     Lengths are metres if metres_per_unit is known, else scene units; centres are always in the input scene's frame.
     unhashed_files: names of the set's files that are not in `files`; known: fruit that earlier counts of the scene
-    numbered, those that this count did not find are kept for the next.
+    numbered, those that this count did not find are kept for the next; notices: messages for the user.
     """
     unit_name, unit = file_unit(metres_per_unit)
     return {
@@ -74,6 +75,8 @@ def fruits_document(
         "fallen": fruit_count.fallen,
         "trees": [_tree_entry(tree) for tree in fruit_count.trees],
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
+        "pixel_width": None if fruit_count.pixel_width is None else round(fruit_count.pixel_width, 1),
+        "notices": list(notices),
         "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
         "earlier_fruits": _earlier_entries(known, {fruit.id for fruit in fruit_count.fruits}, unit),
         "audit": {
@@ -210,7 +213,8 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
             Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_intervals(entry))
             for entry in document["trees"]
         ],
-        likely=document.get("likely"),  # results of earlier versions have none
+        likely=document.get("likely"),  # results of earlier versions have none, nor a width
+        pixel_width=document.get("pixel_width"),
         **_stored_intervals(document),
     )
 

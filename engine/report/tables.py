@@ -61,8 +61,8 @@ def summary(
     if fruit_count.fruits:
         lines += [f"  {where}" for where in location_text(fruit_count)]
         unknown = " (scale unknown: --units.length sets it)" if metres_per_unit is None else ""
-        mean, kinds = size_lines(fruit_count, metres_per_unit)
-        lines += [f"  {mean}{unknown}", f"  {kinds}"]
+        mean, *others = size_lines(fruit_count, metres_per_unit)
+        lines += [f"  {mean}{unknown}", *(f"  {other}" for other in others)]
         lines += ["", *_fruit_rows(fruit_count.fruits[:rows], metres_per_unit)]
         if fruit_count.count > rows:
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
@@ -75,13 +75,16 @@ def summary(
 
 
 def size_lines(fruit_count: FruitCount, metres_per_unit: float | None) -> list[str]:
-    """Two sentences about at least one fruit: sizes and kinds."""
+    """Sentences about at least one fruit: sizes, kinds and, if it is known, the width in the photos."""
     unit, scale = length_unit(metres_per_unit)
     mean = three_digits(scale * float(fruit_count.diameters.mean()))
     low, high = (three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
     fruits = fruit_count.fruits
     kinds = ", ".join(f"{sum(fruit.kind == kind for fruit in fruits)} {KIND_TEXTS[kind]}" for kind in _kinds(fruits))
-    return [f"mean diameter {mean} {unit}, 80 % between {low} and {high}", f"kinds: {kinds}"]
+    lines = [f"mean diameter {mean} {unit}, 80 % between {low} and {high}", f"kinds: {kinds}"]
+    if fruit_count.pixel_width is not None:
+        lines.append(f"median width in the photos as read: {fruit_count.pixel_width:.0f} pixels")
+    return lines
 
 
 def fruit_heads(metres_per_unit: float | None) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -27,6 +28,9 @@ _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}
 
 class SceneFiles(Protocol):
     """A model or transforms.json that was read and checked; the headers of its photos are read with the scene."""
+
+    @property
+    def notices(self) -> Sequence[str]: ...
 
     def files(self) -> list[Path]: ...
 

@@ -76,8 +76,9 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         self._show(context, self._target.scene(context), result)
 
-    def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Any) -> None:
-        notices = show_scene(context, bpy_scene, scene)
+    def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
+        scene, found = result
+        notices = show_scene(context, bpy_scene, scene, found)
         shown = f"{len(scene.cameras)} cameras and {len(scene.points)} points imported"
         self.report({"INFO"}, "; ".join([shown, *notices]))
 
@@ -108,8 +109,8 @@ def read_cloud(file: Path, out: Path, config: Config, progress: Progress) -> Any
     return reconstruct_scene(file, out, config=config, progress=progress)
 
 
-def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> Scene:
-    """The photos at `path` with their cameras.
+def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> tuple[Scene, list[str]]:
+    """The photos at `path` with their cameras, and messages for the user.
 
     For photos alone, cameras are estimated first and cached in the result folder `out` for a later count.
     """
@@ -117,11 +118,12 @@ def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> Sce
     from ...engine.scene.source import Source
 
     source, folder = Source(path=path), ResultFolder(out)
-    if source.photos_alone() is None:
-        return source.read(config.scene, progress)
-    with folder.locked():
-        found = source.posed(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
-    return found.read(config.scene, part(progress, 0.9, 1.0))
+    if source.photos_alone() is not None:
+        with folder.locked():
+            source = source.posed(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
+        progress = part(progress, 0.9, 1.0)
+    scene = source.read(config.scene, progress)
+    return scene, [*source.notices, *source.opened().notices]
 
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,13 +33,16 @@ if TYPE_CHECKING:
     from ...engine.scene.camera import Scene
 
 
-def show_scene(context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene) -> list[str]:
-    """Show the cameras and sparse points of a scene without a reconstruction; returns what was removed, as texts.
+def show_scene(
+    context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene, found: Sequence[str] = ()
+) -> list[str]:
+    """Show the cameras and sparse points of a scene without a reconstruction; returns the messages about it that were
+    `found`, and what was removed, as texts.
 
     If fruit are shown, their scale stays.
     """
     settings = bpy_scene.fruitlangs
-    notices = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
+    notices = [*found, *(enter_source(bpy_scene, source_folder(settings)) if settings.source else [])]
     if scene.metres_per_unit is None and owned_objects(bpy_scene, "fruit"):
         scene = dataclasses.replace(scene, metres_per_unit=metres_per_unit(bpy_scene))
     root = write_root(bpy_scene, scene)

@@ -23,9 +23,11 @@ from fruitlangs.operators.steps.show_result import show_reconstruction, show_res
 @pytest.fixture
 def engine(monkeypatch, counted, result_of):
     """In place of the engine's two slow functions: what they were called with, and a result at once."""
-    calls = types.SimpleNamespace(read=[], count=[], error=None)
+    calls = types.SimpleNamespace(read=[], count=[], error=None, notices=[])
 
     class Source:
+        notices = ()
+
         def __init__(self, path):
             self.path = path
 
@@ -37,6 +39,9 @@ def engine(monkeypatch, counted, result_of):
             if calls.error:
                 raise calls.error
             return counted.scene
+
+        def opened(self):
+            return types.SimpleNamespace(notices=calls.notices)
 
     def count_scene(source, prompts, out, **options):
         calls.count.append((source, prompts, out, options))
@@ -70,6 +75,12 @@ def test_import_shows_cameras_and_points(engine, settings, tmp_path):
     assert len(bpy.data.collections["Cameras"].objects) == 6
     assert len(bpy.data.objects["Sparse points"].data.vertices) == 200
     assert (settings.result.cameras, settings.result.points) == (6, 200)
+
+
+def test_import_shows_the_messages_about_the_photos(engine, settings):
+    engine.notices = ["2 of the 8 photos that transforms.json lists are missing and were left out: a.jpg, b.jpg"]
+    bpy.ops.fruitlangs.import_scene()
+    assert settings.result.notices == engine.notices[0]
 
 
 def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_path):

@@ -42,6 +42,7 @@ LAYERS = (
     ("engine/evaluation/truth", "engine/evaluation/number_table"),
     ("engine/evaluation/datasets", "engine/evaluation"),
     ("engine/memory",),
+    ("engine/photo_size",),
     ("engine/reconstruction",),
     ("engine/publishing", "engine/scale"),
     ("engine/pipeline", "engine/open_result"),

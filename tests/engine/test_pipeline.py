@@ -11,8 +11,8 @@ import pytest
 from safetensors.numpy import load_file
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
-from fruitlangs.engine.errors import Cancelled, ConfigError, OutputError, VocabularyError
-from fruitlangs.engine.pipeline import Result, count_scene
+from fruitlangs.engine.errors import Cancelled, ConfigError, CountingError, OutputError, VocabularyError
+from fruitlangs.engine.pipeline import Result, count_scene, reconstruct_scene
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
 SMALL = Config(
@@ -47,21 +47,48 @@ def test_a_run_writes_every_file_of_the_contract_and_nothing_half_made(counted: 
 
 
 def test_photos_that_were_read_smaller_are_reported(counted: Result) -> None:
-    assert [notice for notice in counted.notices if "--scene.max-side" in notice] == [
+    assert [notice for notice in counted.notices if notice.startswith("photos with")] == [
         "photos with up to 480 pixels a side were read at 240; --scene.max-side sets it"
     ]
     assert max(camera.width for camera in counted.scene.cameras) == 240
 
 
-def test_cameras_that_the_photos_do_not_bear_out_are_reported(counted: Result, tmp_path: Path) -> None:
+def test_fruit_of_a_few_pixels_in_reduced_photos_are_reported_with_the_size_to_read(counted: Result) -> None:
+    assert 8.0 < document(counted.out)["pixel_width"] < 12.0
+    (notice,) = [notice for notice in counted.notices if "pixels wide" in notice]
+    assert "--scene.max-side 3" in notice
+    assert notice in document(counted.out)["notices"]
+    assert notice in (counted.out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_0_with_cameras_that_the_photos_contradict_is_an_error_and_the_earlier_result_stays(
+    counted: Result, tmp_path: Path
+) -> None:
     assert not [notice for notice in counted.notices if "SSIM" in notice]
     scene = shutil.copytree(SAMPLE, tmp_path / "scene")
+    out = shutil.copytree(counted.out, tmp_path / "out")
     photos = sorted((scene / "images").iterdir())
     pictures = [photo.read_bytes() for photo in photos]
     for photo, other in zip(photos, pictures[17:] + pictures[:17], strict=True):
         photo.write_bytes(other)
-    wrong = count_scene(scene, ["fruit"], tmp_path / "out", config=SMALL)
-    assert len([notice for notice in wrong.notices if "the cameras and the count may be wrong" in notice]) == 1
+    with pytest.raises(CountingError, match=r"The 0 for fruit is not a count: held-out photos are reproduced poorly"):
+        count_scene(scene, ["fruit"], out, config=SMALL)
+    assert document(out) == document(counted.out)
+    _, log = reconstruct_scene(scene, out, config=SMALL)
+    assert len([notice for notice in log.notices if "the cameras and the count may be wrong" in notice]) == 1
+
+
+def test_missing_photos_are_reported_once(tmp_path: Path) -> None:
+    scene = shutil.copytree(SAMPLE, tmp_path / "scene")
+    photos = sorted((scene / "images").iterdir())
+    for photo in photos[5:8]:
+        photo.unlink()
+    config = Config(scene=SceneConfig(max_side=60), train=TrainConfig(steps=2, max_gaussians=500))
+    made, log = reconstruct_scene(scene, tmp_path / "out", config=config)
+    (notice,) = [notice for notice in log.notices if "are missing" in notice]
+    assert notice.startswith(f"3 of the {len(photos)} photos that ")
+    assert all(photo.name in notice for photo in photos[5:8])
+    assert len(made.scene.cameras) == len(made.scene.images) == len(photos) - 3
 
 
 def test_the_files_agree_on_the_count(counted: Result) -> None:

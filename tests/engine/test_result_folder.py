@@ -33,7 +33,7 @@ from fruitlangs.engine.splatting.training.train import train
 from fruitlangs.engine.storage import lock
 
 NO_FRUIT_COUNT = FruitCount(fruits=[], audit=[], max_probability=0.0, mean_diameter=None)
-TINY = Config(train=TrainConfig(steps=20, max_gaussians=3000))
+TINY = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0))
 
 
 def write_blend(path: Path, result: Result) -> None:
@@ -65,7 +65,7 @@ def test_a_result_of_a_transforms_file_finds_its_photos_again(copied: Path) -> N
 
 def test_cameras_that_training_moved_are_those_of_the_next_prompt_too(few_photos: Path, tmp_path: Path) -> None:
     nothing = CountConfig(threshold=0.999999)
-    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, refine_poses=True), count=nothing)
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0, refine_poses=True), count=nothing)
     first = count_scene(few_photos, ["fruit"], tmp_path, config=config)
     again = count_scene(tmp_path, ["apple"], tmp_path, config=Config(count=nothing))
     for ours, theirs in zip(again.scene.cameras, first.scene.cameras, strict=True):
@@ -288,7 +288,7 @@ def test_no_file_that_may_be_replaced_stays_mapped(copied: Path, few_photos: Pat
         if checkpoint.is_file():
             raise Cancelled
 
-    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, checkpoint_every=5))
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0, checkpoint_every=5))
     scene = read_scene(few_photos)
     checkpoint = tmp_path / "checkpoint.safetensors"
     with pytest.raises(Cancelled):

@@ -21,7 +21,7 @@ from fruitlangs.engine.setting import Level, level_of
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "examples" / "orchard_tree"
 SMALL = ["--scene.downscale", "4", "--train.max-gaussians", "8000", "--no-blend"]
-TINY = ["--train.steps", "20", "--train.max-gaussians", "3000", "--no-blend"]
+TINY = ["--train.steps", "20", "--train.max-gaussians", "3000", "--train.holdout-every", "0", "--no-blend"]
 
 
 def command(*arguments: str | Path) -> list[str]:
@@ -155,10 +155,11 @@ def make_without_images(folder: Path) -> str:
     return "images"
 
 
-def make_with_one_image_gone(folder: Path) -> str:
-    first = sorted((copy_of_sample(folder) / "images").iterdir())[0]
-    first.unlink()
-    return first.name
+def make_with_most_images_gone(folder: Path) -> str:
+    photos = sorted((copy_of_sample(folder) / "images").iterdir())
+    for photo in photos[: len(photos) // 2 + 1]:
+        photo.unlink()
+    return photos[0].name
 
 
 def make_with_short_points(folder: Path) -> str:
@@ -182,7 +183,7 @@ def make_a_file(folder: Path) -> str:
         make_missing,
         make_empty_model,
         make_without_images,
-        make_with_one_image_gone,
+        make_with_most_images_gone,
         make_with_short_points,
         make_with_short_cameras,
         make_a_file,
@@ -234,12 +235,37 @@ def test_a_count_prints_its_table_and_the_files_it_wrote(first) -> None:
     out, done = first
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("fruit: ")
-    assert "held-out photos: PSNR" in done.stdout
     written = [Path(line.strip()) for line in done.stdout.partition("written:\n")[2].splitlines()]
     assert written[-1] == out / "fruits.json"
     assert len(written) >= 7
     assert all(path.is_file() for path in written)
     assert json.loads((out / "fruits.json").read_text())["provenance"]["prompts"] == ["fruit"]
+
+
+def with_quality(first: Path, out: Path, psnr: float, ssim: float) -> Path:
+    """A copy of a result whose held-out photos were reproduced that well."""
+    shutil.copytree(first, out)
+    content = json.loads((out / "fruits.json").read_text())
+    content["provenance"]["training"] |= {"psnr": psnr, "ssim": ssim}
+    (out / "fruits.json").write_text(json.dumps(content))
+    return out
+
+
+def test_the_quality_of_the_reconstruction_is_printed(first, tmp_path: Path) -> None:
+    out = with_quality(first[0], tmp_path / "out", 21.5, 0.71)
+    done = count(out, "--prompt", "fruit", "--out", out, "--no-blend")
+    assert done.returncode == 0, done.stderr
+    assert "held-out photos: PSNR 21.50 dB, SSIM 0.710" in done.stdout
+
+
+def test_a_0_of_a_poor_reconstruction_is_one_clear_line_and_the_old_result_stays(first, tmp_path: Path) -> None:
+    out = with_quality(first[0], tmp_path / "out", 12.0, 0.31)
+    before = (out / "fruits.json").read_bytes()
+    done = count(out, "--prompt", "mango", "--out", out, "--no-blend", "--count.threshold", "0.999")
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: The 0 for mango is not a count: held-out photos are reproduced poorly")
+    assert len(done.stderr.splitlines()) == 1
+    assert (out / "fruits.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("scene", ["photos", "result"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..photos.photo import PosedPhoto, make_scene, posed_photos
 from ..pycolmap_import import colmap_library
 from .colmap_records import MODEL_FILES, RIG_FILES, check_records
 from .layout import ModelFiles, find_model, mask_paths, photo_paths
+from .missing_photos import note_missing
 
 
 def read_colmap(
@@ -38,24 +40,26 @@ def read_colmap(
 
     The scene's cameras and photos are in name order, its points in id order, its frame the model's, its scale unknown.
     A model without points gives a scene without points. Points that are not finite are left out (`progress` says how
-    many).
+    many), and so are images whose photo is missing.
 
     Raises:
-        SceneError: no model, an incomplete, damaged or empty one, a pose that is not finite, a missing photo, or a
-            photo of another shape than its camera.
+        SceneError: no model, an incomplete, damaged or empty one, a pose that is not finite, too many missing
+            photos, or a photo of another shape than its camera.
     """
     return open_colmap(Path(path), images=images, masks=masks, progress=progress).scene(config, progress)
 
 
 @dataclass(frozen=True, eq=False)
 class ColmapModel:
-    """A model read by pycolmap: its posed images in name order with their files."""
+    """A model read by pycolmap: its posed images whose photo is there, in name order, with their files; notices:
+    messages for the user."""
 
     model: ModelFiles
     reconstruction: Any
     images: Sequence[Any]
     photos: Sequence[Path]
     masks: Sequence[Path | None]
+    notices: Sequence[str] = ()
 
     def files(self) -> list[Path]:
         """Every file that the scene is read from: the model's, then photos and masks in name order."""
@@ -107,8 +111,11 @@ def open_colmap(
     names = [image.name for image in posed]
     if not names:
         raise SceneError(f"No image in {files.folder} has a pose. Reconstruct again from more overlapping photos")
-    photos = photo_paths(files.folder, names, images)
-    return ColmapModel(files, reconstruction, posed, photos, mask_paths(photos, names, masks))
+    listed = photo_paths(files.folder, names, images)
+    there = [path.is_file() for path in listed]
+    notices = note_missing(files.file("images"), [path for path in listed if not path.is_file()], len(listed))
+    posed, names, photos = (list(compress(each, there)) for each in (posed, names, listed))
+    return ColmapModel(files, reconstruction, posed, photos, mask_paths(photos, names, masks), notices)
 
 
 def _read(files: ModelFiles) -> Any:

@@ -60,21 +60,14 @@ def _model_in(folder: Path) -> ModelFiles | None:
 
 
 def photo_paths(model: Path, names: Sequence[str], images: Path | None) -> list[Path]:
-    """The photos of a model, in `images` or in the nearest folder of that name next to or above the model.
+    """Where the photos of a model are expected: in `images` or in the nearest folder of that name next to or above the
+    model.
 
     Raises:
-        SceneError: there is no such folder or a photo is not in it.
+        SceneError: there is no such folder.
     """
     folder = images or _photo_folder(model, names)
-    paths = [folder / name for name in names]
-    missing = [path for path in paths if not path.is_file()]
-    if missing:
-        if len(missing) == len(paths):
-            which = f"None of the model's {len(paths)} photos was found"
-        else:
-            which = f"{len(missing)} of the model's {len(paths)} photos are missing"
-        raise SceneError(f"{which}, first {missing[0]}. Put them there")
-    return paths
+    return [folder / name for name in names]
 
 
 def _photo_folder(model: Path, names: Sequence[str]) -> Path:

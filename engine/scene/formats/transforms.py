@@ -17,6 +17,7 @@ from ...progress import Progress, silent
 from ..camera import FloatArray, Scene
 from ..photos.lens import Lens
 from ..photos.photo import PosedPhoto, make_scene, posed_photos, read_header
+from .missing_photos import note_missing
 
 TRANSFORMS = "transforms.json"
 
@@ -37,10 +38,12 @@ def read_transforms(
     Intrinsics are `fl_x, fl_y, cx, cy, w, h` (or `camera_angle_x`) and `k1…, p1, p2`, a frame's own before the
     file's; `camera_model` OPENCV (the default), OPENCV_FISHEYE or EQUIRECTANGULAR. `transform_matrix` is camera to
     world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative to the
-    file; a photo may lack its extension. The scene's frame is the file's; without a point cloud it has no points.
+    file; a photo may lack its extension. Frames whose photo is missing are left out. The scene's frame is the file's;
+    without a point cloud it has no points.
 
     Raises:
-        SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or a photo is missing.
+        SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or too many photos are
+            missing.
     """
     return open_transforms(Path(path)).scene(config, progress)
 
@@ -49,7 +52,7 @@ def named_files(path: Path, key: str) -> list[Path | None]:
     """The file that each frame names under `key`, in the order of `read_transforms`; None without one.
 
     Raises:
-        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+        SceneError: as `open_transforms`, or such a file is missing.
     """
     source = open_transforms(Path(path))
     return [_named_file(frame.values, key, source.file) for frame in source.frames]
@@ -77,11 +80,13 @@ class _Frame:
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """A transforms.json with the files it names; frames in name order."""
+    """A transforms.json with the files it names; frames whose photo is there, in name order; notices: messages for the
+    user."""
 
     file: Path
     frames: Sequence[_Frame]
     cloud: Path | None
+    notices: Sequence[str] = ()
 
     def files(self) -> list[Path]:
         """Every file that the scene is read from: the JSON, the point cloud, then photos and masks in name order."""
@@ -111,7 +116,7 @@ def open_transforms(path: Path) -> Transforms:
     """Read a transforms.json (its path or its folder's) and find the files it names.
 
     Raises:
-        SceneError: the JSON is missing or malformed, or a file that it names is missing.
+        SceneError: the JSON is missing or malformed, or a file that it names is missing; of the photos, too many.
     """
     file = path / TRANSFORMS if path.is_dir() else path
     content = _read_json(file)
@@ -119,16 +124,20 @@ def open_transforms(path: Path) -> Transforms:
     if not isinstance(entries, list) or not entries:
         raise SceneError(f"{file} has no frames. Give a transforms.json with at least one posed photo")
     named = sorted(((_frame_name(entry, index, file), index) for index, entry in enumerate(entries)))
+    photos = [_photo_path(file.parent / name) for name, _ in named]
+    missing = [file.parent / name for (name, _), photo in zip(named, photos, strict=True) if photo is None]
+    notices = note_missing(file, missing, len(named))
     frames = [
         _Frame(
             name=name.removeprefix("./"),
             values={**content, **entries[index]},
-            photo=_photo_path(file.parent / name, len(named)),
+            photo=photo,
             mask=_named_file(entries[index], "mask_path", file),
         )
-        for name, index in named
+        for (name, index), photo in zip(named, photos, strict=True)
+        if photo is not None
     ]
-    return Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file))
+    return Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file), notices=notices)
 
 
 def _read_json(file: Path) -> dict[str, Any]:
@@ -150,12 +159,10 @@ def _frame_name(frame: Any, index: int, file: Path) -> str:
     return name.replace("\\", "/")
 
 
-def _photo_path(path: Path, frames: int) -> Path:
+def _photo_path(path: Path) -> Path | None:
+    """The photo at `path`, which may lack its extension; None if it is missing."""
     candidates = [path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES)]
-    found = next((candidate for candidate in candidates if candidate.is_file()), None)
-    if found is None:
-        raise SceneError(f"Photo {path} (one of {frames}) cannot be found. Put it there")
-    return found
+    return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
 def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:

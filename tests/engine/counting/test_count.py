@@ -19,7 +19,6 @@ from fruitlangs.engine.counting.evidence.visibility import Visibility, frame_of
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.errors import ConfigError, CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
-from fruitlangs.engine.report.words import nothing_found
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians, harmonics_of
 
@@ -250,13 +249,6 @@ def test_a_leaf_sheet_alone_is_no_fruit() -> None:
 def test_a_given_diameter_is_used(small: sim.Simulation) -> None:
     result = counted(small, dataclasses.replace(CONFIG, diameter=1.0))
     assert f1_of(small, result) >= 0.85
-
-
-def test_a_given_diameter_below_the_gaussians_is_a_counted_zero_that_says_so(small: sim.Simulation) -> None:
-    result = counted(small, dataclasses.replace(CONFIG, diameter=1e-6))
-    assert result.count == 0
-    assert "larger than the expected fruit" in result.audit[0].reason
-    assert nothing_found(result, 0.5, None).endswith("diameter 1e-06 scene units")
 
 
 @pytest.mark.parametrize("factor", [0.4, 2.5])

@@ -16,8 +16,8 @@ from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.report.meshes import id_color
 from fruitlangs.engine.report.results import dump, fruits_document, stored_count
-from fruitlangs.engine.report.tables import fruits_csv, summary
-from fruitlangs.engine.report.words import count_text, location_text, nothing_found
+from fruitlangs.engine.report.tables import fruits_csv, size_lines, summary
+from fruitlangs.engine.report.words import count_text, headline, location_text, nothing_found
 from fruitlangs.engine.result_folder import ResultFolder
 from fruitlangs.engine.storage.files import file_hash, write_text
 
@@ -154,6 +154,33 @@ def test_a_zero_blames_the_threshold_only_where_nothing_reached_it() -> None:
 def test_the_table_gives_the_reason_of_a_zero_once() -> None:
     text = summary(NO_FRUIT, prompt="pear", threshold=0.5, metres_per_unit=None, seconds={})
     assert len([line for line in text.splitlines() if "probability" in line]) == 1
+
+
+def test_the_width_of_the_fruit_in_pixels_is_reported_if_it_is_known() -> None:
+    wide = dataclasses.replace(two_fruit(), pixel_width=13.6)
+    line = "median width in the photos as read: 14 pixels"
+    assert line in size_lines(wide, None)
+    assert line in summary(wide, prompt="apple", threshold=0.5, metres_per_unit=None, seconds={})
+    assert not any("pixels" in each for each in size_lines(two_fruit(), None))
+
+
+def test_width_and_notes_come_back_from_fruits_json_and_older_results_have_none() -> None:
+    wide = dataclasses.replace(two_fruit(), pixel_width=13.64)
+    document = fruits_document(
+        wide, config={}, provenance={}, files={}, metres_per_unit=2.0, notices=["a photo is missing"]
+    )
+    assert (document["pixel_width"], document["notices"]) == (13.6, ["a photo is missing"])
+    assert stored_count(document, np.zeros(0, np.int32)).pixel_width == 13.6
+    del document["pixel_width"], document["notices"]
+    assert stored_count(document, np.zeros(0, np.int32)).pixel_width is None
+
+
+def test_a_zero_with_an_interval_shows_it_with_its_reason() -> None:
+    admits = dataclasses.replace(NO_FRUIT, max_probability=0.9, interval=(0, 7), total=0.0, total_interval=(0, 7))
+    text = summary(admits, prompt="apple", threshold=0.5, metres_per_unit=None, seconds={})
+    assert text.startswith("apple: 0 visible fruit (90 % interval 0–7)")
+    assert NO_FRUIT.audit[0].reason in text
+    assert headline(admits, "apple") == "apple: 0 (90 % interval 0–7)"
 
 
 def test_an_audit_entry_without_a_place_has_no_centre() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import hashlib
 import json
 import shutil
@@ -111,10 +112,10 @@ def test_a_scene_three_times_as_large_in_its_units_is_as_large_in_metres(few_pho
     points = trimesh.load(scene / "points.ply")
     trimesh.PointCloud(3.0 * points.vertices, points.colors).export(scene / "points.ply")
     (scene / "transforms.json").write_text(json.dumps(frames))
-    small, large = (
-        count_scene(source, ["fruit"], tmp_path / name, config=config(length=2.5, cameras=PAIR))
-        for source, name in ((few_photos, "small"), (scene, "large"))
-    )
+    usual = config(length=2.5, cameras=PAIR)
+    wide = dataclasses.replace(usual, count=dataclasses.replace(COUNT, diameter=3.0 * 0.08))
+    small = count_scene(few_photos, ["fruit"], tmp_path / "small", config=usual)
+    large = count_scene(scene, ["fruit"], tmp_path / "large", config=wide)
     assert large.scene.spread == pytest.approx(3.0 * small.scene.spread)
     metres = [result.scene.spread * result.scene.metres_per_unit for result in (small, large)]
     assert metres[1] == pytest.approx(metres[0])

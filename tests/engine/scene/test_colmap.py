@@ -15,7 +15,7 @@ from PIL import Image
 
 from fruitlangs.engine.config import SceneConfig
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.engine.scene.formats.colmap import read_colmap
+from fruitlangs.engine.scene.formats.colmap import open_colmap, read_colmap
 
 MODEL_FILES = ("cameras", "images", "points3D")
 
@@ -109,12 +109,29 @@ def test_a_masks_folder_without_masks_is_named(tmp_path: Path) -> None:
         read_colmap(tmp_path, masks=tmp_path / "empty")
 
 
-def test_one_missing_photo_is_named_with_its_path(tmp_path: Path) -> None:
+def test_a_missing_photo_is_left_out_with_its_image_and_mask(tmp_path: Path) -> None:
     write_model(tmp_path)
+    whole = read_colmap(tmp_path)
+    (tmp_path / "masks").mkdir()
+    Image.new("L", (32, 24), 0).save(tmp_path / "masks" / "photo_3.png")
     (tmp_path / "images" / "photo_2.png").unlink()
-    with pytest.raises(
-        SceneError, match=rf"1 of the model's 4 photos are missing, first {tmp_path}/images/photo_2\.png"
-    ):
+    opened = open_colmap(tmp_path)
+    scene = opened.scene(SceneConfig())
+    assert [photo.name for photo in scene.images] == ["photo_0.png", "photo_1.png", "photo_3.png"]
+    np.testing.assert_array_equal(scene.cameras[2].world_to_camera, whole.cameras[3].world_to_camera)
+    assert opened.masks == [None, None, tmp_path / "masks" / "photo_3.png"]
+    assert opened.notices == ["1 of the 4 photos that images.bin lists are missing and were left out: photo_2.png"]
+
+
+@pytest.mark.parametrize(("listed", "gone"), [(4, 2), (8, 5)])
+def test_too_few_photos_of_a_model_are_an_error_that_names_the_first_missing(
+    tmp_path: Path, listed: int, gone: int
+) -> None:
+    write_model(tmp_path, images=listed)
+    for index in range(gone):
+        (tmp_path / "images" / f"photo_{index}.png").unlink()
+    said = rf"{gone} of the {listed} photos that .*images\.bin lists are missing, first {tmp_path}/images/photo_0\.png"
+    with pytest.raises(SceneError, match=said):
         read_colmap(tmp_path)
 
 
@@ -124,7 +141,7 @@ def test_missing_photos_are_all_reported_missing(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="No folder images next to"):
         read_colmap(tmp_path)
     write_photo(tmp_path / "images" / "other.png", 32, 24)
-    with pytest.raises(SceneError, match="None of the model's 4 photos was found"):
+    with pytest.raises(SceneError, match=r"None of the 4 photos that .* lists was found"):
         read_colmap(tmp_path)
 
 

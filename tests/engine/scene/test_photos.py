@@ -344,7 +344,7 @@ def test_settings_travel_to_the_child(tmp_path: Path) -> None:
 def test_photos_alone_are_counted_and_asked_again_from_another_result(walk: Path, tmp_path: Path) -> None:
     shutil.copytree(walk / "images", tmp_path / "walk")
     shutil.copytree(walk / "cache", tmp_path / "first" / "cache")
-    config = Config(train=TrainConfig(steps=20, max_gaussians=3000), count=CountConfig(threshold=0.9))
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0), count=CountConfig(threshold=0.9))
     first = count_scene(tmp_path / "walk", ["fruit"], tmp_path / "first", config=config)
     assert first.reused == ["photos"]
     second = count_scene(tmp_path / "first", ["leaf"], tmp_path / "second", config=config)
@@ -370,7 +370,12 @@ def test_a_run_reads_every_photo_for_its_hash_once_and_checks_the_model_once(
     monkeypatch.setattr(colmap, "check_records", count_check)
     monkeypatch.setattr(layout, "check_records", count_check)
     shutil.copytree(walk / "cache", tmp_path / "cache")
-    count_scene(walk / "images", ["fruit"], tmp_path, config=Config(train=TrainConfig(steps=20, max_gaussians=3000)))
+    count_scene(
+        walk / "images",
+        ["fruit"],
+        tmp_path,
+        config=Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0)),
+    )
     assert set(hashed.values()) == set(checked.values()) == {1}
     assert checked.keys() >= {"cameras.bin", "images.bin", "points3D.bin"}
     hashed.clear()

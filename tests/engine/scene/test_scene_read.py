@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 from colmap_models import ring_of_poses, write_model, write_photo
 
+from fruitlangs.engine.config import SceneConfig
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.engine.scene.formats.transforms import read_transforms
+from fruitlangs.engine.scene.formats.transforms import named_files, read_transforms
 from fruitlangs.engine.scene.read import open_scene, read_scene
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.storage.files import files_hash
 
 
-def write_transforms(folder: Path, **values: object) -> Path:
-    """A transforms.json of three 32x24 photos of the ring, with OpenGL axes; `values` go to its top level."""
+def write_transforms(folder: Path, photos: int = 3, **values: object) -> Path:
+    """A transforms.json of 32x24 photos of the ring, with OpenGL axes; `values` go to its top level."""
     frames = []
-    for index, pose in enumerate(ring_of_poses(3)):
+    for index, pose in enumerate(ring_of_poses(photos)):
         write_photo(folder / "images" / f"{index}.png", 32, 24, seed=index)
         camera_to_world = np.linalg.inv(pose) @ np.diag([1.0, -1.0, -1.0, 1.0])
         frames.append({"file_path": f"./images/{index}.png", "transform_matrix": camera_to_world.tolist()})
@@ -109,7 +110,7 @@ def test_bad_transforms_are_named(tmp_path: Path, values: dict[str, object], sai
     ("values", "said"),
     [
         ({"file_path": None}, "frame 1 has no file_path"),
-        ({"file_path": "images/gone.png"}, r"Photo .*gone\.png .* cannot be found"),
+        ({"file_path": "images/gone.png"}, r"1 of the 3 photos .* are missing, first .*gone\.png\. At least 3 photos"),
         ({"transform_matrix": None}, "no transform_matrix"),
         ({"transform_matrix": [[1, 0], [0, 1]]}, "no transform_matrix"),
         ({"transform_matrix": (np.eye(4) * 2).tolist()}, "not a rigid motion"),
@@ -120,6 +121,53 @@ def test_a_bad_frame_is_named(tmp_path: Path, values: dict[str, object], said: s
     edit_frame(write_transforms(tmp_path), 1, **values)
     with pytest.raises(SceneError, match=said):
         read_transforms(tmp_path)
+
+
+def test_photos_that_a_transforms_json_lists_but_that_are_missing_are_left_out_with_one_note(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path, photos=8)
+    for index in range(8):
+        (tmp_path / "images" / f"{index}.png").rename(tmp_path / "images" / f"{7 - index}.jpg")
+        edit_frame(file, index, file_path=f"images/{index}", fruit=f"images/{index}.jpg")
+    (tmp_path / "images" / "0.jpg").unlink()
+    (tmp_path / "images" / "5.jpg").unlink()
+    source = Source(path=tmp_path)
+    scene = source.read(SceneConfig())
+    assert [photo.name for photo in scene.images] == [f"images/{index}" for index in (1, 2, 3, 4, 6, 7)]
+    np.testing.assert_allclose(scene.cameras[4].world_to_camera, ring_of_poses(8)[6], atol=1e-12)
+    assert named_files(file, "fruit") == [tmp_path / "images" / f"{index}.jpg" for index in (1, 2, 3, 4, 6, 7)]
+    assert source.opened().notices == [
+        "2 of the 8 photos that transforms.json lists are missing and were left out: 0, 5"
+    ]
+    assert len(source.hash()) == 64
+
+
+def test_a_long_list_of_missing_photos_is_cut(tmp_path: Path) -> None:
+    write_transforms(tmp_path, photos=24)
+    for index in range(12):
+        (tmp_path / "images" / f"{index}.png").unlink()
+    (notice,) = open_scene(tmp_path).notices
+    assert notice.startswith("12 of the 24 photos")
+    assert notice.endswith("7.png and 2 more")
+
+
+@pytest.mark.parametrize(("listed", "gone"), [(3, 1), (9, 5)])
+def test_a_transforms_json_with_too_few_of_its_photos_is_an_error(tmp_path: Path, listed: int, gone: int) -> None:
+    write_transforms(tmp_path, photos=listed)
+    for index in range(gone):
+        (tmp_path / "images" / f"{index}.png").unlink()
+    with pytest.raises(SceneError, match=rf"{gone} of the {listed} photos that .*transforms\.json lists are missing"):
+        read_transforms(tmp_path)
+
+
+def test_the_hash_of_a_scene_covers_the_photos_that_are_there(tmp_path: Path) -> None:
+    write_transforms(tmp_path, photos=8)
+    photo = tmp_path / "images" / "3.png"
+    content = photo.read_bytes()
+    whole = Source(path=tmp_path).hash()
+    photo.unlink()
+    assert Source(path=tmp_path).hash() != whole
+    photo.write_bytes(content)
+    assert Source(path=tmp_path).hash() == whole
 
 
 def test_broken_json_is_named(tmp_path: Path) -> None:

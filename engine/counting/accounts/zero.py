@@ -1,0 +1,168 @@
+"""Whether a count of 0 is an answer: with Gaussians that match the prompt, or in a poor reconstruction, it may not be.
+
+A known cause of the 0 is an error. Otherwise the 0 is an answer, and its interval admits what may be there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...errors import CountingError
+from ...scene.camera import Camera
+from ...splatting.gaussians import Gaussians
+from ..evidence.cluster import LINKS
+from ..evidence.pixel_width import focal_length
+from ..evidence.surface_points import SURFACE
+from ..fruit import FruitCount
+from ..geometry.cells import Cells, linked
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+POOR = 0.4
+"""Held-out SSIM below which Gaussians show little more than a blur; the paper's worst scan has .527."""
+BLURRED_SSIM, BLURRED_PSNR = 0.5, 18.0
+"""Held-out SSIM and PSNR (dB) below which fruit may be too blurred to have a shape. The ladder's scenes below either
+lost a third of their fruit."""
+LEAST_PIXELS = 8.0
+"""Width in pixels below which fruit are too small to have a shape in Gaussians."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well the Gaussians reproduce held-out photos; None if that is not measured. psnr: dB."""
+
+    psnr: float | None = None
+    ssim: float | None = None
+
+    @staticmethod
+    def of(training: Mapping[str, Any]) -> Quality:
+        """The quality in the results of a training, as in the provenance."""
+        return Quality(training.get("psnr"), training.get("ssim"))
+
+    @property
+    def poor(self) -> bool:
+        """Whether nothing that is counted in these Gaussians can be trusted."""
+        return self.ssim is not None and self.ssim < POOR
+
+    @property
+    def blurred(self) -> bool:
+        """Whether fruit may have lost their shape."""
+        return self.poor or (
+            (self.ssim is not None and self.ssim < BLURRED_SSIM) or (self.psnr is not None and self.psnr < BLURRED_PSNR)
+        )
+
+    def __str__(self) -> str:
+        parts = [
+            "" if self.psnr is None else f"PSNR {self.psnr:.1f} dB",
+            "" if self.ssim is None else f"SSIM {self.ssim:.2f}",
+        ]
+        return ", ".join(filter(None, parts))
+
+
+UNKNOWN = Quality()
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """The M Gaussians in the counted part of the scene that match the prompt, and what may be the cause of a 0.
+
+    label: of the fruit; positions: (M, 3) scene units, by descending probability; outline: typical width of a Gaussian,
+    scene units; cameras, quality: of the reconstruction.
+    """
+
+    label: str
+    positions: FloatArray
+    outline: float
+    cameras: Sequence[Camera]
+    quality: Quality
+
+    @classmethod
+    def of(
+        cls, gaussians: Gaussians, probabilities: FloatArray, matching: IntArray, cameras: Sequence[Camera], label: str,
+        quality: Quality,
+    ) -> Matching:  # fmt: skip
+        """The Gaussians at `matching` (M,) of all with probabilities (N,)."""
+        order = matching[np.argsort(-probabilities[matching], kind="stable")]
+        positions = gaussians.means.detach().double().cpu().numpy()[order]
+        widths = gaussians.scales.detach().double().cpu().numpy()[order].max(axis=1)
+        outline = 2.0 * SURFACE * float(np.median(widths)) if len(widths) else 0.0
+        return cls(label, positions, outline, cameras, quality)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def require_answer(self, reason: str, diameter: float | None = None) -> None:
+        """Refuse a 0 whose cause is the reconstruction. reason: of the 0; diameter: of the fruit that was searched for.
+
+        Raises:
+            CountingError: names the cause and what to do.
+        """
+        if self.quality.poor or (len(self) and self.quality.blurred):
+            raise CountingError(
+                f"The 0 for {self.label} is not a count: held-out photos are reproduced poorly ({self.quality}), and "
+                f"{reason}. Check the cameras, take sharper photos in smaller steps, or train for more steps"
+            )
+        pixels = None if diameter is None else self.pixels(diameter)
+        if pixels is not None and pixels < LEAST_PIXELS:
+            raise CountingError(
+                f"The 0 for {self.label} is not a count: a fruit is only about {pixels:.0f} pixels wide, and {reason}. "
+                "Read the photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
+            )
+
+    def with_bounds(self, counted: FruitCount, diameter: float | None = None, *, visible: bool = True) -> FruitCount:
+        """A count of 0 with intervals up to the fruit that may be there, and a notice that says so; unchanged if no
+        Gaussian matches. visible: whether these fruit would be visible."""
+        if len(self) == 0:
+            return counted
+        most = max(self.most(diameter), counted.interval[1] if counted.interval else 0)
+        may = f"up to {most} {'' if visible else 'hidden '}fruit may be there. The audit has the reason"
+        return replace(
+            counted,
+            interval=(0, most if visible else 0),
+            total=counted.total or 0.0,
+            total_interval=(0, max(most, counted.total_interval[1] if counted.total_interval else 0)),
+            notices=[*counted.notices, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}"],
+        )
+
+    def most(self, diameter: float | None) -> int:
+        """How many fruit these Gaussians may be: the number of places a diameter apart; without a diameter, the number
+        of their groups that do not touch."""
+        if diameter is None:
+            return separate_groups(self.positions, self.outline)
+        return most_fruit(self.positions, diameter)
+
+    def pixels(self, diameter: float) -> float | None:
+        """The width in pixels of a fruit in the middle of these Gaussians, the median over the cameras; None without
+        Gaussians in front of a camera."""
+        if len(self) == 0:
+            return None
+        middle = np.median(self.positions, axis=0)
+        depths = np.array([camera.project(middle)[1] for camera in self.cameras])
+        focal = np.array([focal_length(camera) for camera in self.cameras])
+        front = depths > 0.0
+        return float(np.median(diameter * focal[front] / depths[front])) if front.any() else None
+
+
+def most_fruit(positions: FloatArray, diameter: float) -> int:
+    """The number of positions (M, 3), taken in their order, that are at least a diameter from those taken before: about
+    one for each fruit of that size."""
+    tree, free, number = cKDTree(positions), np.ones(len(positions), bool), 0
+    for index in range(len(positions)):
+        if free[index]:
+            free[tree.query_ball_point(positions[index], diameter)] = False
+            number += 1
+    return number
+
+
+def separate_groups(positions: FloatArray, link: float) -> int:
+    """Number of groups of positions (M, 3) that are linked by distances below `link`, scene units."""
+    if link <= 0.0 or len(positions) == 0:
+        return len(positions)
+    return len(np.unique(linked(Cells.of(positions, link).table, link, link / LINKS)))
