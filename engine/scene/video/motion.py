@@ -1,0 +1,95 @@
+"""Motion of the picture between two small grey frames, and the length of the camera's path in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Grey = NDArray[np.float32]
+"""(H, W) brightness, 0 to 255."""
+
+_TILE = 64
+_TEXTURE = 2.0
+"""Standard deviation of brightness, within a tile, below which a tile shows no motion."""
+_ALIKE = 0.35
+"""Correlation from which a tile of one frame is recognised in the other."""
+_RECOGNISED = 0.3
+"""Share of the textured tiles that must be recognised; with less, the frames show different views."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How far the picture moved, as a share of its longer side; whether the frames show the same objects."""
+
+    distance: float
+    is_same_view: bool
+
+
+def motion(first: Grey, second: Grey) -> Motion:
+    """The mean motion of the tiles of `first` that are recognised in `second`, two frames of one size.
+
+    The whole frames are aligned first, then each tile of 64 x 64 pixels, both by phase correlation (Kuglin and Hines
+    1975). The mean over tiles includes parallax: a camera that turns around a tree and keeps it in the middle moves
+    what is behind it one way and what is in front of it the other way.
+    """
+    overall = _shift(first[None], second[None])[0]
+    height, width = first.shape
+    tile = min(_TILE, height, width)
+    rows, columns = _starts(height, tile), _starts(width, tile)
+    # Each tile is compared with the one where it would be if the whole picture moved evenly.
+    moved = [
+        (row, column, row + overall[0], column + overall[1])
+        for row in rows
+        for column in columns
+        if 0 <= row + overall[0] <= height - tile and 0 <= column + overall[1] <= width - tile
+    ]
+    if not moved:
+        return Motion(1.0, False)
+    before = np.stack([first[r : r + tile, c : c + tile] for r, c, _, _ in moved])
+    after = np.stack([second[r : r + tile, c : c + tile] for _, _, r, c in moved])
+    textured = before.std(axis=(1, 2)) > _TEXTURE
+    if not textured.any():
+        return Motion(0.0, True)
+    before, after = before[textured], after[textured]
+    shifts = _shift(before, after)
+    alike = _correlation(before, after, shifts) > _ALIKE
+    if alike.mean() < _RECOGNISED:
+        return Motion(1.0, False)
+    lengths = np.hypot(*(shifts[alike] + overall).T)
+    return Motion(float(lengths.mean()) / max(first.shape), True)
+
+
+def _starts(length: int, tile: int) -> list[int]:
+    """First pixels of evenly spread tiles that overlap by about half."""
+    count = max(1, round(2 * length / tile) - 1)
+    return np.linspace(0, length - tile, count).round().astype(int).tolist()
+
+
+def _shift(first: Grey, second: Grey) -> NDArray[np.int64]:
+    """(N, 2) rows and columns by which each (H, W) picture of the first stack moved to become the second's."""
+    height, width = first.shape[1:]
+    window = np.hanning(height)[:, None] * np.hanning(width)
+    window = window.astype(np.float32)
+    a, b = (
+        fft.rfft2((stack - stack.mean(axis=(1, 2), keepdims=True)) * window) for stack in (first, second)
+    )
+    cross = b * a.conj()
+    cross /= np.abs(cross) + 1e-3 * np.abs(cross).mean()
+    surface = fft.irfft2(cross, s=(height, width))
+    peak = surface.reshape(len(surface), -1).argmax(axis=1)
+    at = np.stack(np.unravel_index(peak, (height, width)), axis=1)
+    return np.where(at > np.array([height, width]) // 2, at - np.array([height, width]), at)
+
+
+def _correlation(first: Grey, second: Grey, shifts: NDArray[np.int64]) -> NDArray[np.float64]:
+    found = np.empty(len(first))
+    size = first.shape[1]
+    for k, (dy, dx) in enumerate(shifts):
+        a = first[k, max(0, -dy) : size - max(0, dy), max(0, -dx) : size - max(0, dx)]
+        b = second[k, max(0, dy) : size - max(0, -dy), max(0, dx) : size - max(0, -dx)]
+        a, b = a - a.mean(), b - b.mean()
+        found[k] = (a * b).sum() / (np.sqrt((a * a).sum() * (b * b).sum()) + 1e-6)
+    return found
