@@ -19,9 +19,10 @@ from ...progress import Progress, part, silent
 from ...storage.files import replacing
 from ..formats.colmap_records import check_records
 from ..photos.photo import DECODE_ERRORS, read_header
+from ..photos.picture_file import open_picture
 from .mapping import FOUND, Copy, Job
 
-PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng", ".bmp"}
+PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".bmp"}
 LEAST_PHOTOS = 3
 _MODEL, _WORK = "model", "work"
 
@@ -123,7 +124,7 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
     size = max(round(header.width * share), 1), max(round(header.height * share), 1)
     if not copy.is_file():
         try:
-            with Image.open(file) as image:
+            with open_picture(file) as image:
                 grey = _grey(image)
         except DECODE_ERRORS as error:
             raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error

@@ -73,9 +73,7 @@ def _shift(first: Grey, second: Grey) -> NDArray[np.int64]:
     height, width = first.shape[1:]
     window = np.hanning(height)[:, None] * np.hanning(width)
     window = window.astype(np.float32)
-    a, b = (
-        fft.rfft2((stack - stack.mean(axis=(1, 2), keepdims=True)) * window) for stack in (first, second)
-    )
+    a, b = (fft.rfft2((stack - stack.mean(axis=(1, 2), keepdims=True)) * window) for stack in (first, second))
     cross = b * a.conj()
     cross /= np.abs(cross) + 1e-3 * np.abs(cross).mean()
     surface = fft.irfft2(cross, s=(height, width))

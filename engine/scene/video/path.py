@@ -123,5 +123,3 @@ def _view(frame: Frame) -> _View:
 def _sharpness(grey: NDArray[np.float32]) -> float:
     """Mean squared difference between neighbouring pixels."""
     return float(sum(np.mean(np.diff(grey, axis=axis) ** 2) for axis in (0, 1) if grey.shape[axis] > 1))
-
-
