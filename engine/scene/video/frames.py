@@ -123,6 +123,9 @@ class Video:
                 self.damaged += 1
                 continue
             for frame in decoded:
+                if frame.is_corrupt:
+                    self.damaged += 1
+                    continue
                 stamp = index / rate if frame.time is None else float(frame.time)
                 first = stamp if first is None else first
                 self.end = max(self.end, stamp - first + 1.0 / rate)

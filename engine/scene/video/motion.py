@@ -75,7 +75,7 @@ def _shift(first: Grey, second: Grey) -> NDArray[np.int64]:
     window = window.astype(np.float32)
     a, b = (fft.rfft2((stack - stack.mean(axis=(1, 2), keepdims=True)) * window) for stack in (first, second))
     cross = b * a.conj()
-    cross /= np.abs(cross) + 1e-3 * np.abs(cross).mean()
+    cross /= np.abs(cross) + 1e-3 * np.abs(cross).mean() + 1e-9
     surface = fft.irfft2(cross, s=(height, width))
     peak = surface.reshape(len(surface), -1).argmax(axis=1)
     at = np.stack(np.unravel_index(peak, (height, width)), axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ IMAGES, LIST = "images", "stills.json"
 LEAST_STILLS, MOST_STILLS = 3, 300
 _REACH = 0.3
 """Distance on the path within which the sharpest frame is taken, in shares of the distance between stills."""
+_LEAST = 0.5
+"""Shortest distance between stills where no frame is near enough, in the same shares."""
 _ENOUGH = 0.95
 """Share of the seconds that the header promises from which a video is complete."""
 _QUALITY = 95
@@ -77,22 +80,29 @@ def _is_complete(folder: Path) -> bool:
 
 
 def stills_of(steps: Sequence[Step]) -> list[Step]:
-    """Of the frames of a video, those to keep, in the order of time; at most about `MOST_STILLS`."""
+    """Of the frames of a video, those to keep, in the order of time; at most about `MOST_STILLS`.
+
+    At every point in even steps along the path, the sharpest frame that is near; if none is, because the picture moved
+    fast, the nearest frame, and the next steps start from there.
+    """
     length = max((step.path for step in steps), default=0.0)
     spacing = max(SPACING, length / (MOST_STILLS - 1))
     on_path = sorted(steps, key=lambda step: (step.path, step.index))
+    paths = [step.path for step in on_path]
     found: list[Step] = []
-    target, at = 0.0, 0
-    while at < len(on_path):
-        if on_path[at].path > target + _REACH * spacing:  # the picture moved farther from one frame to the next
-            target = on_path[at].path
-        near = []
-        while at < len(on_path) and on_path[at].path <= target + _REACH * spacing:
-            if on_path[at].path >= target - _REACH * spacing:
-                near.append(on_path[at])
-            at += 1
-        if near:
-            found.append(max(near, key=lambda step: step.sharpness))
+    target, start = 0.0, 0
+    while start < len(on_path):
+        first, end = bisect_left(paths, target - _REACH * spacing), bisect_right(paths, target + _REACH * spacing)
+        if first < end:
+            found.append(max(on_path[first:end], key=lambda step: step.sharpness))
+        elif end == len(on_path):
+            break
+        else:
+            before = first - 1 if paths[first - 1] - found[-1].path > _LEAST * spacing else first
+            nearest = min(before, first, key=lambda index: abs(paths[index] - target))
+            found.append(on_path[nearest])
+            target, end = paths[nearest], nearest + 1
+        start = end
         target += spacing
     return sorted(found, key=lambda step: step.index)
 
