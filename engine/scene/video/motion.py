@@ -16,20 +16,22 @@ _TEXTURE = 2.0
 """Standard deviation of brightness, within a tile, below which a tile shows no motion."""
 _ALIKE = 0.35
 """Correlation from which a tile of one frame is recognised in the other."""
-_RECOGNISED = 0.3
-"""Share of the textured tiles that must be recognised; with less, the frames show different views."""
+
+
+CHANGED = 0.055
+"""Motion of a tile that is not recognised: it left the picture, or was covered or turned too far."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How far the picture moved, as a share of its longer side; whether the frames show the same objects."""
+    """How far the picture moved, as a share of its longer side, and the share of the tiles that were recognised."""
 
     distance: float
-    is_same_view: bool
+    recognised: float
 
 
 def motion(first: Grey, second: Grey) -> Motion:
-    """The mean motion of the tiles of `first` that are recognised in `second`, two frames of one size.
+    """The mean motion of the tiles of `first` in `second`, two frames of one size.
 
     The whole frames are aligned first, then each tile of 64 x 64 pixels, both by phase correlation (Kuglin and Hines
     1975). The mean over tiles includes parallax: a camera that turns around a tree and keeps it in the middle moves
@@ -38,28 +40,25 @@ def motion(first: Grey, second: Grey) -> Motion:
     overall = _shift(first[None], second[None])[0]
     height, width = first.shape
     tile = min(_TILE, height, width)
-    rows, columns = _starts(height, tile), _starts(width, tile)
     # Each tile is compared with the one where it would be if the whole picture moved evenly.
-    moved = [
+    places = [(row, column) for row in _starts(height, tile) for column in _starts(width, tile)]
+    inside = [
         (row, column, row + overall[0], column + overall[1])
-        for row in rows
-        for column in columns
+        for row, column in places
         if 0 <= row + overall[0] <= height - tile and 0 <= column + overall[1] <= width - tile
     ]
-    if not moved:
-        return Motion(1.0, False)
-    before = np.stack([first[r : r + tile, c : c + tile] for r, c, _, _ in moved])
-    after = np.stack([second[r : r + tile, c : c + tile] for _, _, r, c in moved])
+    if not inside:
+        return Motion(CHANGED, 0.0)
+    before = np.stack([first[r : r + tile, c : c + tile] for r, c, _, _ in inside])
+    after = np.stack([second[r : r + tile, c : c + tile] for _, _, r, c in inside])
     textured = before.std(axis=(1, 2)) > _TEXTURE
     if not textured.any():
-        return Motion(0.0, True)
+        return Motion(0.0, 1.0)
     before, after = before[textured], after[textured]
     shifts = _shift(before, after)
     alike = _correlation(before, after, shifts) > _ALIKE
-    if alike.mean() < _RECOGNISED:
-        return Motion(1.0, False)
-    lengths = np.hypot(*(shifts[alike] + overall).T)
-    return Motion(float(lengths.mean()) / max(first.shape), True)
+    lengths = np.where(alike, np.hypot(*(shifts + overall).T) / max(first.shape), CHANGED)
+    return Motion(float(lengths.mean()), float(alike.mean()))
 
 
 def _starts(length: int, tile: int) -> list[int]:

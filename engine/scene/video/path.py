@@ -14,10 +14,8 @@ from .motion import Grey, Motion, motion
 
 RULER = 0.025
 """Path is added in pieces of at least this share of the picture: a camera that rests in a hand shakes by less."""
-SPACING = 0.055
-"""Path between stills, if they are not too many; also what a cut adds, after which the frames show something else.
-
-A circle around a tree in 60 photos, one every 6 degrees, is about 60 times this long."""
+_MOST = 0.75
+"""Share of the picture that is recognised in a frame near enough to the anchor."""
 _RATE = 16.0
 """Frames a second that are compared; all of them where the picture moves fast."""
 _MOST_SKIPPED = 7
@@ -84,18 +82,19 @@ class _Follower:
         if self.anchor is None:
             return False
         moved = self._from_anchor(self.anchor, view)
-        return not moved.is_same_view or self.anchor_path + moved.distance - self.last_path > _FAST
+        return moved.recognised < _MOST or self.anchor_path + moved.distance - self.last_path > _FAST
 
     def add(self, view: _View) -> Step:
         """The path at the next frame."""
         if self.anchor is None or self.last is None:
             return self._anchored(view, 0.0)
         moved = self._from_anchor(self.anchor, view)
-        if moved.is_same_view:
-            path = self.anchor_path + moved.distance
-            return self._step(view, path) if moved.distance < RULER else self._anchored(view, path)
-        since = motion(self.last.small, view.small)  # it may still show what the last frame showed
-        return self._anchored(view, self.last_path + (since.distance if since.is_same_view else SPACING))
+        if moved.recognised < _MOST and self.last is not self.anchor:
+            since = motion(self.last.small, view.small)
+            if since.recognised > moved.recognised:
+                return self._anchored(view, self.last_path + since.distance)
+        path = self.anchor_path + moved.distance
+        return self._step(view, path) if moved.distance < RULER else self._anchored(view, path)
 
     def _from_anchor(self, anchor: _View, view: _View) -> Motion:
         """The motion from the anchor, measured once for a frame."""

@@ -15,10 +15,12 @@ from PIL import Image
 from ...errors import OutputError, SceneError
 from ...progress import Progress, part, silent
 from .frames import Frame, Video
-from .path import RULER, SPACING, Step, follow
+from .path import RULER, Step, follow
 
 IMAGES, LIST = "images", "stills.json"
 LEAST_STILLS, MOST_STILLS = 3, 300
+SPACING = 0.05
+"""Path between stills, if they are not too many: 60 to 70 for a circle around a tree."""
 _REACH = 0.3
 """Distance on the path within which the sharpest frame is taken, in shares of the distance between stills."""
 _LEAST = 0.5

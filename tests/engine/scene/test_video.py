@@ -20,8 +20,8 @@ from fruitlangs.engine.scene.read import open_scene
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.scene.video import stills as stills_module
 from fruitlangs.engine.scene.video.frames import Frame, Video
-from fruitlangs.engine.scene.video.path import SPACING, Step
-from fruitlangs.engine.scene.video.stills import Stills, choose_stills, stills_of
+from fruitlangs.engine.scene.video.path import Step
+from fruitlangs.engine.scene.video.stills import SPACING, Stills, choose_stills, stills_of
 
 LENGTH = 1.5
 """Path of most of the videos, in widths of the picture."""
@@ -96,7 +96,7 @@ def test_a_fast_pan_leaves_no_gap(tmp_path: Path) -> None:
 
 def test_of_neighbouring_frames_the_sharp_one_is_kept(tmp_path: Path) -> None:
     frames = [
-        frame if index % 3 == 0 else gaussian_filter(frame, (0, 2, 0)) for index, frame in enumerate(pan(15, 10.0))
+        frame if index % 3 == 0 else gaussian_filter(frame, (0, 2, 0)) for index, frame in enumerate(pan(15, 12.0))
     ]
     found = listed(choose_stills(write_film(tmp_path / "a.mp4", frames, rate=15), tmp_path / "out"))
     assert len(found) > 20
