@@ -211,6 +211,8 @@ def _raw_notices(photos: Path) -> list[str]:
     lone = next((file for file in raw if file.stem not in stems), None)
     if lone is not None:
         raise SceneError(raw_is_refused(lone))
+    if len(raw) == 1:
+        return ["1 RAW file was left out, because a photo of the same name is there"]
     return [f"{len(raw)} RAW files were left out, because photos of the same names are there"] if raw else []
 
 

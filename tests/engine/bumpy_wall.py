@@ -24,9 +24,18 @@ def texture() -> np.ndarray:
 
 
 def render(view: float) -> Image.Image:
-    """The wall seen from `center(view)`: every pixel's ray meets z = 0.3·sin(2x)·cos(2y)."""
+    """The wall seen from `center(view)`."""
     eye = center(view)
-    forward = -eye / np.linalg.norm(eye)
+    return picture(eye, -eye / np.linalg.norm(eye))
+
+
+def pass_by(view: float) -> Image.Image:
+    """The wall seen from a walk along it."""
+    return picture(np.array([0.4 * view - 1.0, 0.2 * (view % 2), -4.0]), np.array([0.0, 0.0, 1.0]))
+
+
+def picture(eye: np.ndarray, forward: np.ndarray) -> Image.Image:
+    """What a camera at `eye` shows: every pixel's ray meets z = 0.3·sin(2x)·cos(2y)."""
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
