@@ -16,8 +16,8 @@ _TEXTURE = 2.0
 """Standard deviation of brightness, within a tile, below which a tile shows no motion."""
 _ALIKE = 0.35
 """Correlation from which a tile of one frame is recognised in the other."""
-
-
+_RIGID, _EVEN = 0.25, 1.5
+"""If this share of the tiles is recognised and moved evenly, to this many pixels, the camera only turned or rests."""
 CHANGED = 0.055
 """Motion of a tile that is not recognised: it left the picture, or was covered or turned too far."""
 
@@ -31,12 +31,14 @@ class Motion:
 
 
 def motion(first: Grey, second: Grey) -> Motion:
-    """The mean motion of the tiles of `first` in `second`, two frames of one size.
+    """The mean motion of the tiles of `first` in `second`; a frame of another size shows something else.
 
     The whole frames are aligned first, then each tile of 64 x 64 pixels, both by phase correlation (Kuglin and Hines
     1975). The mean over tiles includes parallax: a camera that turns around a tree and keeps it in the middle moves
     what is behind it one way and what is in front of it the other way.
     """
+    if first.shape != second.shape:
+        return Motion(CHANGED, 0.0)
     overall = _shift(first[None], second[None])[0]
     height, width = first.shape
     tile = min(_TILE, height, width)
@@ -57,8 +59,10 @@ def motion(first: Grey, second: Grey) -> Motion:
     before, after = before[textured], after[textured]
     shifts = _shift(before, after)
     alike = _correlation(before, after, shifts) > _ALIKE
-    lengths = np.where(alike, np.hypot(*(shifts + overall).T) / max(first.shape), CHANGED)
-    return Motion(float(lengths.mean()), float(alike.mean()))
+    lengths = np.hypot(*(shifts + overall).T) / max(first.shape)
+    if alike.mean() >= _RIGID and np.percentile(np.hypot(*shifts[alike].T), 75) <= _EVEN:
+        return Motion(float(lengths[alike].mean()), 1.0)  # what is not recognised are leaves in the wind
+    return Motion(float(np.where(alike, lengths, CHANGED).mean()), float(alike.mean()))
 
 
 def _starts(length: int, tile: int) -> list[int]:

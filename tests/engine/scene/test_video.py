@@ -246,6 +246,14 @@ def static(path: Path) -> str:
     return r"The camera does not move in .*a\.mp4\. Walk around the tree"
 
 
+def windy(path: Path) -> str:
+    frames = [picture(0.0).copy() for _ in range(60)]
+    for index, frame in enumerate(frames):  # the leaves in the middle are new in every frame
+        frame[40:, 100:220] = np.random.default_rng(index).permuted(picture(3.0)[40:, 100:220], axis=1)
+    write_film(path, frames)
+    return "The camera does not move"
+
+
 def black(path: Path) -> str:
     write_film(path, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 30)
     return "The camera does not move"
@@ -285,7 +293,7 @@ def empty(path: Path) -> str:
     return r"a\.mp4 cannot be read as a video"
 
 
-@pytest.mark.parametrize("make", [static, black, short, sound, no_frames, cut_off, text, empty])
+@pytest.mark.parametrize("make", [static, windy, black, short, sound, no_frames, cut_off, text, empty])
 def test_a_bad_video_is_one_line_that_says_why_and_leaves_nothing(make, tmp_path: Path) -> None:
     said = make(tmp_path / "a.mp4")
     with pytest.raises(SceneError, match=said) as caught:
