@@ -52,8 +52,8 @@ def count_scene(
     """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
 
     Args:
-        source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, an earlier
-            result folder, or a `.ply` of Gaussians or coloured points, around which cameras are placed.
+        source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, a video, an
+            earlier result folder, or a `.ply` of Gaussians or coloured points, around which cameras are placed.
         prompts: what to count; a fruit must match one of them.
         negatives: what to exclude, in addition to built-in negatives.
         writers: more files to write, by name; `scene.blend` comes from the caller, as the engine never imports bpy.
@@ -157,7 +157,7 @@ def _opened(path: Path, imported: Path | None, out: Path, progress: Progress) ->
     if out.resolve() == (path.parent if path.is_file() else path).resolve():
         raise OutputError(f"{out} is the folder of the scene itself. Choose another folder for the results")
     source = Source(path=path)
-    if not alone and (imported is not None or source.photos_alone() is None):
+    if not alone and (imported is not None or not source.is_alone()):
         source.opened(part(progress, 0.0, 0.0))
     return source
 

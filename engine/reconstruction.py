@@ -104,8 +104,8 @@ class Run:
 def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progress) -> Reconstruction:
     """Photos → Gaussians → features, each from the cache if it is there.
 
-    source: photos, with or without cameras, or a .ply of an imported reconstruction, which gets cameras and renders for
-    photos; imported: such a .ply in the frame of the photos' cameras. Imported Gaussians are not trained.
+    source: photos, with or without cameras, a video, or a .ply of an imported reconstruction, which gets cameras and
+    renders for photos; imported: such a .ply in the frame of the photos' cameras. Imported Gaussians are not trained.
 
     Raises:
         ConfigError: features shall be trained along with Gaussians that are not trained.
@@ -116,15 +116,16 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         raise ConfigError("--features joint trains with the Gaussians, and these are given. Use --features lift")
     if alone:
         return _with_imported(path, None, {"source": str(path)}, run, progress)
-    photos = source.photos_alone() if imported is None else None
-    if photos is not None:
+    if imported is None and source.is_alone():
         start = 0.4
         with run.log.timed("photos"):
-            if not source.has_poses(run.cache, run.config.photos):
+            source = source.stills(run.cache, progress=part(progress, 0.0, 0.1))
+            photos = source.photos_alone()
+            if photos is not None and not source.has_poses(run.cache, run.config.photos):
                 headers = [read_header(file) for file in list_photos(photos)]
                 sizes = [(header.width, header.height) for header in headers]
                 require_memory_for_cameras(sizes, run.config.photos.max_side)
-            source = source.posed(run.cache, run.config.photos, progress=part(progress, 0.0, start))
+            source = source.posed(run.cache, run.config.photos, progress=part(progress, 0.1, start))
         run.log.notices += source.notices
         run.log.reused += ["photos"] if source.reused else []
     progress = part(progress, start, 1.0)

@@ -147,7 +147,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
         name="Scene",
         subtype="DIR_PATH",
         options=RELATIVE,
-        description="Folder of photos, with or without a COLMAP model, or of an earlier result; or a .ply of Gaussians",
+        description="Video, folder of photos with or without a COLMAP model, .ply of Gaussians, or earlier result",
     )
     out: StringProperty(
         name="Results",

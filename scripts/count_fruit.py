@@ -45,11 +45,11 @@ EXAMPLE = "python scripts/count_fruit.py photos/tree7 --prompt apple --out resul
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Count the fruit of one tree from photos, and write every fruit as a labelled object."""
+    """Count the fruit of one tree from photos or a video, and write every fruit as a labelled object."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     """Folder of photos, of a COLMAP model with images, of a nerfstudio transforms.json or of an earlier result; or a
-    .ply of 3DGS Gaussians or coloured points."""
+    video, or a .ply of 3DGS Gaussians or coloured points."""
     prompt: tuple[str, ...]
     """What to count, for example apple or "red apple". With several prompts, a fruit must match one of them."""
     out: Path

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image
+from PIL import ExifTags
 
 from ..errors import FormatError, SceneError
 from .alignment import OUTLIER, Similarity, align
 from .camera import Camera, FloatArray, Photo
 from .photos.photo import DECODE_ERRORS, FilePhoto, read_exif
+from .photos.picture_file import open_picture
 from .scale import Scale
 
 LEAST_TAGGED = 4
@@ -52,7 +53,7 @@ def read_gps(path: Path) -> GpsTag | None:
         FormatError: the tags make no sense.
     """
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             tags = read_exif(image).get_ifd(ExifTags.IFD.GPSInfo)
         if not tags or tags.get(ExifTags.GPS.GPSStatus) == "V":
             return None

@@ -16,13 +16,14 @@ from .camera import Scene
 from .formats.colmap import open_colmap
 from .formats.layout import find_model
 from .formats.transforms import TRANSFORMS, open_transforms
+from .photos.picture_file import RAW_SUFFIXES
 from .sfm.find_cameras import PHOTO_SUFFIXES, list_photos
+from .video.frames import VIDEO_SUFFIXES
 
 _READ_TODAY = (
-    "what is read: a COLMAP model's folder, a folder with transforms.json, an earlier result's folder; a .ply of"
-    " Gaussians or coloured points is counted in as it is"
+    "what is read: a folder of photos, a video, a COLMAP model's folder, a folder with transforms.json, an earlier"
+    " result's folder, or a .ply of Gaussians or coloured points"
 )
-_VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts"}
 _CLOUDS = {".ply", ".spz", ".las", ".laz", ".pcd", ".splat", ".e57"}
 
 
@@ -93,7 +94,8 @@ def _is_transforms(path: Path) -> bool:
 def _kind(file: Path) -> str:
     suffix = file.suffix.lower()
     for suffixes, kind in (
-        (_VIDEOS, "a video"),
+        (VIDEO_SUFFIXES, "a video without cameras"),
+        (RAW_SUFFIXES, "a single RAW file"),
         (_CLOUDS, "a point cloud or splat"),
         (PHOTO_SUFFIXES, "a single photo"),
     ):

@@ -1,4 +1,4 @@
-"""Prepares what the user gives as a scene: photos without cameras get them first."""
+"""Prepares what the user gives as a scene: a video becomes stills, and photos without cameras get them."""
 
 from __future__ import annotations
 
@@ -6,29 +6,32 @@ import functools
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ..config import PhotosConfig, SceneConfig
 from ..errors import OutputError, SceneError
-from ..progress import Progress, silent
+from ..progress import Progress, part, silent
 from ..storage.files import file_hash, files_hash, text_hash
 from ..storage.keys import stage_key
 from .camera import Scene
 from .formats.layout import find_model
 from .formats.transforms import TRANSFORMS
+from .photos.picture_file import RAW_SUFFIXES, raw_is_refused
 from .read import SceneFiles, open_scene, read_scene
 from .sfm.find_cameras import find_poses, list_photos
+from .video.frames import VIDEO_SUFFIXES
+from .video.stills import choose_stills
 
 
 @dataclass(eq=False, kw_only=True)
 class Source:
     """A scene on disk: the model is read and checked once, and every file is hashed once.
 
-    path: its folder or transforms.json; images, masks: folders of a COLMAP model's photos and masks that are elsewhere;
-    notices: messages for the user; reused: the model was in the cache.
+    path: its folder, transforms.json or video; images, masks: folders of a COLMAP model's photos and masks that are
+    elsewhere; notices: messages for the user; reused: the model was in the cache.
     """
 
     path: Path
@@ -78,69 +81,163 @@ class Source:
         except OSError as error:
             raise SceneError(f"{error.filename} cannot be read ({error.strerror}). Check its permissions") from error
 
+    def _file_hash(self, file: Path) -> str:
+        return self._hash([file], file.parent)
+
+    def is_alone(self) -> bool:
+        """Whether the source is photos or a video without cameras; errors as of `photos_alone` and `video`."""
+        return self.photos_alone() is not None or self.video() is not None
+
     def photos_alone(self) -> Path | None:
-        """The folder of the photos (`path`/images or `path`) if they have no cameras; else None.
+        """The folder of the photos (`path`/images or `path`) if they have no cameras; else None, also for a video.
 
         Raises:
             SceneError: a model is there and is incomplete.
         """
+        return None if self._has_model() else self._photos()
+
+    def _has_model(self) -> bool:
         path = self.path
-        if not path.is_dir() or (path / TRANSFORMS).is_file() or find_model(path) is not None:
+        return path.is_dir() and ((path / TRANSFORMS).is_file() or find_model(path) is not None)
+
+    def _photos(self) -> Path | None:
+        return next((folder for folder in (self.path / "images", self.path) if list_photos(folder)), None)
+
+    def video(self) -> Path | None:
+        """The video that the source is: the file itself, or the only one in a folder without photos; else None.
+
+        Raises:
+            SceneError: the folder has several videos, or RAW files and no photos.
+        """
+        path = self.path
+        if not path.is_dir():
+            return path if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES else None
+        if self._has_model() or self._photos():
             return None
-        return next((folder for folder in (path / "images", path) if list_photos(folder)), None)
+        videos = _files_of(path, VIDEO_SUFFIXES)
+        if len(videos) > 1:
+            raise SceneError(f"{path} has {len(videos)} videos, first {videos[0].name}. Give one of them as the scene")
+        raw = [*_files_of(path / "images", RAW_SUFFIXES), *_files_of(path, RAW_SUFFIXES)]
+        if raw and not videos:
+            raise SceneError(raw_is_refused(raw[0]))
+        return videos[0] if videos else None
+
+    def stills(self, cache: Path, *, progress: Progress = silent) -> Source:
+        """The stills of a video as photos alone, chosen now or taken from `cache`; the source itself if it is not one.
+
+        Raises:
+            SceneError, OutputError, Cancelled: as `choose_stills`.
+        """
+        video = self.video()
+        if video is None:
+            return self
+        chosen = choose_stills(video, self._stills_folder(video, cache), progress=progress)
+        return replace(self, path=chosen.images, notices=[*self.notices, *chosen.notices])
+
+    def _stills_folder(self, video: Path, cache: Path) -> Path:
+        """The folder in `cache` of a video's stills, whether it exists or not."""
+        key = stage_key(("scene",), self._file_hash(video), _version("av"))
+        return cache / f"video-{key}"
 
     def posed(self, cache: Path, config: PhotosConfig, *, progress: Progress = silent) -> Source:
-        """The source itself if its photos have cameras; else its photos with cameras that are estimated
-        (`find_poses`), or taken from `cache`, where they are stored by the content of the photos.
+        """The source itself if its photos have cameras; else its photos, or the stills of its video, with cameras that
+        are estimated (`find_poses`), or taken from `cache`, where they are stored by the content of the photos.
 
         Masks are in `masks` next to the photos' folder or inside it.
 
         Raises:
-            SceneError: as `find_poses`.
+            SceneError: as `stills` and `find_poses`, or there are RAW files without a photo of the same name.
             OutputError: `cache` cannot be written.
             Cancelled: `progress` asked for it.
         """
-        photos = self.photos_alone()
+        start = 0.2 if self.video() else 0.0
+        source = self.stills(cache, progress=part(progress, 0.0, start))
+        photos = source.photos_alone()
         if photos is None:
             return self
+        notices = [*source.notices, *_raw_notices(photos)]
         model = self._model(photos, cache, config)
-        found = find_poses(photos, model.path.parent, config, progress=progress)
-        return replace(model, path=found.model, notices=found.notices, reused=found.reused)
+        found = find_poses(photos, model.path.parent, config, progress=part(progress, start, 1.0))
+        return replace(model, path=found.model, notices=[*notices, *found.notices], reused=found.reused)
 
     def has_poses(self, cache: Path, config: PhotosConfig) -> bool:
-        """Whether the cameras of photos alone are in `cache`."""
+        """Whether the cameras of photos alone are in `cache`; False for a video, whose `stills` are asked instead."""
         photos = self.photos_alone()
         return photos is not None and self._model(photos, cache, config).path.is_dir()
 
     def posed_before(self, earlier: Path, cache: Path, config: PhotosConfig) -> Source:
-        """As `posed`, with the cameras of an earlier run in the cache `earlier`; they are copied to `cache`.
+        """As `posed`, with the cameras of an earlier run in the cache `earlier`; they are copied to `cache`, as are the
+        stills of a video, which are chosen again if they were deleted.
 
         Raises:
             SceneError: they are not there, or the photos have changed.
             OutputError: `cache` cannot be written.
         """
-        photos = self.photos_alone()
+        video = self.video()
+        if video is not None:
+            _copy_folder(self._stills_folder(video, earlier), self._stills_folder(video, cache))
+        photos = self.stills(cache).photos_alone()
         if photos is None:
             return self
         source, kept = self._model(photos, earlier, config), self._model(photos, cache, config)
         if not source.path.is_dir():
-            raise SceneError(f"The cameras of {photos} are no longer in {earlier}. Count again from the photos")
-        if not kept.path.is_dir():
-            staging = kept.path.with_name(f".model.{uuid.uuid4().hex}")
-            try:
-                shutil.copytree(source.path, staging)
-                os.replace(staging, kept.path)
-            except OSError as error:
-                raise OutputError(f"{cache} cannot be written ({error.strerror or error})") from error
+            raise SceneError(f"The cameras of {self.path} are no longer in {earlier}. Count again from the photos")
+        _copy_folder(source.path, kept.path)
         return kept
 
     def _model(self, photos: Path, cache: Path, config: PhotosConfig) -> Source:
         """The photos with their model in `cache`, whether it exists or not."""
-        try:
-            library = version("pycolmap")
-        except PackageNotFoundError as error:
-            raise SceneError("The package pycolmap is missing. Run: python -m pip install pycolmap") from error
-        key = stage_key(("scene",), self._hash(list_photos(photos), photos), config, library)
+        key = stage_key(("scene",), self._hash(list_photos(photos), photos), config, _version("pycolmap"))
         # Otherwise they are where a model's masks are expected.
         masks = photos / "masks" if (photos / "masks").is_dir() else None
         return Source(path=cache / f"photos-{key}" / "model", images=photos, masks=masks, _hash_of=self._hash_of)
+
+
+def _files_of(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """The files with these suffixes directly in a folder, in name order; [] if the folder does not exist."""
+    if not folder.is_dir():
+        return []
+    files = (file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith("."))
+    return sorted(file for file in files if file.is_file())
+
+
+def _raw_notices(photos: Path) -> list[str]:
+    """Messages about RAW files among photos.
+
+    Raises:
+        SceneError: one does not have a photo of the same name.
+    """
+    raw, stems = _files_of(photos, RAW_SUFFIXES), {photo.stem for photo in list_photos(photos)}
+    lone = next((file for file in raw if file.stem not in stems), None)
+    if lone is not None:
+        raise SceneError(raw_is_refused(lone))
+    if len(raw) == 1:
+        return ["1 RAW file was left out, because a photo of the same name is there"]
+    return [f"{len(raw)} RAW files were left out, because photos of the same names are there"] if raw else []
+
+
+def _version(package: str) -> str:
+    """
+    Raises:
+        SceneError: the package is not installed.
+    """
+    try:
+        return version(package)
+    except PackageNotFoundError as error:
+        raise SceneError(f"The package {package} is missing. Run: python -m pip install {package}") from error
+
+
+def _copy_folder(source: Path, target: Path) -> None:
+    """Copy a folder atomically, unless it does not exist or the copy does.
+
+    Raises:
+        OutputError: the copy cannot be written.
+    """
+    if target.is_dir() or not source.is_dir():
+        return
+    staging = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
+    try:
+        shutil.copytree(source, staging)
+        os.replace(staging, target)
+    except OSError as error:
+        raise OutputError(f"{target.parent} cannot be written ({error.strerror or error})") from error

@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ...engine.scene.video.frames import VIDEO_SUFFIXES
 from ...operators.blender_data import owned_object
 from ...operators.jobs.jobs import running
 from ...operators.settings.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
@@ -15,6 +16,8 @@ from ...operators.tools.scale import FRUITLANGS_OT_measure, scale_text
 from .missing_packages import draw_missing_packages
 from .panel_parts import StepPanel, draw_job, draw_text
 from .settings_panels import settings_panels
+
+VIDEOS = tuple(VIDEO_SUFFIXES)
 
 
 class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
@@ -29,6 +32,8 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
         column = layout.column()
         column.enabled = running() is None
         column.prop(settings, "source")
+        if settings.source.lower().endswith(VIDEOS):
+            column.label(text="Video: Import Scene chooses stills", icon="FILE_MOVIE")
         if not draw_job(layout, FRUITLANGS_OT_import_scene.title, context):
             layout.operator(FRUITLANGS_OT_import_scene.bl_idname, icon="IMPORT")
         result = settings.result

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 PHOTO, FILE, LENS, SIZE, ASPECT = "photo", "photo_file", "photo_lens", "photo_size", "pixel_aspect"
 """Custom properties of a camera: name and file of its photo, its lens if the file is distorted, the camera's width and
 height in pixels, and fx / fy."""
+UNREAD = (".heic", ".heif")
+"""Suffixes of photos that Blender does not read: they are shown as a copy."""
 LONGEST = 2048
 """Longest side of an undistorted picture in pixels: the user waits for it."""
 NEAR_BLEND = 2
@@ -39,7 +41,7 @@ def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> N
         return
     found: Any = photo
     item[FILE] = str(path)
-    if not found.is_as_stored:
+    if not found.is_as_stored or path.suffix.lower() in UNREAD:
         lens = found.lens
         item[LENS] = json.dumps(
             {

@@ -21,6 +21,8 @@ REQUIRED = {
     "skimage": "scikit-image",
     "sklearn": "scikit-learn",
     "PIL": "pillow",
+    "pillow_heif": "pillow-heif",
+    "av": "av",
     "jinja2": "jinja2",
 }
 """{module: pip package} of what the panel needs; the command line also needs tyro and tqdm, and says so."""
@@ -29,6 +31,7 @@ NEVER = ("numpy",)
 """Never packed and never installed: Blender has its own, and another one would break it and its add-ons."""
 
 VERSIONS = {
+    "av": "18.1.0",
     "cloudpickle": "3.1.2",
     "filelock": "4.2.11",
     "fsspec": "2026.9.0",
@@ -44,6 +47,7 @@ VERSIONS = {
     "numba": "0.68.1",
     "packaging": "26.3",
     "pillow": "13.0.0",
+    "pillow-heif": "1.8.1",
     "plyfile": "1.1.3",
     "psutil": "7.2.2",
     "pycolmap": "4.2.1",
@@ -110,9 +114,11 @@ _MEGABYTES = {
     "llvmlite": {"linux": 60, "win32": 42, "darwin": 41},
     "pycolmap": {"linux": 38, "win32": 24, "darwin": 21},
     "scipy": {"linux": 38, "win32": 37, "darwin": 20},
+    "av": {"linux": 36, "win32": 28, "darwin": 18},
     "scikit-image": {"linux": 14, "win32": 12, "darwin": 12},
     "scikit-learn": {"linux": 9, "win32": 9, "darwin": 8},
     "pillow": {"linux": 7, "win32": 7, "darwin": 5},
+    "pillow-heif": {"linux": 6, "win32": 7, "darwin": 4},
     "sympy": {"linux": 6, "win32": 6, "darwin": 6},
     "numba": {"linux": 4, "win32": 3, "darwin": 3},
     "networkx": {"linux": 2, "win32": 2, "darwin": 2},

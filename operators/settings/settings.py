@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.errors import FruitLangsError, SceneError, VocabularyError
+from ...engine.scene.video.frames import VIDEO_SUFFIXES
 from ...engine.setting import LARGEST, field_docs, path_kind, range_of
 from .preference_values import with_preferred_folders
 from .region import in_region
@@ -32,6 +33,8 @@ SUBTYPES = {"file": "FILE_PATH", "folder": "DIR_PATH"}
 """Option of the property of a setting that is a path."""
 PLY = ".ply"
 """Suffix of a file of Gaussians or coloured points."""
+SCENE_FILES = (PLY, *sorted(VIDEO_SUFFIXES))
+"""Suffixes of files that are a scene."""
 MEASURES = {
     "scene": ("up",),
     "units": ("length", "points", "cameras", "object", "metres_per_unit"),
@@ -235,16 +238,18 @@ def read_prompts(settings: Any) -> list[str]:
 
 
 def source_folder(settings: Any) -> Path:
-    """The scene's folder, or a .ply to count in, absolute.
+    """The scene's folder, a video, or a .ply to count in, absolute.
 
     Raises:
         SceneError: none was chosen, it is relative to a .blend never saved, or it is not there (any more).
     """
     if not settings.source:
-        raise SceneError("No scene is chosen: set Scene to the folder of the photos, with a COLMAP model or alone")
+        raise SceneError(
+            "No scene is chosen: set Scene to a video, or to the folder of the photos, with a COLMAP model or alone"
+        )
     folder = _absolute(settings.source)
-    if not folder.is_dir() and not (folder.suffix.lower() == PLY and folder.is_file()):
-        raise SceneError(f"The scene folder {folder} is not there. Choose it again")
+    if not folder.is_dir() and not (folder.suffix.lower() in SCENE_FILES and folder.is_file()):
+        raise SceneError(f"The scene {folder} is not there. Choose it again")
     return folder
 
 
@@ -272,7 +277,7 @@ def result_folder(settings: Any) -> Path:
     if earlier is not None and earlier.is_dir() and not is_of_another(settings, source):
         return earlier
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
-    return beside / f"{source.stem if source.suffix.lower() == PLY else source.name}_fruit"
+    return beside / f"{source.stem if source.suffix.lower() in SCENE_FILES else source.name}_fruit"
 
 
 def true_source(source: Path) -> Path:

@@ -34,8 +34,9 @@ def has_mark(source: Path, mark: str) -> bool:
 
 
 def _telling_file(source: Path) -> Path | None:
-    """The source itself if it is a file, else its first photo, else its model."""
+    """The source itself if it is a file, else its first photo, else its model or first video."""
     from ...engine.scene.sfm.find_cameras import PHOTO_SUFFIXES, list_photos
+    from ...engine.scene.video.frames import VIDEO_SUFFIXES
 
     if source.is_file():
         return source
@@ -44,7 +45,8 @@ def _telling_file(source: Path) -> Path | None:
         below = (source / "images").rglob("*")
         photos = sorted(file for file in below if file.suffix.lower() in PHOTO_SUFFIXES)
     models = (source / name for name in MODELS)
-    return next((file for file in (*photos, *models) if file.is_file()), None)
+    videos = sorted(file for file in source.iterdir() if file.suffix.lower() in VIDEO_SUFFIXES)
+    return next((file for file in (*photos, *models, *videos) if file.is_file()), None)
 
 
 def _hash(file: Path) -> str:

@@ -1,11 +1,12 @@
-"""Opens photos with or without cameras, another program's Gaussians, or an earlier result."""
+"""Opens photos with or without cameras, a video, another program's Gaussians, or an earlier result."""
 
 # Blender declares properties by calls in annotations.
 # mypy: disable-error-code="valid-type"
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ import bpy
 
 from ...engine.progress import part
 from ..jobs.jobs import JobOperator, Work, busy, linked
-from ..settings.settings import PLY, read_config, result_folder, source_folder, stored_path
+from ..settings.settings import PLY, SCENE_FILES, read_config, result_folder, source_folder, stored_path
 from .show_result import report_line, show_reconstruction, show_result, show_scene
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.import_scene"
     bl_label = "Import Scene"
-    bl_description = "Import the cameras and sparse points of photos, the Gaussians of a .ply, or an earlier result"
+    bl_description = (
+        "Import the cameras and sparse points of photos or a video, the Gaussians of a .ply, or an earlier result"
+    )
     bl_options = {"UNDO"}
 
     title = "Import"
@@ -35,7 +38,9 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     # The dialog gives both: the open folder, and the file chosen in it, if any.
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"})
-    filter_glob: bpy.props.StringProperty(default=f"*{PLY}", options={"SKIP_SAVE", "HIDDEN"})
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{suffix}" for suffix in SCENE_FILES), options={"SKIP_SAVE", "HIDDEN"}
+    )
     ask: bpy.props.BoolProperty(
         options={"SKIP_SAVE", "HIDDEN"}, description="Choose a scene even if one is set already"
     )
@@ -55,8 +60,8 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     @property
     def chosen(self) -> str:
-        """A .ply, or a folder, also if another file in it was chosen; empty without a choice."""
-        return self.filepath if self.filepath.lower().endswith(PLY) else self.directory or self.filepath
+        """A .ply or a video, or a folder, also if another file in it was chosen; empty without a choice."""
+        return self.filepath if self.filepath.lower().endswith(SCENE_FILES) else self.directory or self.filepath
 
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
@@ -76,10 +81,9 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         self._show(context, self._target.scene(context), result)
 
-    def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
-        scene, found = result
-        notices = show_scene(context, bpy_scene, scene, found)
-        shown = f"{len(scene.cameras)} cameras and {len(scene.points)} points imported"
+    def _show_scene(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, posed: PosedScene) -> None:
+        notices = show_scene(context, bpy_scene, posed.scene, posed.notices)
+        shown = f"{len(posed.scene.cameras)} cameras and {len(posed.scene.points)} points imported"
         self.report({"INFO"}, "; ".join([shown, *notices]))
 
     def _show_reconstruction(self, context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Any) -> None:
@@ -109,21 +113,28 @@ def read_cloud(file: Path, out: Path, config: Config, progress: Progress) -> Any
     return reconstruct_scene(file, out, config=config, progress=progress)
 
 
-def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> tuple[Scene, list[str]]:
-    """The photos at `path` with their cameras, and messages for the user.
+@dataclass(frozen=True)
+class PosedScene:
+    """Photos with their cameras, and messages for the user."""
 
-    For photos alone, cameras are estimated first and cached in the result folder `out` for a later count.
+    scene: Scene
+    notices: Sequence[str]
+
+
+def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> PosedScene:
+    """The photos at `path`, or stills of the video, with their cameras.
+
+    For photos alone and a video, cameras are estimated first and cached in the result folder `out` for a later count.
     """
     from ...engine.result_folder import ResultFolder
     from ...engine.scene.source import Source
 
     source, folder = Source(path=path), ResultFolder(out)
-    if source.photos_alone() is not None:
+    if source.is_alone():
         with folder.locked():
             source = source.posed(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
         progress = part(progress, 0.9, 1.0)
-    scene = source.read(config.scene, progress)
-    return scene, [*source.notices, *source.opened().notices]
+    return PosedScene(source.read(config.scene, progress), [*source.notices, *source.opened().notices])
 
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:

@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 
 
 def show_scene(
-    context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene, found: Sequence[str] = ()
+    context: bpy.types.Context, bpy_scene: bpy.types.Scene, scene: Scene, notices: Sequence[str] = ()
 ) -> list[str]:
-    """Show the cameras and sparse points of a scene without a reconstruction; returns the messages about it that were
-    `found`, and what was removed, as texts.
+    """Show the cameras and sparse points of a scene without a reconstruction; returns what was removed, as texts, and
+    the `notices` of the import.
 
     If fruit are shown, their scale stays.
     """
     settings = bpy_scene.fruitlangs
-    notices = [*found, *(enter_source(bpy_scene, source_folder(settings)) if settings.source else [])]
+    removed = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
     if scene.metres_per_unit is None and owned_objects(bpy_scene, "fruit"):
         scene = dataclasses.replace(scene, metres_per_unit=metres_per_unit(bpy_scene))
     root = write_root(bpy_scene, scene)
@@ -51,6 +51,7 @@ def show_scene(
     apply_appearance(bpy_scene)
     write_cameras(bpy_scene, scene, root)
     _keep_scene(settings.result, scene)
+    notices = [*removed, *notices]
     if notices:  # otherwise the messages of an earlier import or of the shown count still apply
         settings.result.notices = "; ".join(notices)
     show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")

@@ -15,7 +15,7 @@ from fruitlangs.engine.config import UnitsConfig
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.fruitlangs_addon.panels.step_scene import FRUITLANGS_PT_scene
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.settings.settings import is_of_another
+from fruitlangs.operators.settings.settings import is_of_another, result_folder
 from fruitlangs.operators.steps import import_scene
 from fruitlangs.operators.steps.show_result import show_reconstruction, show_result
 
@@ -31,8 +31,8 @@ def engine(monkeypatch, counted, result_of):
         def __init__(self, path):
             self.path = path
 
-        def photos_alone(self):
-            return None
+        def is_alone(self):
+            return False
 
         def read(self, config, progress):
             calls.read.append((self.path, config))
@@ -83,6 +83,23 @@ def test_import_shows_the_messages_about_the_photos(engine, settings):
     assert settings.result.notices == engine.notices[0]
 
 
+def test_import_of_a_video_shows_how_many_stills_were_chosen(engine, settings, monkeypatch, tmp_path, counted):
+    video, notice = tmp_path / "walk.mp4", "6 stills were chosen from walk.mp4"
+    video.touch()
+    posed = import_scene.PosedScene(counted.scene, [notice])
+    monkeypatch.setattr(import_scene, "read_posed", lambda path, out, *_: posed if path == video else None)
+    assert bpy.ops.fruitlangs.import_scene(filepath=str(video)) == {"FINISHED"}
+    assert settings.result.notices == notice
+    assert Path(settings.source) == video
+    assert "Video: Import Scene chooses stills" in drawn(FRUITLANGS_PT_scene).text
+
+
+def test_the_result_of_a_video_is_next_to_it_without_its_suffix(settings, tmp_path):
+    (tmp_path / "walk.MP4").touch()
+    settings.source = str(tmp_path / "walk.MP4")
+    assert result_folder(settings) == tmp_path / "walk_fruit"
+
+
 def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_path):
     bpy.ops.fruitlangs.import_scene(directory=str(tmp_path))
     assert Path(bpy.context.scene.fruitlangs.source) == tmp_path
@@ -90,7 +107,13 @@ def test_import_of_a_given_folder_keeps_it_in_the_scene(engine, extension, tmp_p
 
 @pytest.mark.parametrize(
     ("file", "chosen"),
-    [("", "scene"), ("tree.ply", "scene/tree.ply"), ("TREE.PLY", "scene/TREE.PLY"), ("a.jpg", "scene")],
+    [
+        ("", "scene"),
+        ("tree.ply", "scene/tree.ply"),
+        ("TREE.PLY", "scene/TREE.PLY"),
+        ("a.jpg", "scene"),
+        ("a.MOV", "scene/a.MOV"),
+    ],
 )
 def test_a_folder_or_a_ply_in_it_is_what_the_dialog_chooses(engine, extension, tmp_path, monkeypatch, file, chosen):
     folder = tmp_path / "scene"

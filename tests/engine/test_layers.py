@@ -18,7 +18,7 @@ LAYERS = (
     ("engine/scene/camera", "engine/scene/pycolmap_import"),
     ("engine/scene/orientation", "engine/scene/alignment", "engine/scene/scale"),
     ("engine/scene/photos",),
-    ("engine/scene/formats",),
+    ("engine/scene/formats", "engine/scene/video"),
     ("engine/scene/sfm",),
     ("engine/scene/gps", "engine/scene/read"),
     ("engine/scene/source",),

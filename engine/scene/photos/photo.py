@@ -16,6 +16,7 @@ from ...errors import SceneError
 from ..camera import Camera, FloatArray, Scene
 from ..orientation import up_direction
 from .lens import Lens, source_map, view_of
+from .picture_file import open_picture
 from .resample import WHOLE, look_up, shrink
 
 LEAST_SIDE = 8
@@ -52,10 +53,10 @@ def read_header(path: Path) -> Header:
     """Read a photo's header without decoding it.
 
     Raises:
-        SceneError: the file is missing or is not a picture.
+        SceneError: the file is missing, is not a picture, or is a RAW file.
     """
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             orientation = read_exif(image).get(ExifTags.Base.Orientation, 1)
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             return Header(image.width, image.height, has_alpha, orientation if orientation in range(1, 9) else 1)
@@ -126,7 +127,7 @@ class FilePhoto:
 
     def _decode(self, path: Path) -> Image.Image:
         try:
-            with Image.open(path) as image:
+            with open_picture(path) as image:
                 image.load()
                 decoded = image.copy()
         except DECODE_ERRORS as error:

@@ -18,10 +18,12 @@ from ...errors import OutputError, SceneError
 from ...progress import Progress, part, silent
 from ...storage.files import replacing
 from ..formats.colmap_records import check_records
+from ..photos.focal import exif_focal
 from ..photos.photo import DECODE_ERRORS, read_header
+from ..photos.picture_file import open_picture
 from .job import FOUND, Copy, Job
 
-PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".dng", ".bmp"}
+PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".bmp"}
 LEAST_PHOTOS = 3
 _MODEL, _WORK = "model", "work"
 _ENLARGED, _LARGEST_SCALE = 270_000, 2.0
@@ -125,7 +127,7 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
     size = max(round(header.width * share), 1), max(round(header.height * share), 1)
     if not copy.is_file():
         try:
-            with Image.open(file) as image:
+            with open_picture(file) as image:
                 pixels = _rgb(image)
         except DECODE_ERRORS as error:
             raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
@@ -138,12 +140,8 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
         copy=copy.name,
         copy_width=size[0],
         copy_height=size[1],
-        focal=_focal(file),
+        focal=round(exif_focal(file) or 0.0, 2),
     )
-
-
-def _focal(file: Path) -> float:
-    return 0.0
 
 
 def _rgb(image: Image.Image) -> Image.Image:

@@ -98,4 +98,3 @@ def _lines(fundamental: NDArray[np.float64], positions: NDArray[np.float32]) -> 
     """(N, 3) epipolar lines of the positions, with unit normals."""
     lines = np.column_stack([positions, np.ones(len(positions))]) @ fundamental.T
     return np.ascontiguousarray(lines / np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)[:, None], np.float32)
-

@@ -58,11 +58,7 @@ def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: in
     """Pairs next to verified ones that are not neighbours: where the camera path returns, all photos there meet."""
     steps = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
     near = {
-        (i + a, j + b)
-        for i, j in verified
-        if j - i > config.overlap
-        for a, b in steps
-        if 0 <= i + a < j + b < count
+        (i + a, j + b) for i, j in verified if j - i > config.overlap for a, b in steps if 0 <= i + a < j + b < count
     }
     return sorted(near - set(tried))
 
@@ -139,9 +135,7 @@ def _match_block(
         )  # fmt: skip
 
     first = list(pool.map(verify, pairs, [match(chosen[i], chosen[j]) for i, j in pairs]))
-    along = [
-        _along(geometry, chosen[i], chosen[j]) for (i, j), geometry in zip(pairs, first, strict=True)
-    ]
+    along = [_along(geometry, chosen[i], chosen[j]) for (i, j), geometry in zip(pairs, first, strict=True)]
     second = list(pool.map(verify, pairs, along))
     return [
         _numbered(_better(before, after, nothing), large[i], large[j])

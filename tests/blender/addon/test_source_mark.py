@@ -10,7 +10,7 @@ from fruitlangs.operators.settings.source_mark import has_mark, source_mark
 
 
 @pytest.mark.parametrize(
-    "file", ["images/IMG_1.JPG", "IMG 1.png", "images/left/IMG_1.jpg", "transforms.json", "images.bin"]
+    "file", ["images/IMG_1.JPG", "IMG 1.png", "images/left/IMG_1.jpg", "transforms.json", "images.bin", "walk.MOV"]
 )
 def test_a_folder_is_known_again_where_it_was_moved_and_distinguished_from_another_like_it(tmp_path, file):
     here, other = tmp_path / "here", tmp_path / "other"
@@ -22,12 +22,13 @@ def test_a_folder_is_known_again_where_it_was_moved_and_distinguished_from_anoth
     assert not has_mark(other, mark)
 
 
-def test_a_ply_is_known_by_its_own_bytes(tmp_path):
-    for name in ("tree.ply", "other.ply"):
+@pytest.mark.parametrize("suffix", [".ply", ".mp4"])
+def test_a_file_is_known_by_its_own_bytes(tmp_path, suffix):
+    for name in (f"tree{suffix}", f"other{suffix}"):
         (tmp_path / name).write_bytes(name.encode())
-    mark = source_mark(tmp_path / "tree.ply")
-    assert has_mark((tmp_path / "tree.ply").rename(tmp_path / "moved.ply"), mark)
-    assert not has_mark(tmp_path / "other.ply", mark)
+    mark = source_mark(tmp_path / f"tree{suffix}")
+    assert has_mark((tmp_path / f"tree{suffix}").rename(tmp_path / f"moved{suffix}"), mark)
+    assert not has_mark(tmp_path / f"other{suffix}", mark)
 
 
 def test_photos_that_are_added_later_make_no_other_source(tmp_path):

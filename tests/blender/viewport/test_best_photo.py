@@ -16,6 +16,7 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from PIL import Image
+from pillow_heif import register_heif_opener
 
 from fruitlangs.engine.scene.camera import Camera, looking
 from fruitlangs.engine.scene.read import read_scene
@@ -294,6 +295,20 @@ def test_the_photo_of_a_lens_that_bends_lies_on_the_fruit(bent_balls):
         as_taken = bpy.data.images.load(item[FILE])
         assert overlap(red(image), truth) > 0.88
         assert overlap(red(image), truth) > overlap(red(as_taken), truth) + 0.04
+
+
+def test_a_heic_photo_that_blender_does_not_read_is_shown_as_a_copy(extension, own_balls):
+    register_heif_opener()
+    for path in (own_balls / "images").iterdir():
+        Image.open(path).save(path.with_suffix(".heic"), quality=95)
+        path.unlink()
+    transforms = own_balls / "transforms.json"
+    transforms.write_text(transforms.read_text().replace(".png", ".heic"))
+    show_scene(bpy.context, bpy.context.scene, read_scene(own_balls))
+    item = owned_objects(bpy.context.scene, "camera")[0]
+    show_photo(item)
+    assert item[FILE].endswith(".heic")
+    assert overlap(red(background_of(item).image), ball_scene.look(ball_scene.poses(16)[0])[1] > 0) > 0.88
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bumpy_wall import FOCAL, HEIGHT, WIDTH, center, render
 from PIL import Image
-from scipy.ndimage import gaussian_filter
 
 from fruitlangs.engine import child_process
 from fruitlangs.engine.config import Config, CountConfig, PhotosConfig, SceneConfig, TrainConfig
@@ -37,31 +37,7 @@ from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.storage.files import file_hash
 from fruitlangs.engine.storage.lock import only_writer
 
-VIEWS, WIDTH, HEIGHT, FOCAL = 6, 160, 120, 150.0
-
-
-def center(view: int) -> np.ndarray:
-    """(3,) where view `view` of the walk stands: on an arc about the origin, at two heights."""
-    angle = np.radians(9.0 * view)
-    return np.array([4.0 * np.sin(angle), 0.5 * (view % 2), -4.0 * np.cos(angle)])
-
-
-def render(view: int) -> Image.Image:
-    """A bumpy wall with noise on it, seen from `center(view)`: every pixel's ray meets z = 0.3·sin(2x)·cos(2y)."""
-    noise = np.random.default_rng(0).normal(size=(1024, 1024))
-    texture = gaussian_filter(noise, 2.0, mode="wrap") * 12 + gaussian_filter(noise, 8.0, mode="wrap") * 40
-    eye = center(view)
-    forward = -eye / np.linalg.norm(eye)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    right /= np.linalg.norm(right)
-    x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
-    rays = (x[..., None] * right + y[..., None] * np.cross(forward, right)) / FOCAL + forward
-    depth = -eye[2] / rays[..., 2]
-    for _ in range(20):
-        point = eye + depth[..., None] * rays
-        depth = (0.3 * np.sin(2 * point[..., 0]) * np.cos(2 * point[..., 1]) - eye[2]) / rays[..., 2]
-    column, row = (np.rint(point[..., k] * 90 + 512).astype(int) % 1024 for k in (0, 1))
-    return Image.fromarray(np.clip(128 + 110 * texture[row, column], 0, 255).astype(np.uint8)).convert("RGB")
+VIEWS = 6
 
 
 def write_photos(folder: Path, count: int = VIEWS) -> Path:

@@ -1,0 +1,48 @@
+"""Opening picture files of every kind that is read."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from PIL import Image
+
+from ...errors import SceneError
+
+HEIF_SUFFIXES = frozenset({".heic", ".heif"})
+RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".rw2", ".orf", ".raf"})
+
+
+def open_picture(path: Path) -> Image.Image:
+    """The picture in a file, as `Image.open`; HEIC and HEIF are upright, because their reader applies the rotation.
+
+    Raises:
+        SceneError: it is a RAW file, or the package for HEIC is not installed.
+        OSError and others: it is not a picture.
+    """
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        raise SceneError(raw_is_refused(path))
+    if suffix in HEIF_SUFFIXES:
+        _read_heif()
+    return Image.open(path)
+
+
+def raw_is_refused(path: Path) -> str:
+    """What the user reads about a RAW file."""
+    return (
+        f"{path} is a RAW file, which is not read. Convert the photos to JPEG with the camera's program, darktable or"
+        " RawTherapee"
+    )
+
+
+@functools.cache
+def _read_heif() -> None:
+    """Let Pillow open HEIC and HEIF."""
+    try:
+        import pillow_heif
+    except ImportError as error:
+        raise SceneError(
+            f"HEIC photos need the package pillow-heif ({error}). Run: python -m pip install pillow-heif"
+        ) from error
+    pillow_heif.register_heif_opener()

@@ -1,0 +1,1 @@
+"""Stills of a video → photos alone."""
