@@ -43,7 +43,7 @@ class Features:
         """Which features are the `count` largest, in their own order: they are found again in other photos."""
         return np.sort(np.argsort(-self.sizes, kind="stable")[:count])
 
-    def select(self, index: NDArray[np.int64]) -> Features:
+    def select(self, index: NDArray[Any]) -> Features:
         return Features(self.positions[index], self.sizes[index], self.descriptors[index])
 
 

@@ -18,7 +18,7 @@ def best_of_rows(
     second: NDArray[np.float32],
     column: NDArray[np.int32],
 ) -> None:
-    """The largest (R,) and second largest (R,) of each row of `products` (R, C), and the first column of the largest."""
+    """The largest and second largest of each row of `products` (R, C), and the first column of the largest."""
     for i in prange(products.shape[0]):
         row = products[i]
         largest = np.float32(-1.0)

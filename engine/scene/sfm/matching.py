@@ -51,11 +51,12 @@ def match(one: Features, other: Features) -> MatchArray:
 
 
 def match_along_lines(
-    fundamental: NDArray[np.float64], one: Features, other: Features, tolerance: float
+    fundamental: NDArray[np.float64], one: Features, other: Features, tolerance: float, *, fitted: int = 5
 ) -> MatchArray | None:
     """(M, 2) matches within `tolerance` pixels of the epipolar lines; None if they are not more than chance gives.
 
-    fundamental: (3, 3), from pixels of `one` to lines of `other`. Matches along lines that are displaced to both sides
+    fundamental: (3, 3), from pixels of `one` to lines of `other`; fitted: matches that chance puts on the best of many
+    lines, if it was estimated from matches of these photos. Matches along lines that are displaced to both sides
     show how many chance gives at each ratio test. The loosest test that keeps its share small is used.
     """
     lines = _lines(fundamental, one.positions)
@@ -66,7 +67,7 @@ def match_along_lines(
     by_chance, _ = _ratios(decoys, one.select(np.arange(0, len(one), step)), other, tolerance)
     for most in _RATIOS:
         found, chance = int((ratios < most).sum()), step * int((by_chance < most).sum())
-        if chance <= _MOST_CHANCE * found and found - chance > _CHANCE * np.sqrt(step * chance) + 5.0:
+        if chance <= _MOST_CHANCE * found and found - chance > _CHANCE * np.sqrt(step * chance) + fitted:
             break
     else:
         return None

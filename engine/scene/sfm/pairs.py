@@ -155,7 +155,7 @@ def _verification(job: Job) -> Any:
 def _along(geometry: Any, one: Features, other: Features) -> MatchArray | None:
     if len(geometry.inlier_matches) < LEAST_INLIERS or geometry.F is None or not np.any(geometry.F):
         return None
-    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE)
+    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE, fitted=LEAST_INLIERS)
 
 
 def _better(before: Any, after: Any, nothing: Any) -> Any:

@@ -14,6 +14,7 @@ from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
 from .features import Features
 from .job import Job
+from .joining import joined
 from .pairs import Pair, match_pairs
 
 _LOST = 10.0
@@ -53,7 +54,7 @@ def _pairs_of_unplaced(job: Job, models: Sequence[Any]) -> list[Pair]:
 
 
 def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
-    """The models of the photos, largest first, with at least this many points per placed photo."""
+    """The models of the photos, joined, largest first, with at least this many points per placed photo."""
     pycolmap = colmap_library()
     registered = itertools.count(3)
 
@@ -68,7 +69,7 @@ def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
     models = pycolmap.incremental_mapping(job.database, job.copies, folder, options, next_image_callback=count)
     for model in models.values():
         drop_lost(model)
-    return sorted(models.values(), key=lambda model: -model.num_reg_images())
+    return joined(list(models.values()))
 
 
 def drop_lost(model: Any) -> None:

@@ -1,4 +1,4 @@
-"""Refines placed photos: all features are matched again along known epipolar lines, then cameras and points adjusted."""
+"""Refines placed photos: all features are matched again along their epipolar lines, then cameras are adjusted."""
 
 from __future__ import annotations
 

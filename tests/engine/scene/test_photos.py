@@ -30,9 +30,10 @@ from fruitlangs.engine.scene.formats import colmap, layout
 from fruitlangs.engine.scene.formats.cameras_json import dump_cameras
 from fruitlangs.engine.scene.formats.colmap_records import check_records
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
-from fruitlangs.engine.scene.sfm import mapping
+from fruitlangs.engine.scene.sfm import placing
 from fruitlangs.engine.scene.sfm.find_cameras import find_poses
-from fruitlangs.engine.scene.sfm.mapping import drop_lost, pairs_to_match
+from fruitlangs.engine.scene.sfm.job import Copy, Job
+from fruitlangs.engine.scene.sfm.placing import drop_lost
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.storage.files import file_hash
 from fruitlangs.engine.storage.lock import only_writer
@@ -137,6 +138,8 @@ def test_progress_names_every_step_and_never_goes_back(walk: Path, tmp_path: Pat
         "finding features",
         "matching photos",
         "placing photos",
+        "matching placed photos",
+        "refining cameras",
     ]
 
 
@@ -297,23 +300,10 @@ def test_photos_alone_lie_in_the_folder_or_in_images(place: str, tmp_path: Path)
     assert Source(path=tmp_path).photos_alone() is None
 
 
-def test_a_short_capture_is_matched_in_all_pairs() -> None:
-    assert pairs_to_match(5, PhotosConfig()) == [(i, j) for i in range(5) for j in range(i + 1, 5)]
-
-
-def test_a_long_capture_is_matched_with_its_neighbours_and_closed() -> None:
-    pairs = pairs_to_match(100, PhotosConfig(exhaustive_up_to=10, overlap=3))
-    assert {(i, i + step) for i in range(97) for step in (1, 2, 3)} <= set(pairs)
-    assert (0, 90) in pairs
-    assert len(pairs) < 3 * 100 + 50
-    assert len(set(pairs)) == len(pairs)
-
-
 def test_settings_travel_to_the_child(tmp_path: Path) -> None:
-    from fruitlangs.engine.scene.sfm.mapping import Copy, Job
-
-    copy = Copy(name="ä 1.jpg", width=8, height=6, copy="000000.png", copy_width=4, copy_height=3, file="/x")
-    job = Job(folder=str(tmp_path), photos=[copy], config=dataclasses.replace(PhotosConfig(), seed=7))
+    copy = Copy(name="ä 1.jpg", width=8, height=6, copy="000000.png", copy_width=4, copy_height=3, focal=0.9)
+    config = dataclasses.replace(PhotosConfig(), seed=7)
+    job = Job(folder=str(tmp_path), photos=[copy], config=config, threads=2)
     assert Job.read(job.write()) == job
 
 
@@ -368,14 +358,16 @@ def test_the_search_is_repeated_only_if_more_than_a_few_photos_were_not_placed(
 ) -> None:
     made: list[int] = []
 
-    def models(job: mapping.Job, least_inliers: int, report: object) -> list[object]:
+    def models(job: Job, least_inliers: int, report: object) -> list[object]:
         made.append(least_inliers)
         number = placed[len(made) - 1]
-        return [types.SimpleNamespace(num_reg_images=lambda: number)] if number else []
+        return [types.SimpleNamespace(num_reg_images=lambda: number, images={})] if number else []
 
-    monkeypatch.setattr(mapping, "_models", models)
-    copy = mapping.Copy(name="a", width=8, height=6, copy="0.png", copy_width=4, copy_height=3, file="/x")
-    (best,) = mapping.best_models(mapping.Job(folder="/x", photos=[copy] * photos, config=PhotosConfig()))
+    monkeypatch.setattr(placing, "_models", models)
+    monkeypatch.setattr(placing, "match_pairs", lambda *_: None)
+    copy = Copy(name="a", width=8, height=6, copy="0.png", copy_width=4, copy_height=3, focal=0.0)
+    job = Job(folder="/x", photos=[copy] * photos, config=PhotosConfig(), threads=1)
+    (best,) = placing.place_photos(job, [], lambda fraction, message: None)
     assert len(made) == attempts
     assert best.num_reg_images() == max(placed[:attempts])
 

@@ -72,7 +72,7 @@ def test_a_run_decodes_every_photo_once_before_it_draws_its_pictures(
 
     monkeypatch.setattr(FilePhoto, "pixels", count)
     monkeypatch.setattr(training_photos, "KEPT", 0)  # as with many large photos
-    config = Config(train=TrainConfig(steps=40, max_gaussians=3000))
+    config = Config(train=TrainConfig(steps=40, max_gaussians=3000, holdout_every=0))
     without = count_scene(few_photos, ["fruit"], tmp_path, config=config)
     drawn = len(list((without.out / "pictures").iterdir()))
     assert len(decoded) == len(without.scene.cameras)

@@ -17,7 +17,7 @@ from fruitlangs.engine.pipeline import Result, count_scene
 from fruitlangs.engine.scene.source import Source
 
 VIEWS = 6
-CONFIG = Config(train=TrainConfig(steps=20, max_gaussians=3000), count=CountConfig(threshold=0.9))
+CONFIG = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0), count=CountConfig(threshold=0.9))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,66 @@
+"""Models of the same photos are joined where they share photos."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm.joining import LEAST_SHARED, joined
+
+
+def whole() -> Any:
+    options = colmap_library().SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 50
+    return colmap_library().synthesize_dataset(options)
+
+
+def without(model: Any, images: set[int]) -> Any:
+    less = colmap_library().Reconstruction(model)
+    for image in images:
+        less.deregister_frame(less.images[image].frame_id)
+    return less
+
+
+def elsewhere(model: Any) -> Any:
+    """The model in another frame: larger, turned and shifted."""
+    pycolmap = colmap_library()
+    turn = pycolmap.Rotation3d(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    model.transform(pycolmap.Sim3d(2.5, turn, np.array([1.0, 2.0, 3.0])))
+    return model
+
+
+def split(shared: int) -> tuple[Any, Any, Any]:
+    """A model, its first photos with `shared` more, and its last photos in another frame."""
+    model = whole()
+    order = sorted(model.reg_image_ids())
+    return model, without(model, set(order[6 + shared :])), elsewhere(without(model, set(order[:6])))
+
+
+def test_photos_of_two_models_that_share_some_get_the_places_of_the_whole() -> None:
+    model, one, other = split(LEAST_SHARED)
+    (both,) = joined([other, one])
+    assert both.num_reg_images() == 12
+    assert {image.name for image in both.images.values()} == {image.name for image in model.images.values()}
+    larger = one  # its frame is kept
+    for image in model.reg_image_ids():
+        pose, true = both.images[image].cam_from_world(), model.images[image].cam_from_world()
+        np.testing.assert_allclose(pose.matrix(), true.matrix(), atol=1e-6)
+    assert larger.num_reg_images() > other.num_reg_images()
+
+
+@pytest.mark.parametrize("shared", [0, LEAST_SHARED - 1])
+def test_models_that_share_too_few_photos_stay_apart(shared: int) -> None:
+    _, one, other = split(shared)
+    assert [each.num_reg_images() for each in joined([one, other])] == sorted([6 + shared, 6], reverse=True)
+
+
+def test_models_whose_shared_photos_do_not_agree_stay_apart() -> None:
+    _, one, other = split(LEAST_SHARED)
+    for number, frame in enumerate(sorted(other.reg_frame_ids())):
+        pose = other.frame(frame).rig_from_world
+        shift = np.random.default_rng(number).normal(0.0, 5.0, 3)
+        other.frame(frame).rig_from_world = colmap_library().Rigid3d(pose.rotation, pose.translation + shift)
+    assert len(joined([one, other])) == 2
