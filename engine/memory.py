@@ -102,26 +102,27 @@ def camera_search_bytes(photos: int, pixels: int, threads: int) -> int:
     return SEARCH_BASE + photos * SEARCHED_PHOTO + threads * SIFT_BYTES * pixels
 
 
-def require_memory_for_cameras(
-    sizes: Sequence[tuple[int, int]], max_side: int, *, threads: int | None = None, free: int | None = None
-) -> None:
-    """Refuse a camera search that does not fit, before it starts.
+def camera_search_threads(
+    sizes: Sequence[tuple[int, int]], max_side: int, *, cores: int | None = None, free: int | None = None
+) -> int:
+    """The threads with which a camera search fits into memory, at most one for each core.
 
-    sizes: (width, height) of the photos; threads: all cores if not given.
+    sizes: (width, height) of the photos; cores: those of the machine if not given.
 
     Raises:
-        ConfigError: it needs more memory; says what would fit.
+        ConfigError: one thread needs more memory; says what would fit.
     """
-    available, cores = available_bytes() if free is None else free, threads or os.cpu_count() or 1
+    available, cores = available_bytes() if free is None else free, cores or os.cpu_count() or 1
     largest = max(min(1.0, max_side / max(size)) ** 2 * size[0] * size[1] for size in sizes)
-    needed = camera_search_bytes(len(sizes), int(largest), cores)
+    needed = camera_search_bytes(len(sizes), int(largest), 1)
     if needed > available:
-        smaller = int(max_side * max(available / needed, 0.04) ** 0.5) // 100 * 100
+        fitting = max(available - camera_search_bytes(len(sizes), 0, 1), 0) / (SIFT_BYTES * largest)
+        smaller = int(max_side * fitting**0.5) // 100 * 100
         raise ConfigError(
-            f"Finding the cameras of {len(sizes)} photos on {cores} cores needs about {needed / 2**30:.1f} GB of memory"
-            f" and {available / 2**30:.1f} GB are free. Close other programs, or use --photos.max-side "
-            f"{max(smaller, 400)}"
+            f"Finding the cameras of {len(sizes)} photos needs about {needed / 2**30:.1f} GB of memory and "
+            f"{available / 2**30:.1f} GB are free. Close other programs, or use --photos.max-side {max(smaller, 400)}"
         )
+    return max(min(cores, 1 + int((available - needed) / (SIFT_BYTES * largest))), 1)
 
 
 def available_bytes(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int:

@@ -20,7 +20,7 @@ from .language.encoders.encoder import sees_whole
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
-from .memory import require_memory, require_memory_for_cameras
+from .memory import camera_search_threads, require_memory
 from .photo_size import needed_bytes, reduction, seen_width, side_to_read
 from .progress import Progress, part, silent
 from .result_folder import SPOOL, ResultFolder
@@ -120,12 +120,12 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         start = 0.4
         with run.log.timed("photos"):
             source = source.stills(run.cache, progress=part(progress, 0.0, 0.1))
-            photos = source.photos_alone()
+            photos, threads = source.photos_alone(), 1
             if photos is not None and not source.has_poses(run.cache, run.config.photos):
                 headers = [read_header(file) for file in list_photos(photos)]
                 sizes = [(header.width, header.height) for header in headers]
-                require_memory_for_cameras(sizes, run.config.photos.max_side)
-            source = source.posed(run.cache, run.config.photos, progress=part(progress, 0.1, start))
+                threads = camera_search_threads(sizes, run.config.photos.max_side)
+            source = source.posed(run.cache, run.config.photos, threads=threads, progress=part(progress, 0.1, start))
         run.log.notices += source.notices
         run.log.reused += ["photos"] if source.reused else []
     progress = part(progress, start, 1.0)

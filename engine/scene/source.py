@@ -139,11 +139,13 @@ class Source:
         key = stage_key(("scene",), self._file_hash(video), _version("av"))
         return cache / f"video-{key}"
 
-    def posed(self, cache: Path, config: PhotosConfig, *, progress: Progress = silent) -> Source:
+    def posed(
+        self, cache: Path, config: PhotosConfig, *, threads: int | None = None, progress: Progress = silent
+    ) -> Source:
         """The source itself if its photos have cameras; else its photos, or the stills of its video, with cameras that
         are estimated (`find_poses`), or taken from `cache`, where they are stored by the content of the photos.
 
-        Masks are in `masks` next to the photos' folder or inside it.
+        Masks are in `masks` next to the photos' folder or inside it; threads: as of `find_poses`.
 
         Raises:
             SceneError: as `stills` and `find_poses`, or there are RAW files without a photo of the same name.
@@ -157,7 +159,7 @@ class Source:
             return self
         notices = [*source.notices, *_raw_notices(photos)]
         model = self._model(photos, cache, config)
-        found = find_poses(photos, model.path.parent, config, progress=part(progress, start, 1.0))
+        found = find_poses(photos, model.path.parent, config, threads=threads, progress=part(progress, start, 1.0))
         return replace(model, path=found.model, notices=[*notices, *found.notices], reused=found.reused)
 
     def has_poses(self, cache: Path, config: PhotosConfig) -> bool:

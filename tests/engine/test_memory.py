@@ -13,8 +13,9 @@ from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConf
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.memory import (
     available_bytes,
+    camera_search_bytes,
+    camera_search_threads,
     require_memory,
-    require_memory_for_cameras,
     stage_bytes,
     training_bytes,
 )
@@ -83,12 +84,18 @@ def test_a_run_that_does_not_fit_is_refused_before_the_first_step(few_photos: Pa
 
 def test_a_camera_search_that_does_not_fit_is_refused_with_a_size_that_would() -> None:
     sizes = [(4000, 3000)] * 60
-    require_memory_for_cameras(sizes, 1600, threads=2, free=3 << 30)
-    with pytest.raises(ConfigError, match=r"60 photos on 16 cores needs about .* --photos\.max-side (\d+)") as caught:
-        require_memory_for_cameras(sizes, 1600, threads=16, free=8 << 30)
+    with pytest.raises(ConfigError, match=r"cameras of 60 photos needs about .* --photos\.max-side (\d+)") as caught:
+        camera_search_threads(sizes, 1600, cores=16, free=1 << 30)
     smaller = int(str(caught.value).split()[-1])
-    require_memory_for_cameras(sizes, smaller, threads=16, free=8 << 30)
-    require_memory_for_cameras([(480, 360)] * 60, 1600, threads=16, free=3 << 30)
+    assert camera_search_threads(sizes, smaller, cores=16, free=1 << 30) >= 1
+
+
+def test_a_camera_search_uses_as_many_cores_as_memory_allows() -> None:
+    sizes = [(4000, 3000)] * 60
+    assert camera_search_threads(sizes, 1600, cores=16, free=64 << 30) == 16
+    few = camera_search_threads(sizes, 1600, cores=16, free=8 << 30)
+    assert 2 <= few < 16
+    assert camera_search_bytes(60, 1600 * 1200, few) <= 8 << 30 < camera_search_bytes(60, 1600 * 1200, few + 1)
 
 
 def test_photos_whose_cameras_cannot_be_found_in_memory_are_refused_first(

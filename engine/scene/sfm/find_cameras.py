@@ -54,6 +54,7 @@ def find_poses(
     out: Path,
     config: PhotosConfig = PhotosConfig(),  # noqa: B008 (frozen)
     *,
+    threads: int | None = None,
     progress: Progress = silent,
 ) -> FoundPoses:
     """Estimate the cameras of the photos in the folder `photos` and write a COLMAP model (binary) to `out`/model.
@@ -63,6 +64,8 @@ def find_poses(
     once. Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. EXIF orientation
     is ignored, as COLMAP does, except that photos of several orientations are not assumed to be upright; masks are not
     used.
+
+    threads: all cores if not given; they need memory, and do not change the result.
 
     The model's frame and scale are arbitrary; names and pixels are those of the photos. Equal photos, settings and
     versions give equal models. `out` is for one set of photos and settings: a finished model in it is returned
@@ -85,7 +88,7 @@ def find_poses(
     reused = (model / FOUND).is_file()
     if not reused:
         try:
-            _make_model(files, work, config, progress)
+            _make_model(files, work, config, threads or os.cpu_count() or 1, progress)
             os.replace(work / _MODEL, model)
             shutil.rmtree(work, ignore_errors=True)
         except OSError as error:
@@ -93,7 +96,7 @@ def find_poses(
     return FoundPoses(model=model, notices=_notices(files, model), reused=reused)
 
 
-def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progress: Progress) -> None:
+def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, threads: int, progress: Progress) -> None:
     (work / "copies").mkdir(parents=True, exist_ok=True)
     copies = []
     for index, file in enumerate(files):
@@ -102,7 +105,7 @@ def _make_model(files: Sequence[Path], work: Path, config: PhotosConfig, progres
         copies.append(_copy(file, work / "copies" / f"{index:06d}.png", config.max_side))
     for folder in ("models", _MODEL):
         shutil.rmtree(work / folder, ignore_errors=True)
-    job = Job(folder=str(work.resolve()), photos=copies, config=config, threads=os.cpu_count() or 1)
+    job = Job(folder=str(work.resolve()), photos=copies, config=config, threads=threads)
     try:
         run_child("scene.sfm.mapping", [str(job.write())], work / "log.txt", part(progress, 0.1, 1.0))
     except ChildError as error:
