@@ -16,6 +16,7 @@ import numpy as np
 from ...engine.config import Config
 from ...engine.errors import FruitLangsError, VocabularyError
 from ...engine.evaluation.calibration import calibration_error
+from ...engine.evaluation.camera_errors import CameraErrors
 from ...engine.evaluation.judgement import Judgement, judge
 from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
 from ...engine.evaluation.renders import DEPTH, INSTANCES
@@ -41,7 +42,8 @@ class StageResult:
     counted: number of fruit, None if it failed; near, far: measured at half a diameter and at one, None without a
     truth; classes: errors by visible fraction at half a diameter; ece: calibration error of the fruit's probabilities;
     interval: of the count, if there is one; psnr, ssim: of held-out photos, if a scene was trained; views: number of
-    views; seconds by stage; failed: why there is no count; mistakes: name of the picture of the worst ones.
+    views; cameras: errors of estimated cameras; seconds by stage; failed: why there is no count; mistakes: name of the
+    picture of the worst ones.
     """
 
     species: str
@@ -57,6 +59,7 @@ class StageResult:
     psnr: float | None = None
     ssim: float | None = None
     views: int = 0
+    cameras: CameraErrors | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     failed: str = ""
     mistakes: str = ""
@@ -140,6 +143,7 @@ def _counted(row: StageResult, counted: Counted) -> StageResult:
         psnr=counted.psnr,
         ssim=counted.ssim,
         views=counted.views,
+        cameras=counted.cameras,
         seconds=counted.seconds,
     )
 
@@ -168,6 +172,7 @@ def _dump(counted: Counted, key: str) -> str:
     document = {name: getattr(counted, name) for name in Counted.__dataclass_fields__}
     for name in ("centers", "diameters", "probabilities"):
         document[name] = document[name].tolist()
+    document["cameras"] = counted.cameras and dataclasses.asdict(counted.cameras)
     return json.dumps({"key": key, **document, "seconds": dict(counted.seconds)}, indent=1) + "\n"
 
 
@@ -181,6 +186,7 @@ def _kept(path: Path, key: str) -> Counted | None:
         for name in ("diameters", "probabilities"):
             document[name] = np.array(document[name], np.float64)
         document["interval"] = None if document["interval"] is None else tuple(document["interval"])
+        document["cameras"] = CameraErrors(**document["cameras"]) if document["cameras"] else None
         return Counted(**document)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

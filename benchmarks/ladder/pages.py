@@ -20,8 +20,10 @@ COLUMNS = (
     "species", "seed", "ablation_stage", "scene", "predicted", "visible", "total", "matched", "ignored", "precision",
     "recall", "f1", "f1_at_1", "doubles", "merges", "count_error", "relative_count_error", "relative_total_error",
     "center_error", "diameter_error", "diameter_bias", "ece", "interval_low", "interval_high", "psnr", "ssim", "views",
-    "failed",
+    "cameras_placed", "camera_center", "camera_center_90", "camera_rotation", "camera_rotation_90", "failed",
 )  # fmt: skip
+CAMERA_ERRORS = ("placed", "center", "center_90", "rotation", "rotation_90")
+"""Fields of `CameraErrors`, in the order of their columns."""
 LOSS_NAMES = ("counting", "Gaussians", "masks", "poses")
 """The parts of the pipeline that can lose fruit, in order."""
 
@@ -69,6 +71,7 @@ def rows_csv(rows: Sequence[StageResult]) -> str:
             + [_cell(row.far.f1 if row.far else None)]
             + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[13:21]]
             + [_cell(value) for value in (row.ece, low, high, row.psnr, row.ssim, row.views)]
+            + [_cell(getattr(row.cameras, name) if row.cameras else None) for name in CAMERA_ERRORS]
             + [row.failed]
         )
     return text.getvalue()
@@ -151,6 +154,18 @@ def visibility_rows(rows: Sequence[StageResult]) -> list[list[str]]:
     return lines
 
 
+def camera_rows(rows: Sequence[StageResult]) -> list[list[str]]:
+    """Errors of the cameras that were found from photos, by scene; empty if none were."""
+    lines = [["scene", "placed", "centre, median", "centre, 90 %", "rotation, median", "rotation, 90 %"]]
+    for row in rows:
+        if row.cameras is not None:
+            errors = row.cameras
+            centers = [f"{1000.0 * value:.1f} mm" for value in (errors.center, errors.center_90)]
+            rotations = [f"{value:.2f}°" for value in (errors.rotation, errors.rotation_90)]
+            lines.append([row.scene, f"{errors.placed} of {errors.photos}", *centers, *rotations])
+    return lines if len(lines) > 1 else []
+
+
 def _stages_of(rows: Sequence[StageResult]) -> list[str]:
     return [name for name in STAGES if any(row.stage == name for row in rows)]
 
@@ -185,7 +200,7 @@ def write_pages(rows: Sequence[StageResult], out: Path, *, title: str) -> None:
     write_text(out / "ladder.md", "\n\n".join(parts) + "\n")
     draw_ladder(rows, out / "ladder.png")
     template = Environment(autoescape=True).from_string(_PAGE)
-    tables = [table for table in (stage_rows(rows), loss_rows(rows), visibility_rows(rows)) if table]
+    tables = [table for table in (stage_rows(rows), loss_rows(rows), visibility_rows(rows), camera_rows(rows)) if table]
     write_text(out / "index.html", template.render(title=title, tables=tables, rows=rows, stages=STAGES))
 
 
@@ -196,6 +211,9 @@ def table_parts(rows: Sequence[StageResult]) -> list[str]:
     by_visibility = visibility_rows(rows)
     if by_visibility:
         parts += ["Recall by visible fraction, all scenes together:", markdown(by_visibility)]
+    cameras = camera_rows(rows)
+    if cameras:
+        parts += ["Errors of the cameras found from photos:", markdown(cameras)]
     return parts
 
 

@@ -19,6 +19,7 @@ from ...engine.config import Config
 from ...engine.counting.count import count_fruit
 from ...engine.counting.fruit import FruitCount
 from ...engine.errors import FormatError
+from ...engine.evaluation.camera_errors import CameraErrors, camera_errors
 from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
 from ...engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ...engine.evaluation.true_surface import TrueSurface, true_surface
@@ -58,7 +59,8 @@ class Counted:
     """The count of one stage, in the frame of the truth.
 
     centers: (P, 3); diameters, probabilities: (P,); interval: of the count, None without one; psnr, ssim: of held-out
-    photos, None without training; views: number of views; seconds by stage.
+    photos, None without training; views: number of views; cameras: errors of estimated cameras, None if the true ones
+    were used; seconds by stage.
     """
 
     centers: FloatArray
@@ -68,6 +70,7 @@ class Counted:
     psnr: float | None = None
     ssim: float | None = None
     views: int = 0
+    cameras: CameraErrors | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -182,7 +185,8 @@ class LadderStages:
     def _end_to_end(self, progress: Progress) -> Counted:
         """Count in the frame estimated from the photos, then move the fruit to the frame of the truth."""
         result = self._train(self.folder / "images", END_TO_END, progress)
-        return self._moved(result, _counted_by(result))
+        errors = camera_errors(cameras_by_file(result.scene), cameras_by_file(self.scene)) if self.truth else None
+        return dataclasses.replace(self._moved(result, _counted_by(result)), cameras=errors)
 
     def _moved(self, result: Result, counted: Counted) -> Counted:
         """The fruit in the frame of `result`, moved to the frame of the truth."""
