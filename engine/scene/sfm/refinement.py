@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,8 +25,9 @@ _LARGEST_ANGLE = 45.0
 """Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
 _LEAST_ANGLE = 1.5
 """Least angle in degrees between the rays of a point."""
-_ENOUGH_POINTS = 600
-"""Points per photo, those seen most often, that adjust the cameras; more take longer and change nothing."""
+_ENOUGH_POINTS, _LEAST_POINTS = 600, 40
+"""Points per photo, those seen most often, that adjust the cameras, as more take longer and change nothing; and points
+per photo up to which those in two photos only are used, half of which are matched by chance."""
 _LOSS_SCALE = 0.5
 """Scale in pixels of the Cauchy loss."""
 _ADJUSTMENTS = 2
@@ -33,18 +35,18 @@ _ADJUSTMENTS = 2
 
 
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
-    """The model with cameras refined on longer tracks, and with the points of all tracks."""
+    """The model with cameras refined on longer tracks, and with the points of these."""
     for number, (tolerance, error) in enumerate(_PASSES):
         share = part(report, number / len(_PASSES), (number + 1) / len(_PASSES))
         database = _match_again(job, features, model, tolerance, part(share, 0.0, 0.7))
         share(0.7, "refining cameras")
         model = _triangulated(job, database, model, error)
-        kept = _most_seen(model)
+        kept = _most_seen(model, _ENOUGH_POINTS)
         for _ in range(_ADJUSTMENTS):
             _adjust(job, kept)
             colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
-        model = _triangulated(job, database, kept, error)
-    return model
+        model = kept
+    return _most_seen(_triangulated(job, database, model, error), math.inf)
 
 
 def _match_again(job: Job, features: Sequence[Features], model: Any, tolerance: float, report: Progress) -> Path:
@@ -135,14 +137,15 @@ def _triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
     return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
 
 
-def _most_seen(model: Any) -> Any:
-    """A copy with the points that most photos see, as many as each photo needs."""
+def _most_seen(model: Any, most: float) -> Any:
+    """A copy with the points that most photos see, up to `most` in each photo; points that only two photos see are
+    used up to `_LEAST_POINTS`."""
     kept = colmap_library().Reconstruction(model)
     counts: dict[int, int] = {}
     ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
     for number, point in ranked:
         images = {element.image_id for element in point.track.elements}
-        if min(counts.get(image, 0) for image in images) >= _ENOUGH_POINTS:
+        if min(counts.get(image, 0) for image in images) >= (most if len(images) > 2 else _LEAST_POINTS):
             kept.delete_point3D(number)
             continue
         for image in images:
