@@ -42,7 +42,7 @@ LAYERS = (
     ("engine/evaluation/truth", "engine/evaluation/number_table"),
     ("engine/evaluation/datasets", "engine/evaluation"),
     ("engine/memory",),
-    ("engine/reconstruction",),
+    ("engine/reconstruction", "engine/photo_check"),
     ("engine/publishing", "engine/scale"),
     ("engine/pipeline", "engine/open_result"),
     # What Blender does.
