@@ -80,3 +80,11 @@ def _training_seconds(cameras: Sequence[Camera], config: Config) -> float:
     mean = sum(camera.width * camera.height for camera in cameras) / len(cameras) / 1e6
     whole = 1.0 - 0.75 * config.train.coarse_until
     return config.train.steps * (STEP_SECONDS + STEP_MEGAPIXEL_SECONDS * mean * whole)
+
+
+def duration(seconds: float) -> str:
+    """A duration as text: '40 s', '3 min', '1 h 20 min'."""
+    if seconds < 90:
+        return f"{max(round(seconds), 1)} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

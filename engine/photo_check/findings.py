@@ -11,7 +11,7 @@ from .cost import StageCost
 from .examine import Examined
 from .exposure import COLOUR_STEP, EXPOSURE_STEP, changes, most_involved
 from .finding import Finding, list_names, photos_text
-from .links import Links
+from .links import Links, Pair
 from .photo_files import PhotoFiles
 from .sharpness import LEAST_SHARE, SOFT, relative_sharpness
 
@@ -104,9 +104,7 @@ def _all_alike(photos: Sequence[Examined], links: Links) -> bool:
     still = [
         (link := links.links.get((i, i + 1))) is not None
         and np.median(
-            np.linalg.norm(
-                photos[i].features.points[link.first] - photos[i + 1].features.points[link.second], axis=1
-            )
+            np.linalg.norm(photos[i].features.points[link.first] - photos[i + 1].features.points[link.second], axis=1)
         )
         < STILL * photos[i].features.longer_side
         for i in range(len(photos) - 1)
@@ -119,35 +117,38 @@ def _groups(names: Sequence[str], links: Links) -> list[Finding]:
     if len(groups) < 2:
         return []
     parts = [f"{len(group)} from {names[group[0]]} to {names[group[-1]]}" for group in groups]
+    breaks = [f"{names[i]} and {names[j]}" for i, j in _breaks(links)]
+    between = f"between {' and between '.join(breaks)}" if len(breaks) < len(groups) else "between the groups"
     return [
         Finding(
             kind="groups",
             severity="problem",
             sentence=f"The photos form {len(groups)} groups without common content: {'; '.join(parts)}",
             advice="If they show different trees or places, put each group into its own folder. If they show one tree,"
-            " take the photos that are missing between the groups",
+            f" take the photos that are missing {between}",
             photos=[names[photo] for group in groups[1:] for photo in group],
         )
     ]
 
 
-def _gaps(names: Sequence[str], links: Links) -> list[Finding]:
+def _breaks(links: Links) -> list[Pair]:
+    """Consecutive photos of different groups."""
     group_of = {photo: number for number, group in enumerate(links.groups) for photo in group}
-    gaps = [(i, j) for i, j in links.gaps if group_of[i] == group_of[j]]
-    apart = [(i, j) for i, j in links.gaps if group_of[i] != group_of[j]]
-    # Where a walk breaks into two groups there is one place; groups that alternate are of two walks.
-    if len(apart) < len(links.large_groups):
-        gaps = sorted([*gaps, *apart])
+    return [(i, j) for i, j in links.gaps if group_of[i] != group_of[j]]
+
+
+def _gaps(names: Sequence[str], links: Links) -> list[Finding]:
+    """Gaps inside a group, whose photos are linked the other way around the tree."""
+    gaps = sorted(set(links.gaps) - set(_breaks(links)))
     if not gaps:
         return []
     places = [f"{names[i]} and {names[j]}" for i, j in gaps]
-    where = f"a gap between {places[0]}" if len(gaps) == 1 else f"{len(gaps)} gaps: between {', '.join(places[:4])}"
-    more = f" and {len(gaps) - 4} more" if len(gaps) > 4 else ""
+    where = f"a gap between {places[0]}" if len(gaps) == 1 else f"{len(gaps)} gaps: between {list_names(places)}"
     return [
         Finding(
             kind="gap",
-            severity="problem" if apart else "warning",
-            sentence=f"The walk has {where}{more}. These photos do not overlap",
+            severity="warning",
+            sentence=f"The walk has {where}. These photos do not overlap",
             advice="Take photos from the positions between them, 5 to 10° apart",
             photos=[names[photo] for photo in sorted({each for gap in gaps for each in gap})],
         )

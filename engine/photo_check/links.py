@@ -64,7 +64,6 @@ class Links:
         return [(i, j) for i, j in itertools.pairwise(placed) if j not in reached[i]]
 
 
-
 def find_links(features: Sequence[Features], *, progress: Progress = silent) -> Links:
     """Match photos in order with the following ones, evenly spread photos with each other, and photos next to a gap
     or in a small group with all others.
@@ -83,9 +82,7 @@ def find_links(features: Sequence[Features], *, progress: Progress = silent) -> 
     return Links(count=count, links=links)
 
 
-def _matched(
-    features: Sequence[Features], pairs: Sequence[Pair], report: Callable[[float], None]
-) -> dict[Pair, Link]:
+def _matched(features: Sequence[Features], pairs: Sequence[Pair], report: Callable[[float], None]) -> dict[Pair, Link]:
     links = {}
     for done, (i, j) in enumerate(pairs):
         if done % 20 == 0:
@@ -104,4 +101,3 @@ def _uncertain(found: Links) -> list[int]:
 
 def _with_all(photos: Iterable[int], count: int) -> set[Pair]:
     return {(min(i, j), max(i, j)) for i in photos for j in range(count) if i != j}
-

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from ..storage.files import replacing
+from ..errors import OutputError
+from ..storage.files import replacing, require_writable
 from .finding import LABELS, CheckedPhoto, PhotoCheck, Severity, photos_text
 
 COLUMNS = 8
@@ -26,9 +27,23 @@ def write_sheet(path: Path, check: PhotoCheck) -> None:
     Raises:
         OutputError: it cannot be written.
     """
+    require_writable(path.parent)
     sheet = contact_sheet(check)
     with replacing(path) as temporary:
         sheet.save(temporary, "PNG" if path.suffix.lower() == ".png" else "JPEG", quality=_QUALITY)
+
+
+def sheet_folder(source: Path, out: Path | None = None) -> Path:
+    """The folder of the contact sheet: `out`, or SOURCE-check in the current folder.
+
+    Raises:
+        OutputError: it is inside the folder of the photos, where a later run would take the sheet for a photo.
+    """
+    scene = source.resolve()
+    folder = (out or Path(f"{scene.stem if scene.is_file() else scene.name}-check")).resolve()
+    if scene.is_dir() and folder.is_relative_to(scene):
+        raise OutputError(f"{folder} is inside the folder of the photos. Use --out with another folder")
+    return folder
 
 
 def contact_sheet(check: PhotoCheck) -> Image.Image:
