@@ -22,7 +22,10 @@ LEAST_MATCHES = 15
 """Fewest points on one epipolar geometry. In 255 pairs without common content, at most 11 were found by chance."""
 ERROR_SHARE = 1.0 / 256.0
 """Largest distance of a match from its epipolar line, in longer sides of the copy."""
-_TRIALS = 1000
+_TRIALS = 30, 1000
+"""Least and most trials of RANSAC."""
+_MOST_VERIFIED = 200
+"""Most matches that are verified: enough to decide, and quick."""
 _SCALE = 512.0
 """Descriptors are stored as bytes in units of 1 / 512, as COLMAP does."""
 _local = threading.local()
@@ -84,13 +87,13 @@ def _extractor(enlarged: bool) -> Any:
 def find_link(one: Features, other: Features) -> Link | None:
     """The common content of two photos: mutual nearest neighbours that pass the ratio test and agree with one epipolar
     geometry (RANSAC, seeded); None with fewer than `LEAST_MATCHES`."""
-    first, second = _mutual(one, other)
+    first, second = (each[:_MOST_VERIFIED] for each in _mutual(one, other))
     if len(first) < LEAST_MATCHES:
         return None
     pycolmap = colmap_library()
     options = pycolmap.RANSACOptions()
     options.max_error = ERROR_SHARE * max(one.longer_side, other.longer_side)
-    options.max_num_trials = _TRIALS
+    options.min_num_trials, options.max_num_trials = _TRIALS
     options.random_seed = 0
     found = pycolmap.estimate_fundamental_matrix(
         one.points[first].astype(np.float64), other.points[second].astype(np.float64), options

@@ -14,7 +14,7 @@ from .features import Features, Link, find_link
 
 NEAR = 6
 """Every photo is matched with this many of the following ones."""
-SPREAD = 40
+SPREAD = 32
 """Number of photos, evenly spread, that are all matched with each other."""
 MOST_ENDS = 16
 """Most photos next to a gap that are matched with all photos before the gap is reported."""

@@ -25,7 +25,7 @@ from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, relative_sharpn
 from fruitlangs.engine.photo_check.sheet import COLOURS, contact_sheet, sheet_folder, write_sheet
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
-WIDTH, HEIGHT, STEP, RING = 360, 270, 60, 40
+WIDTH, HEIGHT, STEP, RING = 420, 300, 100, 24
 Edit = Callable[[Image.Image], Image.Image]
 
 
@@ -66,7 +66,8 @@ def found(result: PhotoCheck, kind: str) -> Finding:
 
 
 def kinds(result: PhotoCheck) -> set[str]:
-    return {finding.kind for finding in result.findings}
+    """The findings without the number of photos, which is small here to save time."""
+    return {finding.kind for finding in result.findings} - {"few photos"}
 
 
 def brighter(stops: float) -> Edit:
@@ -76,7 +77,7 @@ def brighter(stops: float) -> Edit:
 
 def test_a_good_walk_has_no_findings(tmp_path: Path) -> None:
     result = check(walk(tmp_path / "walk"))
-    assert result.findings == []
+    assert kinds(result) == set()
     assert all(photo.links >= 4 for photo in result.photos)
 
 
@@ -107,28 +108,28 @@ def test_every_photo_of_the_sample_is_found_if_it_alone_is_blurred(blur: Callabl
 
 def test_blurred_photos_are_named(tmp_path: Path) -> None:
     blur = {7: lambda each: each.filter(ImageFilter.GaussianBlur(2.0))}
-    result = check(walk(tmp_path / "walk", edits=blur))
+    result = check(walk(tmp_path / "walk", range(12), blur))
     assert kinds(result) == {"blur"}
     assert found(result, "blur").photos == ["007.jpg"]
 
 
 def test_photos_that_are_all_soft_are_reported_once(tmp_path: Path) -> None:
-    soft = [photo(place).filter(ImageFilter.GaussianBlur(2.5)) for place in range(12)]
-    assert {"soft"} <= kinds(check(save(tmp_path / "soft", soft))) <= {"soft", "few photos"}
+    soft = [photo(place).filter(ImageFilter.GaussianBlur(2.5)) for place in range(8)]
+    assert kinds(check(save(tmp_path / "soft", soft))) == {"soft"}
 
 
 def test_a_gap_is_named_by_the_photos_on_both_sides(tmp_path: Path) -> None:
-    result = check(walk(tmp_path / "walk", [*range(15), *range(21, RING)]))
-    assert "between 014.jpg and 015.jpg" in found(result, "gap").sentence
-    assert found(result, "gap").photos == ["014.jpg", "015.jpg"]
+    result = check(walk(tmp_path / "walk", [*range(9), *range(15, RING)]))
+    assert "between 008.jpg and 009.jpg" in found(result, "gap").sentence
+    assert found(result, "gap").photos == ["008.jpg", "009.jpg"]
 
 
 def test_a_missing_photo_that_its_neighbours_cover_is_not_a_gap(tmp_path: Path) -> None:
-    assert kinds(check(walk(tmp_path / "walk", [*range(15), *range(17, RING)]))) == {"few photos"}
+    assert kinds(check(walk(tmp_path / "walk", [*range(6), *range(8, 12)]))) == set()
 
 
 def test_a_second_walk_at_the_same_places_is_not_a_gap(tmp_path: Path) -> None:
-    assert check(walk(tmp_path / "walk", [*range(2, 22), *range(2, 22)])).findings == []
+    assert kinds(check(walk(tmp_path / "walk", [*range(2, 11), *range(2, 11)]))) == set()
 
 
 def test_two_groups_without_common_content_are_a_problem(tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_a_photo_of_something_else_overlaps_with_no_other(tmp_path: Path) -> Non
 
 
 def test_photos_without_any_overlap_are_a_problem(tmp_path: Path) -> None:
-    result = check(walk(tmp_path / "walk", range(0, RING, 8)))
+    result = check(walk(tmp_path / "walk", range(0, RING, 7)))
     assert found(result, "no overlap").severity == "problem"
 
 
@@ -169,7 +170,7 @@ def test_a_jump_of_exposure_names_the_photo_and_not_its_neighbours(tmp_path: Pat
 
 def test_a_slow_change_of_light_is_not_a_jump(tmp_path: Path) -> None:
     slow = {number: brighter(-0.1 * number) for number in range(12)}
-    assert kinds(check(walk(tmp_path / "walk", range(12), slow))) == {"few photos"}
+    assert kinds(check(walk(tmp_path / "walk", range(12), slow))) == set()
 
 
 def test_a_shift_of_the_white_balance_is_named(tmp_path: Path) -> None:
@@ -210,9 +211,9 @@ def test_raw_files_next_to_photos_of_the_same_names_are_a_warning(tmp_path: Path
 
 
 def test_photos_of_another_size_are_of_another_camera(tmp_path: Path) -> None:
-    result = check(walk(tmp_path / "walk", range(8), {6: lambda each: each.resize((480, 360))}))
+    result = check(walk(tmp_path / "walk", range(8), {6: lambda each: each.resize((560, 400))}))
     assert found(result, "cameras").photos == ["006.jpg"]
-    assert "7 of 360×270; 1 of 480×360" in found(result, "cameras").sentence
+    assert "7 of 420×300; 1 of 560×400" in found(result, "cameras").sentence
 
 
 def test_photos_of_another_focal_length_are_named(tmp_path: Path) -> None:
@@ -223,7 +224,7 @@ def test_photos_of_another_focal_length_are_named(tmp_path: Path) -> None:
         exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26 if number < 4 else 52
         photo(number).save(folder / f"{number:03d}.jpg", exif=exif)
     finding = found(check(folder), "cameras")
-    assert "4 of Phone, 26 mm, 360×270; 2 of Phone, 52 mm, 360×270" in finding.sentence
+    assert "4 of Phone, 26 mm, 420×300; 2 of Phone, 52 mm, 420×300" in finding.sentence
     assert finding.photos == ["004.jpg", "005.jpg"]
 
 
@@ -239,7 +240,7 @@ def test_the_orientation_in_exif_is_applied(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = 6
     photo(4).transpose(Image.Transpose.ROTATE_90).save(folder / "004.jpg", exif=exif, quality=95)
-    assert kinds(check(folder)) == {"few photos"}
+    assert kinds(check(folder)) == set()
 
 
 def test_a_folder_without_photos_is_an_error(tmp_path: Path) -> None:
