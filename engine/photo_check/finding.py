@@ -82,6 +82,13 @@ class PhotoCheck:
     costs: Sequence[StageCost]
 
     @property
+    def counts(self) -> str:
+        """'2 problems, 1 warning'."""
+        problems = sum(finding.severity == "problem" for finding in self.findings)
+        warnings = len(self.findings) - problems
+        return f"{_plural(problems, 'problem')}, {_plural(warnings, 'warning')}"
+
+    @property
     def seconds(self) -> float:
         """Expected seconds of the whole run."""
         return sum(cost.seconds for cost in self.costs)
@@ -99,4 +106,8 @@ def list_names(names: Sequence[str], most: int = 3) -> str:
 
 
 def photos_text(number: int) -> str:
-    return "1 photo" if number == 1 else f"{number} photos"
+    return _plural(number, "photo")
+
+
+def _plural(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

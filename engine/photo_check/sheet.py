@@ -75,12 +75,8 @@ def marks_of(check: PhotoCheck) -> dict[str, list[tuple[str, Severity]]]:
 
 
 def _title(check: PhotoCheck, marks: Marks) -> str:
-    problems = sum(finding.severity == "problem" for finding in check.findings)
-    warnings = len(check.findings) - problems
-    return (
-        f"{check.folder.name}: {photos_text(len(check.photos))}, {len(marks)} marked. "
-        f"Problems: {problems} (red). Warnings: {warnings} (orange)"
-    )
+    count = photos_text(len(check.photos))
+    return f"{check.folder.name}: {count}, {len(marks)} marked (red: problem, orange: warning). {check.counts}"
 
 
 def _draw_photo(

@@ -54,7 +54,7 @@ LAYERS = (
     ("operators/drawing", "operators/review"),
     ("operators/steps",),
     # What Blender shows.
-    ("fruitlangs_addon/photo_properties", "fruitlangs_addon/review_properties"),
+    ("fruitlangs_addon/photo_properties", "fruitlangs_addon/review_properties", "fruitlangs_addon/check_properties"),
     ("fruitlangs_addon/properties",),
     ("fruitlangs_addon/panels",),
     ("fruitlangs_addon/preferences",),
