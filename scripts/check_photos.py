@@ -54,9 +54,7 @@ class Arguments:
 
 def report_lines(check: PhotoCheck) -> Iterator[str]:
     """The findings, then the expected time and memory, as lines of text."""
-    problems = sum(finding.severity == "problem" for finding in check.findings)
-    counts = f"{problems} problems, {len(check.findings) - problems} warnings" if check.findings else "nothing found"
-    yield f"{check.folder}: {len(check.photos)} photos, {counts}"
+    yield f"{check.folder}: {len(check.photos)} photos, {check.counts}"
     for finding in check.findings:
         yield ""
         yield from textwrap.wrap(f"{finding.severity}: {finding.sentence}.", WIDTH, subsequent_indent="  ")

@@ -48,8 +48,8 @@ def test_the_photos_of_the_chosen_folder_are_checked_by_the_engine(photos):
 def test_the_panel_shows_each_finding_with_what_to_do(checked):
     checked(FEW, BLUR)
     bpy.ops.fruitlangs.check_photos()
-    texts = " ".join(drawn(FRUITLANGS_PT_scene))
-    assert "1 problems, 1 warnings" in texts
+    texts = drawn(FRUITLANGS_PT_scene).text
+    assert "1 problem, 1 warning" in texts
     assert "There are only 2 photos. Take 40" in texts
     assert "Take it again" in texts
 
@@ -75,7 +75,7 @@ def test_findings_of_another_scene_are_not_shown(checked, tmp_path):
     checked(FEW)
     bpy.ops.fruitlangs.check_photos()
     bpy.context.scene.fruitlangs.source = str(tmp_path / "other")
-    assert "There are only 2 photos" not in " ".join(drawn(FRUITLANGS_PT_scene))
+    assert "There are only 2 photos" not in drawn(FRUITLANGS_PT_scene).text
 
 
 def test_without_a_scene_the_button_is_off(extension):
