@@ -24,7 +24,7 @@ from fruitlangs.engine.photo_check.finding import Finding, PhotoCheck
 from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, relative_sharpness, sharpness
 from fruitlangs.engine.photo_check.sheet import COLOURS, contact_sheet, sheet_folder, write_sheet
 
-SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
+SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
 WIDTH, HEIGHT, STEP, RING = 420, 300, 100, 24
 Edit = Callable[[Image.Image], Image.Image]
 
