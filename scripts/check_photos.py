@@ -52,16 +52,17 @@ class Arguments:
     train: TrainConfig = field(default_factory=TrainConfig)
 
 
-def report_lines(check: PhotoCheck) -> Iterator[str]:
-    """The findings, then the expected time and memory, as lines of text."""
-    yield f"{check.folder}: {len(check.photos)} photos, {check.counts}"
+def report_lines(source: Path, check: PhotoCheck) -> Iterator[str]:
+    """The findings in the scene, then the expected time and memory, as lines of text."""
+    from fruitlangs.engine.photo_check.cost import duration
+    from fruitlangs.engine.photo_check.finding import photos_text
+
+    yield f"{source}: {photos_text(len(check.photos))}, {check.counts}"
     for finding in check.findings:
         yield ""
         yield from textwrap.wrap(f"{finding.severity}: {finding.sentence}.", WIDTH, subsequent_indent="  ")
         yield from textwrap.wrap(f"  What to do: {finding.advice}.", WIDTH, subsequent_indent="  ")
     if check.costs:
-        from fruitlangs.engine.photo_check.cost import duration
-
         rows = [(cost.stage, duration(cost.seconds), f"{cost.bytes / 2**30:.1f} GB") for cost in check.costs]
         whole = ("in all", duration(check.seconds), f"{check.bytes / 2**30:.1f} GB")
         yield "\nexpected on this computer, within a factor of two:"
@@ -76,7 +77,7 @@ def main() -> None:
     folder = sheet_folder(arguments.source, arguments.out)
     config = Config(scene=arguments.scene, photos=arguments.photos, train=arguments.train)
     check = check_photos(arguments.source, config, progress=terminal_progress())
-    print("\n".join(report_lines(check)))
+    print("\n".join(report_lines(arguments.source, check)))
     if check.photos:
         write_sheet(folder / SHEET, check)
         print(f"\nwritten:\n  {folder / SHEET}")
