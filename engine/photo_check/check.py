@@ -11,13 +11,14 @@ from ..config import Config
 from ..errors import SceneError
 from ..memory import available_bytes
 from ..progress import Progress, part, silent
+from ..scene.pycolmap_import import colmap_library
 from ..scene.source import Source
 from . import findings
 from .cost import expected_costs
 from .examine import Examined, examine
 from .finding import CheckedPhoto, PhotoCheck
 from .links import Links, find_links
-from .photo_files import photo_files
+from .photo_files import PhotoFiles, photo_files
 from .sharpness import relative_sharpness
 
 MOST_THREADS = 4
@@ -37,15 +38,16 @@ def check_photos(
     error. free: usable bytes of memory, `available_bytes` if not given.
 
     Raises:
-        SceneError: there are no photos, or the model of their cameras cannot be read.
+        SceneError: there are no photos, the model of their cameras cannot be read, or pycolmap is missing.
         Cancelled: `progress` asked for it.
     """
     source = source if isinstance(source, Source) else Source(path=source)
+    _require_colmap()
     files = photo_files(source)
     examined = _examine_all(files.photos, part(progress, 0.0, 0.6))
     photos = {path: each for path, each in examined.items() if isinstance(each, Examined)}
-    unreadable = {path.name: str(each) for path, each in examined.items() if isinstance(each, Exception)}
-    names, readable = [path.name for path in photos], list(photos.values())
+    unreadable = {files.name(path): str(each) for path, each in examined.items() if isinstance(each, Exception)}
+    names, readable = [files.name(path) for path in photos], list(photos.values())
     links = find_links([photo.features for photo in readable], progress=part(progress, 0.6, 1.0))
     costs = expected_costs([(photo.width, photo.height) for photo in readable], config, posed=files.posed)
     found = [
@@ -60,10 +62,24 @@ def check_photos(
     progress(1.0, "photos checked")
     return PhotoCheck(
         folder=files.folder,
-        photos=_checked(files.photos, readable, links),
+        photos=_checked(files, readable, links),
         findings=sorted(found, key=lambda finding: finding.severity != "problem"),
         costs=costs,
     )
+
+
+def _require_colmap() -> None:
+    """Import pycolmap in this thread, before several threads use it.
+
+    Raises:
+        SceneError: it is not installed.
+    """
+    try:
+        colmap_library()
+    except ImportError as error:
+        raise SceneError(
+            f"The check needs the package pycolmap ({error}). Run: python -m pip install pycolmap"
+        ) from error
 
 
 def _examine_all(paths: Sequence[Path], progress: Progress) -> dict[Path, Examined | SceneError]:
@@ -87,20 +103,20 @@ def _examined(path: Path) -> Examined | SceneError:
         return error
 
 
-def _checked(paths: Sequence[Path], readable: Sequence[Examined], links: Links) -> list[CheckedPhoto]:
+def _checked(files: PhotoFiles, readable: Sequence[Examined], links: Links) -> list[CheckedPhoto]:
     """All photos in order, also those that cannot be read."""
     shares = relative_sharpness([photo.sharpness for photo in readable])
     index = {photo.path: number for number, photo in enumerate(readable)}
     degrees = dict(links.graph.degree)
     return [
         CheckedPhoto(
-            name=path.name,
+            name=files.name(path),
             sharpness=shares[index[path]],
             brightness=readable[index[path]].brightness,
             links=degrees[index[path]],
             thumbnail=readable[index[path]].thumbnail,
         )
         if path in index
-        else CheckedPhoto(name=path.name)
-        for path in paths
+        else CheckedPhoto(name=files.name(path))
+        for path in files.photos
     ]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import SceneConfig
 from ..errors import SceneError
+from ..scene.formats.layout import find_model
+from ..scene.formats.transforms import TRANSFORMS
 from ..scene.photos.photo import FilePhoto
 from ..scene.sfm.find_cameras import list_photos
 from ..scene.source import Source
@@ -17,38 +20,40 @@ RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".rw2", ".orf"
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFiles:
-    """photos: in name order; raw: RAW files among them; posed: cameras are given."""
+    """photos: in name order; raw: RAW files among them; folder: that contains all of them; posed: cameras are given."""
 
     folder: Path
     photos: Sequence[Path]
     raw: Sequence[Path]
     posed: bool
 
+    def name(self, photo: Path) -> str:
+        """The name of a photo in the folder; 'left/1.jpg' if the photos of several cameras have their own folders."""
+        return photo.relative_to(self.folder).as_posix()
+
 
 def photo_files(source: Source) -> PhotoFiles:
     """The files to check.
 
     Raises:
-        SceneError: there is neither a photo nor a RAW file, or the model is damaged.
+        SceneError: there is neither a photo nor a RAW file, or the model of the cameras is damaged.
     """
     path = source.path
+    if not path.is_dir() or (path / TRANSFORMS).is_file() or find_model(path) is not None:
+        return _posed_files(source)
     folder = source.photos_alone() or next((each for each in (path / "images", path) if _raw_files(each)), None)
-    if folder is not None and (source.photos_alone() or not _has_model(source)):
-        photos = [file for file in list_photos(folder) if file.suffix.lower() not in RAW_SUFFIXES]
-        return PhotoFiles(folder=folder, photos=photos, raw=_raw_files(folder), posed=False)
-    if path.is_dir() and not _has_model(source):
+    if folder is None:
         raise SceneError(f"{path} has no photos. Give the folder that contains the photos")
-    scene = source.read(SceneConfig())
-    posed = sorted({photo.path for photo in scene.images if isinstance(photo, FilePhoto)})
-    return PhotoFiles(folder=posed[0].parent if posed else path, photos=posed, raw=(), posed=True)
+    photos = [file for file in list_photos(folder) if file.suffix.lower() not in RAW_SUFFIXES]
+    return PhotoFiles(folder=folder, photos=photos, raw=_raw_files(folder), posed=False)
 
 
-def _has_model(source: Source) -> bool:
-    try:
-        source.opened()
-    except SceneError:
-        return False
-    return True
+def _posed_files(source: Source) -> PhotoFiles:
+    """The photos of a model or transforms.json."""
+    images = source.read(SceneConfig()).images
+    photos = sorted({photo.path for photo in images if isinstance(photo, FilePhoto)})
+    folder = Path(os.path.commonpath([photo.parent for photo in photos])) if photos else source.path
+    return PhotoFiles(folder=folder, photos=photos, raw=(), posed=True)
 
 
 def _raw_files(folder: Path) -> list[Path]:

@@ -7,6 +7,8 @@ the window a step farther on.
 from __future__ import annotations
 
 import functools
+import json
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -304,3 +306,22 @@ def test_a_sheet_is_written_next_to_the_photos_and_never_among_them(tmp_path: Pa
     path = sheet_folder(folder, tmp_path / "check") / "sheet.png"
     write_sheet(path, check(folder))
     assert Image.open(path).format == "PNG"
+
+
+def test_a_file_of_another_kind_is_an_error_that_says_what_is_read(tmp_path: Path) -> None:
+    (tmp_path / "cloud.las").write_bytes(b"points")
+    with pytest.raises(SceneError, match="what is read"):
+        check(tmp_path / "cloud.las")
+
+
+def test_photos_of_the_same_name_in_several_folders_are_distinguished(few_photos: Path, tmp_path: Path) -> None:
+    scene = shutil.copytree(few_photos, tmp_path / "scene")
+    document = json.loads((scene / "transforms.json").read_text())
+    for number, frame in enumerate(document["frames"]):
+        folder = scene / ("left" if number % 2 else "right")
+        folder.mkdir(exist_ok=True)
+        name = f"{folder.name}/{number // 2}.jpg"
+        (scene / frame["file_path"]).rename(scene / name)
+        frame["file_path"] = name
+    (scene / "transforms.json").write_text(json.dumps(document))
+    assert [photo.name for photo in check(scene).photos][:2] == ["left/0.jpg", "left/1.jpg"]
