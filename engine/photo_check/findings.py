@@ -13,7 +13,7 @@ from .exposure import COLOUR_STEP, EXPOSURE_STEP, changes, most_involved
 from .finding import Finding, list_names, photos_text
 from .links import Links, Pair
 from .photo_files import PhotoFiles
-from .sharpness import LEAST_SHARE, SOFT, relative_sharpness
+from .sharpness import SOFT, blurred_photos
 
 LEAST_PHOTOS, GOOD_PHOTOS = 3, 40
 STILL = 0.004
@@ -87,6 +87,8 @@ def about_overlap(names: Sequence[str], photos: Sequence[Examined], links: Links
                 advice="Walk around the tree, and take each photo from another position",
             )
         ]
+    if len(photos) < LEAST_PHOTOS:
+        return []
     if not links.large_groups:
         return [
             Finding(
@@ -187,16 +189,14 @@ def about_sharpness(names: Sequence[str], photos: Sequence[Examined]) -> list[Fi
                 " good and faster (--scene.max-side 800)",
             )
         )
-    shares = relative_sharpness(values)
-    blurred = [name for name, share in zip(names, shares, strict=True) if share < LEAST_SHARE]
+    blurred = [name for name, each in zip(names, blurred_photos(values), strict=True) if each]
     if blurred:
         are = "is" if len(blurred) == 1 else "are"
         found.append(
             Finding(
                 kind="blur",
                 severity="warning",
-                sentence=f"{photos_text(len(blurred))} {are} blurred compared with the neighbours: "
-                f"{list_names(blurred)}",
+                sentence=f"{photos_text(len(blurred))} {are} blurred compared with the others: {list_names(blurred)}",
                 advice="Remove them if their neighbours overlap, or take them again. Stand still for each photo",
                 photos=blurred,
             )

@@ -15,6 +15,8 @@ NEIGHBOURS = 4
 LEAST_SHARE = 0.5
 """A photo with a smaller share of its neighbours' sharpness is blurred. On the sample, the sharp photos have 0.90 or
 more, a Gaussian blur of 1 px leaves at most 0.40, one of 2 px 0.20, and motion over 4 px 0.42."""
+LEAST_SHARE_OF_ALL = 0.3
+"""The same compared with the median of all photos, for a series of blurred photos."""
 SOFT = 3.0
 """Sharpness below which the photos are soft as a whole: sharp ones have 8 to 13, those with a blur of 2 px about 2."""
 
@@ -56,3 +58,11 @@ def relative_sharpness(values: Sequence[float]) -> list[float]:
         usual = float(np.median(near)) if near else 0.0
         shares.append(value / usual if usual > 0.0 else 1.0)
     return shares
+
+
+def blurred_photos(values: Sequence[float]) -> list[bool]:
+    """Which photos are blurred, by the sharpness of all photos in order."""
+    least = LEAST_SHARE_OF_ALL * float(np.median(values)) if values else 0.0
+    return [
+        share < LEAST_SHARE or value < least for value, share in zip(values, relative_sharpness(values), strict=True)
+    ]

@@ -23,7 +23,7 @@ from fruitlangs.engine.photo_check.check import check_photos
 from fruitlangs.engine.photo_check.cost import expected_costs
 from fruitlangs.engine.photo_check.exposure import most_involved
 from fruitlangs.engine.photo_check.finding import Finding, PhotoCheck
-from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, relative_sharpness, sharpness
+from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, blurred_photos, relative_sharpness, sharpness
 from fruitlangs.engine.photo_check.sheet import COLOURS, contact_sheet, sheet_folder, write_sheet
 
 SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
@@ -108,6 +108,14 @@ def test_every_photo_of_the_sample_is_found_if_it_alone_is_blurred(blur: Callabl
     assert max(shares) < LEAST_SHARE
 
 
+def test_a_series_of_blurred_photos_is_found() -> None:
+    assert blurred_photos([10.0] * 10 + [2.0] * 10 + [10.0] * 10) == [False] * 10 + [True] * 10 + [False] * 10
+
+
+def test_sharpness_that_changes_slowly_is_not_blur() -> None:
+    assert not any(blurred_photos(list(np.geomspace(5.0, 15.0, 30))))
+
+
 def test_blurred_photos_are_named(tmp_path: Path) -> None:
     blur = {7: lambda each: each.filter(ImageFilter.GaussianBlur(2.0))}
     result = check(walk(tmp_path / "walk", range(12), blur))
@@ -160,7 +168,9 @@ def test_equal_photos_are_all_alike(tmp_path: Path) -> None:
 
 
 def test_two_photos_are_too_few_and_a_problem(tmp_path: Path) -> None:
-    finding = found(check(walk(tmp_path / "walk", range(2))), "few photos")
+    result = check(walk(tmp_path / "walk", range(2)))
+    finding = found(result, "few photos")
+    assert kinds(result) == set()
     assert (finding.severity, finding.sentence) == ("problem", "There are only 2 photos")
 
 
