@@ -51,11 +51,10 @@ def draw_check(layout: Any, context: bpy.types.Context) -> None:
     check = settings.check
     if not check.summary or bpy.path.abspath(check.source) != bpy.path.abspath(settings.source).rstrip("/\\"):
         return
-    box = layout.box()
-    draw_text(box, check.summary, context, icon="ERROR" if any(each.problem for each in check.findings) else "INFO")
+    draw_text(layout, check.summary, context, icon="ERROR" if any(each.problem for each in check.findings) else "INFO")
     for finding in check.findings:
-        draw_text(box, finding.text, context, icon="ERROR" if finding.problem else "DOT")
-    box.operator(FRUITLANGS_OT_show_sheet.bl_idname, icon="IMAGE_DATA")
+        draw_text(layout, finding.text, context, icon="ERROR" if finding.problem else "DOT")
+    layout.operator(FRUITLANGS_OT_show_sheet.bl_idname, icon="IMAGE_DATA")
 
 
 def draw_tools(layout: Any, context: bpy.types.Context) -> None:

@@ -103,9 +103,13 @@ class FRUITLANGS_OT_show_sheet(bpy.types.Operator):
         if bpy.app.background:
             return {"CANCELLED"}
         bpy.ops.wm.window_new()
-        area = context.window_manager.windows[-1].screen.areas[0]
+        window = context.window_manager.windows[-1]
+        area = window.screen.areas[0]
         area.ui_type = "IMAGE_EDITOR"
         area.spaces.active.image = bpy.data.images[SHEET]
+        region = next(region for region in area.regions if region.type == "WINDOW")
+        with context.temp_override(window=window, area=area, region=region):
+            bpy.ops.image.view_all(fit_view=True)
         return {"FINISHED"}
 
 
