@@ -14,6 +14,7 @@ from ..operators.drawing.splat_drawing import edit_appearance_soon
 from ..operators.settings.settings import RELATIVE, apply_preset, config_properties, stage_classes
 from ..operators.steps.ask import suggestions, threshold_changed, words_changed
 from ..operators.viewport.gaussian_nodes import DIMMING
+from . import check_properties as check
 from . import review_properties as review
 from .photo_properties import FRUITLANGS_PG_photos
 from .review_properties import FRUITLANGS_PG_review
@@ -196,6 +197,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     review: PointerProperty(type=FRUITLANGS_PG_review)
     photos: PointerProperty(type=FRUITLANGS_PG_photos)
     result: PointerProperty(type=FRUITLANGS_PG_result)
+    check: PointerProperty(type=check.FRUITLANGS_PG_check)
 
 
 CLASSES = (
@@ -205,6 +207,7 @@ CLASSES = (
     FRUITLANGS_PG_look,
     FRUITLANGS_PG_result,
     *review.CLASSES,
+    *check.CLASSES,
     FRUITLANGS_PG_photos,
     FRUITLANGS_PG_settings,
 )

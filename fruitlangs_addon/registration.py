@@ -14,7 +14,7 @@ from ..operators.packages import caches, dependencies
 from ..operators.photos import best_photo, photo_backgrounds
 from ..operators.review import review, show_cluster
 from ..operators.settings import moved_paths, region
-from ..operators.steps import ask, count, import_scene, reconstruct
+from ..operators.steps import ask, check_photos, count, import_scene, reconstruct
 from ..operators.tools import level, scale
 from ..operators.viewport import appearance
 from . import preferences, properties
@@ -35,6 +35,7 @@ CLASSES: tuple[Any, ...] = (
     *dependencies.CLASSES,
     *caches.CLASSES,
     *import_scene.CLASSES,
+    *check_photos.CLASSES,
     *scale.CLASSES,
     *level.CLASSES,
     *region.CLASSES,

@@ -59,8 +59,9 @@ def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
 def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "NONE") -> None:
     """Draw text wrapped to the width of the sidebar; labels do not wrap by themselves."""
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, max(int(sidebar_width(context) / 6.3) - 6, 12))):
-        column.label(text=line, icon=icon if number == 0 else "NONE")
+    width, indent = max(int(sidebar_width(context) / 6.3) - 6, 12), "" if icon == "NONE" else 3 * " "
+    for number, line in enumerate(textwrap.wrap(text, width, initial_indent=indent)):
+        column.label(text=line.strip(), icon=icon if number == 0 else "NONE")
 
 
 def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:

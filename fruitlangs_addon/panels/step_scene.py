@@ -10,6 +10,7 @@ from ...engine.scene.video.frames import VIDEO_SUFFIXES
 from ...operators.blender_data import owned_object
 from ...operators.jobs.jobs import running
 from ...operators.settings.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
+from ...operators.steps.check_photos import FRUITLANGS_OT_check_photos, FRUITLANGS_OT_show_sheet
 from ...operators.steps.import_scene import FRUITLANGS_OT_import_scene
 from ...operators.tools.level import FRUITLANGS_OT_set_ground
 from ...operators.tools.scale import FRUITLANGS_OT_measure, scale_text
@@ -36,6 +37,7 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
             column.label(text="Video: Import Scene chooses stills", icon="FILE_MOVIE")
         if not draw_job(layout, FRUITLANGS_OT_import_scene.title, context):
             layout.operator(FRUITLANGS_OT_import_scene.bl_idname, icon="IMPORT")
+        draw_check(layout, context)
         result = settings.result
         if result.cameras:
             points = f", {result.points:,} points" if result.points else ""
@@ -43,6 +45,21 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
             draw_tools(layout, context)
         if result.notices and not result.gaussians and result.count < 0:  # later steps show them with their results
             draw_text(layout, result.notices, context, icon="INFO")
+
+
+def draw_check(layout: Any, context: bpy.types.Context) -> None:
+    """Draw the button of the photo check, and what it found in the chosen scene."""
+    settings = context.scene.fruitlangs
+    if draw_job(layout, FRUITLANGS_OT_check_photos.title, context):
+        return
+    layout.operator(FRUITLANGS_OT_check_photos.bl_idname, icon="VIEWZOOM")
+    check = settings.check
+    if not check.summary or bpy.path.abspath(check.source) != bpy.path.abspath(settings.source).rstrip("/\\"):
+        return
+    draw_text(layout, check.summary, context, icon="ERROR" if any(each.problem for each in check.findings) else "INFO")
+    for finding in check.findings:
+        draw_text(layout, finding.text, context, icon="ERROR" if finding.problem else "DOT")
+    layout.operator(FRUITLANGS_OT_show_sheet.bl_idname, icon="IMAGE_DATA")
 
 
 def draw_tools(layout: Any, context: bpy.types.Context) -> None:

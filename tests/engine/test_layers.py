@@ -43,7 +43,7 @@ LAYERS = (
     ("engine/evaluation/datasets", "engine/evaluation"),
     ("engine/memory",),
     ("engine/photo_size",),
-    ("engine/reconstruction",),
+    ("engine/reconstruction", "engine/photo_check"),
     ("engine/publishing", "engine/scale"),
     ("engine/pipeline", "engine/open_result"),
     # What Blender does.
@@ -55,7 +55,7 @@ LAYERS = (
     ("operators/drawing", "operators/review"),
     ("operators/steps",),
     # What Blender shows.
-    ("fruitlangs_addon/photo_properties", "fruitlangs_addon/review_properties"),
+    ("fruitlangs_addon/photo_properties", "fruitlangs_addon/review_properties", "fruitlangs_addon/check_properties"),
     ("fruitlangs_addon/properties",),
     ("fruitlangs_addon/panels",),
     ("fruitlangs_addon/preferences",),

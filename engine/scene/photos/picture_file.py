@@ -10,7 +10,7 @@ from PIL import Image
 from ...errors import SceneError
 
 HEIF_SUFFIXES = frozenset({".heic", ".heif"})
-RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".rw2", ".orf", ".raf"})
+RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".rw2", ".orf", ".raf", ".pef", ".srw"})
 
 
 def open_picture(path: Path) -> Image.Image:

@@ -1,0 +1,132 @@
+"""The check of a folder of photos, before the long run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..config import Config
+from ..errors import SceneError
+from ..memory import available_bytes
+from ..progress import Progress, part, silent
+from ..scene.pycolmap_import import colmap_library
+from ..scene.source import Source
+from . import findings
+from .cost import expected_costs
+from .examine import Examined, examine
+from .finding import CheckedPhoto, PhotoCheck
+from .links import Links, find_links
+from .photo_files import PhotoFiles, photo_files
+from .sharpness import relative_sharpness
+
+MOST_THREADS = 4
+"""Photos are decoded in this many threads at most, which limits the memory."""
+
+
+def check_photos(
+    source: Path | Source,
+    config: Config = Config(),  # noqa: B008 (frozen)
+    *,
+    free: int | None = None,
+    progress: Progress = silent,
+) -> PhotoCheck:
+    """Check photos, or stills of a video, for blur, gaps, exposure and mixed cameras, and estimate time and memory.
+
+    Each photo is read once, at a reduced size, and nothing is written. A file that cannot be read is a finding, not an
+    error. free: usable bytes of memory, `available_bytes` if not given.
+
+    Raises:
+        SceneError: there are no photos, the video cannot be used, the model of their cameras cannot be read, or pycolmap is missing.
+        Cancelled: `progress` asked for it.
+    """
+    source = source if isinstance(source, Source) else Source(path=source)
+    _require_colmap()
+    if source.video() is None:
+        return _check(source, config, free, progress)
+    with TemporaryDirectory() as folder:
+        stills = source.stills(Path(folder), progress=part(progress, 0.0, 0.5))
+        return _check(stills, config, free, part(progress, 0.5, 1.0))
+
+
+def _check(source: Source, config: Config, free: int | None, progress: Progress) -> PhotoCheck:
+    """The check of photos in a folder."""
+    files = photo_files(source)
+    examined = _examine_all(files.photos, part(progress, 0.0, 0.6))
+    photos = {path: each for path, each in examined.items() if isinstance(each, Examined)}
+    unreadable = {files.name(path): str(each) for path, each in examined.items() if isinstance(each, Exception)}
+    names, readable = [files.name(path) for path in photos], list(photos.values())
+    links = find_links([photo.features for photo in readable], progress=part(progress, 0.6, 1.0))
+    costs = expected_costs([(photo.width, photo.height) for photo in readable], config, posed=files.posed)
+    found = [
+        *findings.about_files(files, unreadable),
+        *findings.about_number(len(readable)),
+        *findings.about_overlap(names, readable, links),
+        *findings.about_sharpness(names, readable),
+        *findings.about_light(names, readable, links),
+        *findings.about_cameras(names, readable),
+        *findings.about_memory(costs, available_bytes() if free is None else free),
+    ]
+    progress(1.0, "photos checked")
+    return PhotoCheck(
+        folder=files.folder,
+        photos=_checked(files, readable, links),
+        findings=sorted(found, key=lambda finding: finding.severity != "problem"),
+        costs=costs,
+    )
+
+
+def _require_colmap() -> None:
+    """Import pycolmap in this thread, before several threads use it.
+
+    Raises:
+        SceneError: it is not installed.
+    """
+    try:
+        colmap_library()
+    except ImportError as error:
+        raise SceneError(
+            f"The check needs the package pycolmap ({error}). Run: python -m pip install pycolmap"
+        ) from error
+
+
+def _examine_all(paths: Sequence[Path], progress: Progress) -> dict[Path, Examined | SceneError]:
+    """Each photo, or why it cannot be read."""
+    found: dict[Path, Examined | SceneError] = {}
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
+        try:
+            for done, (path, each) in enumerate(zip(paths, pool.map(_examined, paths), strict=True), start=1):
+                progress(done / len(paths), f"reading photo {done} of {len(paths)}")
+                found[path] = each
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return found
+
+
+def _examined(path: Path) -> Examined | SceneError:
+    try:
+        return examine(path)
+    except SceneError as error:
+        return error
+
+
+def _checked(files: PhotoFiles, readable: Sequence[Examined], links: Links) -> list[CheckedPhoto]:
+    """All photos in order, also those that cannot be read."""
+    shares = relative_sharpness([photo.sharpness for photo in readable])
+    index = {photo.path: number for number, photo in enumerate(readable)}
+    degrees = dict(links.graph.degree)
+    return [
+        CheckedPhoto(
+            name=files.name(path),
+            sharpness=shares[index[path]],
+            brightness=readable[index[path]].brightness,
+            links=degrees[index[path]],
+            thumbnail=readable[index[path]].thumbnail,
+        )
+        if path in index
+        else CheckedPhoto(name=files.name(path))
+        for path in files.photos
+    ]

@@ -1,0 +1,90 @@
+"""Approximate time and memory of a run, before it starts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config import Config
+from ..language.encoders.embedded import MAX_SIDE
+from ..memory import camera_search_bytes, stage_bytes
+from ..scene.camera import Camera
+
+# Measured on two shared cores, where equal runs differ by up to a factor of two: 300 photos of 1600×1200 trained for
+# 1200 steps in 141 s, got features in 811 s and were counted in 8 s; 60 photos of 480×360 trained in 51 s.
+SEARCH_SECONDS = 3.0
+"""Seconds per photo of finding cameras."""
+STEP_SECONDS, STEP_MEGAPIXEL_SECONDS = 0.035, 0.078
+"""Seconds per step of training, and in addition per megapixel of a photo."""
+FEATURE_SECONDS = 1.41
+"""Seconds per photo and megapixel of computing features."""
+COUNT_SECONDS = 8.0
+"""Seconds of counting."""
+MEASURED_CORES = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageCost:
+    """Approximate seconds and peak memory in bytes of a stage."""
+
+    stage: str
+    seconds: float
+    bytes: int
+
+
+def expected_costs(
+    sizes: Sequence[tuple[int, int]], config: Config, *, posed: bool, cores: int | None = None
+) -> list[StageCost]:
+    """The cost of each stage; more cores than two are assumed to help in proportion.
+
+    sizes: (width, height) of the photos; posed: their cameras are given; cores: of this computer if not given.
+    """
+    if not sizes:
+        return []
+    cores = cores or os.cpu_count() or 1
+    cameras = [_camera(*size, config) for size in sizes]
+    seconds = {
+        "training": _training_seconds(cameras, config),
+        "computing features": FEATURE_SECONDS * sum(_megapixels(camera, MAX_SIDE) for camera in cameras),
+        "counting": COUNT_SECONDS,
+    }
+    needed = stage_bytes(config.train.max_gaussians, config, cameras, trained=True)
+    if not posed:
+        seconds = {"finding cameras": SEARCH_SECONDS * len(sizes)} | seconds
+        largest = max(_megapixels(_camera(*size, Config()), config.photos.max_side) for size in sizes)
+        needed["finding cameras"] = camera_search_bytes(len(sizes), int(1e6 * largest), cores)
+    return [
+        StageCost(stage=stage, seconds=value * MEASURED_CORES / cores, bytes=needed[stage])
+        for stage, value in seconds.items()
+    ]
+
+
+def _camera(width: int, height: int, config: Config) -> Camera:
+    """A camera with a photo of the size that training reads."""
+    limit = config.scene.max_side or max(width, height)
+    share = min(1.0 / config.scene.downscale, limit / max(width, height))
+    return Camera(np.eye(3), np.eye(4), max(round(width * share), 1), max(round(height * share), 1))
+
+
+def _megapixels(camera: Camera, max_side: int) -> float:
+    """Of a photo scaled down to this longer side."""
+    share = min(1.0, max_side / max(camera.width, camera.height))
+    return camera.width * camera.height * share**2 / 1e6
+
+
+def _training_seconds(cameras: Sequence[Camera], config: Config) -> float:
+    """The first steps train on photos of half the width and height."""
+    mean = sum(camera.width * camera.height for camera in cameras) / len(cameras) / 1e6
+    whole = 1.0 - 0.75 * config.train.coarse_until
+    return config.train.steps * (STEP_SECONDS + STEP_MEGAPIXEL_SECONDS * mean * whole)
+
+
+def duration(seconds: float) -> str:
+    """A duration as text: '40 s', '3 min', '1 h 20 min'."""
+    if seconds < 90:
+        return f"{max(round(seconds), 1)} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
