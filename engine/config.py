@@ -71,8 +71,8 @@ class PhotosConfig(_Checked):
 
     max_side: int = number(1600, 64, LARGEST)
     """Detect features in copies of the photos whose longer side has at most this many pixels."""
-    exhaustive_up_to: int = number(60, 3, LARGEST)
-    """Match all pairs up to this many photos; above it, match each photo with its neighbours in name order."""
+    exhaustive_up_to: int = number(40, 3, LARGEST)
+    """Match all pairs up to this many photos; above it, only neighbours in name order and photos of similar content."""
     overlap: int = number(10, 1, LARGEST)
     """Number of following photos that each photo is matched with, above that limit."""
     upright: bool = True

@@ -19,7 +19,7 @@ from .cost import expected_costs
 from .examine import Examined, examine
 from .finding import CheckedPhoto, PhotoCheck
 from .links import Links, find_links
-from .photo_files import PhotoFiles, photo_files
+from .photo_files import PhotoFiles, is_video, photo_files
 from .sharpness import relative_sharpness
 
 MOST_THREADS = 4
@@ -39,12 +39,13 @@ def check_photos(
     error. free: usable bytes of memory, `available_bytes` if not given.
 
     Raises:
-        SceneError: there are no photos, the video cannot be used, the model of their cameras cannot be read, or pycolmap is missing.
+        SceneError: there are no photos, the video cannot be used, the model of their cameras cannot be read, or
+            pycolmap is missing.
         Cancelled: `progress` asked for it.
     """
     source = source if isinstance(source, Source) else Source(path=source)
     _require_colmap()
-    if source.video() is None:
+    if not is_video(source):
         return _check(source, config, free, progress)
     with TemporaryDirectory() as folder:
         stills = source.stills(Path(folder), progress=part(progress, 0.0, 0.5))

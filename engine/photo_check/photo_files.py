@@ -46,6 +46,12 @@ def photo_files(source: Source) -> PhotoFiles:
     return PhotoFiles(folder=folder, photos=list_photos(folder), raw=_raw_files(folder), posed=False)
 
 
+def is_video(source: Source) -> bool:
+    """Whether stills of a video are checked; errors as of `Source.video`, but RAW files are a finding of the check."""
+    raw = any(_raw_files(folder) for folder in (source.path / "images", source.path))
+    return not raw and source.video() is not None
+
+
 def _posed_files(source: Source) -> PhotoFiles:
     """The photos of a model or transforms.json."""
     images = source.read(SceneConfig()).images

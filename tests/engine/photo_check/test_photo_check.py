@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import films
 import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageFilter
@@ -335,3 +336,10 @@ def test_photos_of_the_same_name_in_several_folders_are_distinguished(few_photos
         frame["file_path"] = name
     (scene / "transforms.json").write_text(json.dumps(document))
     assert [photo.name for photo in check(scene).photos][:2] == ["left/0.jpg", "left/1.jpg"]
+
+
+def test_the_stills_of_a_video_are_checked_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    film = films.write_film(tmp_path / "walk.mp4", [films.picture(at) for at in np.linspace(0.0, 2.0, 90)])
+    check = check_photos(film)
+    assert len(check.photos) > 20
+    assert list(tmp_path.iterdir()) == [film]
