@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
@@ -28,6 +28,8 @@ _LEAST_ANGLE = 1.5
 _ENOUGH_POINTS, _LEAST_POINTS = 600, 40
 """Points per photo, those seen most often, that adjust the cameras, as more take longer and change nothing; and points
 per photo up to which those in two photos only are used, half of which are matched by chance."""
+_NEAR = 2.0
+"""Distance from points that three photos see, in their median spacing, up to which a point of two photos is kept."""
 _LOSS_SCALE = 0.5
 """Scale in pixels of the Cauchy loss."""
 _ADJUSTMENTS = 2
@@ -41,12 +43,12 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
         database = _match_again(job, features, model, tolerance, part(share, 0.0, 0.7))
         share(0.7, "refining cameras")
         model = _triangulated(job, database, model, error)
-        kept = _most_seen(model, _ENOUGH_POINTS)
+        kept = _most_seen(model)
         for _ in range(_ADJUSTMENTS):
             _adjust(job, kept)
             colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
         model = kept
-    return _most_seen(_triangulated(job, database, model, error), math.inf)
+    return on_surfaces(_triangulated(job, database, model, error))
 
 
 def _match_again(job: Job, features: Sequence[Features], model: Any, tolerance: float, report: Progress) -> Path:
@@ -137,19 +139,32 @@ def _triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
     return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
 
 
-def _most_seen(model: Any, most: float) -> Any:
-    """A copy with the points that most photos see, up to `most` in each photo; points that only two photos see are
-    used up to `_LEAST_POINTS`."""
+def _most_seen(model: Any) -> Any:
+    """A copy with the points that most photos see, as many as each photo needs."""
     kept = colmap_library().Reconstruction(model)
     counts: dict[int, int] = {}
     ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
     for number, point in ranked:
         images = {element.image_id for element in point.track.elements}
-        if min(counts.get(image, 0) for image in images) >= (most if len(images) > 2 else _LEAST_POINTS):
+        if min(counts.get(image, 0) for image in images) >= (_ENOUGH_POINTS if len(images) > 2 else _LEAST_POINTS):
             kept.delete_point3D(number)
             continue
         for image in images:
             counts[image] = counts.get(image, 0) + 1
+    return kept
+
+
+def on_surfaces(model: Any) -> Any:
+    """A copy without the points that chance matched: those that only two photos see, far from points that more see."""
+    kept = colmap_library().Reconstruction(model)
+    sure = np.array([point.xyz for point in model.points3D.values() if point.track.length() > 2]).reshape(-1, 3)
+    if len(sure) < _LEAST_POINTS:
+        return kept
+    tree = cKDTree(sure)
+    spacing = float(np.median(tree.query(sure, k=2)[0][:, 1]))
+    for number, point in model.points3D.items():
+        if point.track.length() == 2 and tree.query(point.xyz)[0] > _NEAR * spacing:
+            kept.delete_point3D(number)
     return kept
 
 

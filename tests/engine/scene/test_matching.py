@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import types
-
 import numpy as np
 import pytest
 
 from fruitlangs.engine.config import PhotosConfig
-from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.matching import MOST_ANGLE, MOST_RATIO, match, match_along_lines
 from fruitlangs.engine.scene.sfm.pairs import closing_pairs, first_pairs
-from fruitlangs.engine.scene.sfm.refinement import near_pairs
 from fruitlangs.engine.scene.sfm.retrieval import similarities
 
 ACROSS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -117,19 +113,3 @@ def test_a_long_capture_is_matched_with_neighbours_and_similar_photos_only() -> 
 def test_neighbours_of_photos_that_meet_again_are_matched_too() -> None:
     found = closing_pairs([(0, 1), (5, 90)], [(5, 90), (4, 89)], 100, PhotosConfig(overlap=10))
     assert set(found) == {(i, j) for i in (4, 5, 6) for j in (89, 90, 91)} - {(5, 90), (4, 89)}
-
-
-def test_photos_that_look_at_opposite_sides_are_not_matched_again() -> None:
-    pycolmap = colmap_library()
-
-    def placed(degrees: float) -> types.SimpleNamespace:
-        """A photo on a circle around the origin that looks at it."""
-        angle = np.radians(degrees)
-        turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(turn), np.array([0.0, 0.0, 4.0]))
-        return types.SimpleNamespace(cam_from_world=lambda: pose, projection_center=lambda: -turn.T @ [0.0, 0.0, 4.0])
-
-    photos = {position: placed(20.0 * position) for position in range(18)}
-    pairs = near_pairs(photos)
-    assert {(i, i + 1) for i in range(17)} <= set(pairs)
-    assert all(min(j - i, 18 - j + i) <= 2 for i, j in pairs)

@@ -1,0 +1,51 @@
+"""Refined cameras: which photos are matched again, and which points are kept."""
+
+from __future__ import annotations
+
+import types
+from typing import Any
+
+import numpy as np
+
+from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm.refinement import near_pairs, on_surfaces
+
+
+def placed(degrees: float) -> types.SimpleNamespace:
+    """A photo on a circle around the origin that looks at it."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    pose = colmap_library().Rigid3d(colmap_library().Rotation3d(turn), np.array([0.0, 0.0, 4.0]))
+    return types.SimpleNamespace(cam_from_world=lambda: pose, projection_center=lambda: -turn.T @ [0.0, 0.0, 4.0])
+
+
+def test_photos_are_matched_again_with_similar_views_only() -> None:
+    pairs = near_pairs({position: placed(20.0 * position) for position in range(18)})
+    assert {(i, i + 1) for i in range(17)} <= set(pairs)
+    assert all(min(j - i, 18 - j + i) <= 2 for i, j in pairs)
+
+
+def with_points(places: np.ndarray, lengths: list[int]) -> Any:
+    """A model with points at the places, seen by so many photos."""
+    options = colmap_library().SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 4, 200
+    model = colmap_library().synthesize_dataset(options)
+    numbers = sorted(model.points3D)
+    for number, place, length in zip(numbers, places, lengths, strict=False):
+        model.point3D(number).xyz = place
+        while model.point3D(number).track.length() > length:
+            element = model.point3D(number).track.elements[0]
+            model.delete_observation(element.image_id, element.point2D_idx)
+    for number in numbers[len(places) :]:
+        model.delete_point3D(number)
+    return model
+
+
+def test_points_of_two_photos_are_kept_near_points_of_three_only() -> None:
+    surface = np.column_stack([*(axis.ravel() for axis in np.mgrid[0:10.0, 0:10.0]), np.zeros(100)])
+    near, far = surface[:5] + [0.5, 0.5, 0.5], surface[:5] + [0.0, 0.0, 30.0]
+    model = with_points(np.concatenate([surface, near, far]), [3] * 100 + [2] * 10)
+    assert model.num_points3D() == 110
+    kept = on_surfaces(model)
+    assert kept.num_points3D() == 105
+    assert max(point.xyz[2] for point in kept.points3D.values()) < 1.0
