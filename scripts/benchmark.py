@@ -7,6 +7,7 @@
     python scripts/benchmark.py --memory 200000 100 800 600
     python scripts/benchmark.py --published examples/orchard_tree
     python scripts/benchmark.py --counting 1000000 10000000
+    python scripts/benchmark.py --cameras PHOTOS 40 80 160
     python scripts/benchmark.py --language examples/orchard_tree results/tree/gaussians.ply --clip CHECKPOINT
 
 Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
@@ -23,6 +24,7 @@ from pathlib import Path
 import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import run, terminal_progress
+from fruitlangs.benchmarks.cameras import camera_table, measure_cameras
 from fruitlangs.benchmarks.counting.speed import measure_counting
 from fruitlangs.benchmarks.language import measure_language
 from fruitlangs.benchmarks.training.ablation import ablate
@@ -78,6 +80,9 @@ def main() -> None:
     parser.add_argument(
         "--counting", type=int, nargs="+", default=[], metavar="POINTS", help="count simulated crowns in so many points"
     )
+    parser.add_argument(
+        "--cameras", nargs="+", default=[], metavar="", help="PHOTOS N…: find cameras for its first N photos"
+    )
     parser.add_argument("--clip", metavar="CHECKPOINT", help="also by masks and this CLIP or SigLIP checkpoint")
     parser.add_argument("--sam", metavar="CHECKPOINT", help="with --clip: also by the masks of this SAM checkpoint")
     parser.add_argument("--views", type=int, default=0, help="photos that --language uses (default: all)")
@@ -92,7 +97,13 @@ def main() -> None:
         pages.append(f"Peak memory {peak / 2**20:.0f} MB, estimated {estimate / 2**20:.0f} MB.")
     rows = []
     if options.quick or not (
-        options.curve or options.ablation or options.memory or options.published or options.language or options.counting
+        options.curve
+        or options.ablation
+        or options.memory
+        or options.published
+        or options.language
+        or options.counting
+        or options.cameras
     ):
         rows = measure(QUICK if options.quick else grid(options), repeats=options.repeats, progress=progress)
         pages.append(stage_table(rows))
@@ -110,6 +121,12 @@ def main() -> None:
     if options.counting:
         counting = measure_counting(options.counting, progress=progress)
         pages.append(watched_table("Counting, views drawn already.", counting))
+    if options.cameras:
+        folder, *numbers = options.cameras
+        if not numbers or not all(number.isdecimal() for number in numbers):
+            raise ConfigError("--cameras needs a folder and numbers of photos, for example --cameras PHOTOS 40 80")
+        searches = measure_cameras(Path(folder), [int(number) for number in numbers], progress=progress)
+        pages.append("Finding cameras.\n\n" + camera_table(searches))
     progress(1.0, "Done")
     print("\n\n".join(pages))
     if options.json is not None:

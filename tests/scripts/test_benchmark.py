@@ -8,11 +8,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import bumpy_wall
 import numpy as np
 import pytest
 import torch
 from checkpoints import write_clip
 
+from fruitlangs.benchmarks.cameras import SEARCH_STAGES, camera_table, measure_cameras
 from fruitlangs.benchmarks.counting.speed import measure_counting, one_crown
 from fruitlangs.benchmarks.language import measure_language
 from fruitlangs.benchmarks.stopwatch import Stopwatch
@@ -40,7 +42,8 @@ from fruitlangs.benchmarks.training.step_times import (
 )
 from fruitlangs.engine.config import CountConfig, EmbedConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.counting.count import fruit_size
-from fruitlangs.engine.errors import CountingError
+from fruitlangs.engine.errors import CountingError, SceneError
+from fruitlangs.engine.progress import silent
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS
 from fruitlangs.engine.splatting.ply import write_ply
@@ -212,3 +215,19 @@ def test_of_six_thousand_fruit_the_size_is_that_of_one_crown() -> None:
         assert size is not None
         sizes.append(size.diameter)
     assert sizes[1] == pytest.approx(sizes[0], rel=0.05)
+
+
+def test_the_camera_search_is_timed_by_stage_for_each_number_of_photos(tmp_path: Path) -> None:
+    for view in range(5):
+        bumpy_wall.render(view).save(tmp_path / f"{view}.png")
+    rows = measure_cameras(tmp_path, [4, 5], progress=silent)
+    assert [(row.photos, row.placed) for row in rows] == [(4, 4), (5, 5)]
+    assert all(0.0 < sum(row.stages.values()) < row.seconds for row in rows)
+    assert set(rows[0].stages) == set(SEARCH_STAGES)
+    assert 3 <= rows[0].pairs <= 6
+    assert camera_table(rows).count("\n") == 3
+
+
+def test_more_photos_than_there_are_cannot_be_timed(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="has 0 photos"):
+        measure_cameras(tmp_path, [4], progress=silent)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +37,30 @@ def main(arguments: Sequence[str]) -> None:
 
 def find_model(job: Job) -> None:
     """Features, matches, placed photos, refined cameras; writes the largest model and a summary."""
+    seconds: dict[str, float] = {}
+
+    def timed(stage: str, work: Callable[..., Any], *arguments: Any) -> Any:
+        start = time.perf_counter()
+        result = work(*arguments)
+        seconds[stage] = round(time.perf_counter() - start, 2)
+        return result
+
     list_photos(job)
-    find_features(job, part(tell, 0.0, 0.2))
+    timed("features", find_features, job, part(tell, 0.0, 0.2))
     features = read_features(job)
-    match_photos(job, features, part(tell, 0.2, 0.5))
-    if not verified_pairs(job):
+    timed("matching", match_photos, job, features, part(tell, 0.2, 0.5))
+    pairs = len(verified_pairs(job))
+    if not pairs:
         give_up("no two photos show the same objects. Take photos in smaller steps, with 70 % overlap")
-    models = place_photos(job, features, part(tell, 0.5, 0.8))
+    models = timed("placing", place_photos, job, features, part(tell, 0.5, 0.8))
     if not models:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
-    best = refine(job, features, models[0], part(tell, 0.8, 1.0))
-    _write(job, best, [model.num_reg_images() for model in models])
+    best = timed("refining", refine, job, features, models[0], part(tell, 0.8, 1.0))
+    summary = {"models": [model.num_reg_images() for model in models], "pairs": pairs, "seconds": seconds}
+    _write(job, best, summary)
 
 
-def _write(job: Job, model: Any, sizes: Sequence[int]) -> None:
+def _write(job: Job, model: Any, summary: Mapping[str, Any]) -> None:
     """The model with the photos' own names and sizes, and a summary for `find_cameras`."""
     model.extract_colors_for_all_images(job.copies)
     _name_and_resize(model, job.photos)
@@ -57,7 +68,7 @@ def _write(job: Job, model: Any, sizes: Sequence[int]) -> None:
     folder.mkdir(exist_ok=True)
     model.write_binary(folder)
     placed = sorted(image.name for image in model.images.values() if image.has_pose)
-    (folder / FOUND).write_text(json.dumps({"placed": placed, "models": list(sizes)}), encoding="utf-8")
+    (folder / FOUND).write_text(json.dumps({"placed": placed, **summary}), encoding="utf-8")
 
 
 def _name_and_resize(model: Any, photos: Sequence[Copy]) -> None:
