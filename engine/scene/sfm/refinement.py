@@ -17,7 +17,7 @@ from .job import Job
 from .matching import match_along_lines
 from .pairs import Pair
 
-_PASSES = ((5.0, 4.0), (2.0, 1.5))
+_PASSES = ((5.0, 4.0), (2.5, 2.0), (1.5, 1.2))
 """Largest distance in pixels from an epipolar line, and then of a point from its features, in each pass."""
 _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
