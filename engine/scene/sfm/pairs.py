@@ -26,6 +26,9 @@ LEAST_INLIERS = 10
 """Matches on one epipolar geometry below which a pair shows nothing in common."""
 SURE_INLIERS = 30
 """Matches on one geometry that no chance gives, even if all lie in a plane."""
+_FITTED = (5, 10)
+"""Matches on the lines beyond those of chance that a pair needs: neighbours in name order, and others. RANSAC finds
+lines for some by chance, but neighbours are likely to show the same."""
 ERROR, TOLERANCE = 2.0, 3.0
 """Largest distances in pixels from the epipolar line: in RANSAC, and of the matches along the lines."""
 _TRIALS = 1500
@@ -135,7 +138,10 @@ def _match_block(
         )  # fmt: skip
 
     first = list(pool.map(verify, pairs, [match(chosen[i], chosen[j]) for i, j in pairs]))
-    along = [_along(geometry, chosen[i], chosen[j]) for (i, j), geometry in zip(pairs, first, strict=True)]
+    along = [
+        _along(geometry, chosen[i], chosen[j], _FITTED[j - i > job.config.overlap])
+        for (i, j), geometry in zip(pairs, first, strict=True)
+    ]
     second = list(pool.map(verify, pairs, along))
     return [
         _numbered(_better(before, after, nothing), large[i], large[j])
@@ -152,10 +158,10 @@ def _verification(job: Job) -> Any:
     return options
 
 
-def _along(geometry: Any, one: Features, other: Features) -> MatchArray | None:
+def _along(geometry: Any, one: Features, other: Features, fitted: int) -> MatchArray | None:
     if len(geometry.inlier_matches) < LEAST_INLIERS or geometry.F is None or not np.any(geometry.F):
         return None
-    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE, fitted=LEAST_INLIERS)
+    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE, fitted=fitted)
 
 
 def _better(before: Any, after: Any, nothing: Any) -> Any:

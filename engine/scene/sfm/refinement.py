@@ -15,10 +15,11 @@ from ..pycolmap_import import colmap_library
 from .features import Features, image_ids
 from .job import Job
 from .matching import match_along_lines
-from .pairs import Pair
+from .pairs import LARGEST, Pair
 
-_PASSES = ((5.0, 4.0), (2.5, 2.0), (1.5, 1.2))
-"""Largest distance in pixels from an epipolar line, and then of a point from its features, in each pass."""
+_PASSES = ((25.0, 20.0, LARGEST), (10.0, 8.0, LARGEST), (4.0, 3.0, None), (1.5, 1.2, None))
+"""Largest distance in pixels from an epipolar line, and then of a point from its features, in each pass; and how many
+features of a photo are matched, the largest. Parts of a capture that a weak link placed fit only within many pixels."""
 _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
@@ -38,9 +39,9 @@ _ADJUSTMENTS = 2
 
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
     """The model with cameras refined on longer tracks, and with the points of these."""
-    for number, (tolerance, error) in enumerate(_PASSES):
+    for number, (tolerance, error, most) in enumerate(_PASSES):
         share = part(report, number / len(_PASSES), (number + 1) / len(_PASSES))
-        database = _match_again(job, features, model, tolerance, part(share, 0.0, 0.7))
+        database = _match_again(job, features, model, tolerance, most, part(share, 0.0, 0.7))
         share(0.7, "refining cameras")
         model = _triangulated(job, database, model, error)
         kept = _most_seen(model)
@@ -51,8 +52,10 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
     return on_surfaces(_triangulated(job, database, model, error))
 
 
-def _match_again(job: Job, features: Sequence[Features], model: Any, tolerance: float, report: Progress) -> Path:
-    """A database with the matches of placed photos along their epipolar lines."""
+def _match_again(
+    job: Job, features: Sequence[Features], model: Any, tolerance: float, most: int | None, report: Progress
+) -> Path:
+    """A database with the matches of placed photos along their epipolar lines, of the `most` largest features of each."""
     path = job.database.with_name("refined.db")
     shutil.copy(job.database, path)
     database = colmap_library().Database.open(path)
@@ -62,14 +65,19 @@ def _match_again(job: Job, features: Sequence[Features], model: Any, tolerance: 
         database.clear_two_view_geometries()
         database.clear_descriptors()
         placed = {i: model.images[number] for i, number in enumerate(numbers) if _has_pose(model, number)}
-        straight = {i: _undistorted(model.cameras[image.camera_id], features[i]) for i, image in placed.items()}
+        chosen = {i: features[i].largest(most or len(features[i])) for i in placed}
+        straight = {
+            i: _undistorted(model.cameras[image.camera_id], features[i].select(chosen[i]))
+            for i, image in placed.items()
+        }
         pairs = near_pairs(placed)
         for done, (i, j) in enumerate(pairs):
             report(done / len(pairs), f"matching placed photos: pair {done + 1} of {len(pairs)}")
             geometry = _geometry(model, placed[i], placed[j])
             matches = match_along_lines(geometry.F, straight[i], straight[j], tolerance)
             if matches is not None:
-                geometry.inlier_matches = matches
+                numbered = np.stack([chosen[i][matches[:, 0]], chosen[j][matches[:, 1]]], axis=1)
+                geometry.inlier_matches = numbered.astype(np.uint32)
                 database.write_two_view_geometry(numbers[i], numbers[j], geometry)
     finally:
         database.close()
