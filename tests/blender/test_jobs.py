@@ -273,7 +273,7 @@ def test_what_fails_after_the_file_dialog_is_reported_in_words(extension):
     assert item.execute(bpy.context) == {"CANCELLED"}
     ((level, text),) = item.reports
     assert level == {"ERROR"}
-    assert text.startswith("The scene folder")
+    assert text.startswith("The scene /nowhere")
 
 
 def test_a_job_begun_while_the_file_dialog_was_open_is_reported(extension, started):

@@ -38,13 +38,16 @@ _ADJUSTMENTS = 2
 
 
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
-    """The model with cameras refined on longer tracks, and with the points of these."""
+    """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them."""
+    placed = model
     for number, (tolerance, error, most) in enumerate(_PASSES):
         share = part(report, number / len(_PASSES), (number + 1) / len(_PASSES))
         database = _match_again(job, features, model, tolerance, most, part(share, 0.0, 0.7))
         share(0.7, "refining cameras")
         model = _triangulated(job, database, model, error)
         kept = _most_seen(model)
+        if kept.num_points3D() < _LEAST_POINTS:
+            return placed
         for _ in range(_ADJUSTMENTS):
             _adjust(job, kept)
             colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
@@ -55,7 +58,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
 def _match_again(
     job: Job, features: Sequence[Features], model: Any, tolerance: float, most: int | None, report: Progress
 ) -> Path:
-    """A database with the matches of placed photos along their epipolar lines, of the `most` largest features of each."""
+    """A database with the matches of placed photos along their epipolar lines, of the `most` largest features."""
     path = job.database.with_name("refined.db")
     shutil.copy(job.database, path)
     database = colmap_library().Database.open(path)

@@ -176,7 +176,7 @@ def test_the_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
         "from fruitlangs.engine.child_process import end_with_parent\n"
         "end_with_parent(); print(os.getpid(), flush=True)\nwhile True: time.sleep(0.05)"
     )
-    scripts = str(Path(__file__).resolve().parents[3] / "scripts")
+    scripts = str(Path(__file__).resolve().parents[4] / "scripts")
     child = subprocess.Popen([sys.executable, "-c", script, scripts], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert child.stdin is not None
     assert child.stdout is not None

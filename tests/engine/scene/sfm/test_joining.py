@@ -12,6 +12,7 @@ from fruitlangs.engine.scene.sfm.joining import LEAST_SHARED, joined
 
 
 def whole() -> Any:
+    colmap_library().set_random_seed(0)
     options = colmap_library().SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 50
     return colmap_library().synthesize_dataset(options)

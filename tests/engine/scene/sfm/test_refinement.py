@@ -27,6 +27,7 @@ def test_photos_are_matched_again_with_similar_views_only() -> None:
 
 def with_points(places: np.ndarray, lengths: list[int]) -> Any:
     """A model with points at the places, seen by so many photos."""
+    colmap_library().set_random_seed(0)
     options = colmap_library().SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 4, 200
     model = colmap_library().synthesize_dataset(options)
