@@ -72,9 +72,10 @@ def match_photos(job: Job, features: Sequence[Features], report: Progress) -> No
 
     count = len(features)
     similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
-    planned, tried = first_pairs(similarity, count, job.config), set[Pair]()
+    planned, tried, closing = first_pairs(similarity, count, job.config), set[Pair](), part(report, 0.9, 1.0)
     for round_ in range(1 + _ROUNDS):
-        match_pairs(job, features, planned, part(report, min(0.9, 0.9 * round_), min(1.0, 0.9 + 0.1 * round_)))
+        share = part(report, 0.0, 0.9) if round_ == 0 else part(closing, (round_ - 1) / _ROUNDS, round_ / _ROUNDS)
+        match_pairs(job, features, planned, share)
         tried |= set(planned)
         planned = closing_pairs(verified_pairs(job), tried, count, job.config)
         if not planned:

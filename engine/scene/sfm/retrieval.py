@@ -26,6 +26,7 @@ def similarities(features: Sequence[Features], seed: int) -> NDArray[np.float32]
 def aggregated(features: Sequence[Features], seed: int) -> NDArray[np.float32]:
     """(P, D) one unit vector per photo: sums of the differences of its descriptors to their words."""
     from sklearn.cluster import MiniBatchKMeans
+    from threadpoolctl import threadpool_limits
 
     large = [each.select(each.largest(_EACH)).descriptors.astype(np.float32) / 512.0 for each in features]
     everything = np.concatenate(large) if large else np.zeros((0, 128), np.float32)
@@ -33,7 +34,8 @@ def aggregated(features: Sequence[Features], seed: int) -> NDArray[np.float32]:
         return np.zeros((len(features), 1), np.float32)
     generator = np.random.default_rng(seed)
     sample = everything[np.sort(generator.permutation(len(everything))[:_SAMPLE])]
-    words = MiniBatchKMeans(_WORDS, batch_size=2048, n_init=1, random_state=seed).fit(sample).cluster_centers_
+    with threadpool_limits(1):  # several threads sum in another order each time
+        words = MiniBatchKMeans(_WORDS, batch_size=2048, n_init=1, random_state=seed).fit(sample).cluster_centers_
     return np.stack([_aggregate(each, words) for each in large])
 
 
