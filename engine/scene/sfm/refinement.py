@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...progress import Progress, part
@@ -17,9 +19,11 @@ from .job import Job
 from .matching import match_along_lines
 from .pairs import LARGEST, Pair
 
-_PASSES = ((25.0, 20.0, LARGEST), (10.0, 8.0, LARGEST), (4.0, 3.0, None), (1.5, 1.2, None))
-"""Largest distance in pixels from an epipolar line, and then of a point from its features, in each pass; and how many
-features of a photo are matched, the largest. Parts of a capture that a weak link placed fit only within many pixels."""
+_WIDE = ((25.0, 20.0), (10.0, 8.0))
+"""Largest distance in pixels from an epipolar line, and then of a point from its features, in passes with the largest
+features only. They bring parts of a capture together that a weak link placed, but may lose another weak link."""
+_FIRST, _FINE = (5.0, 4.0), ((2.5, 2.0), (1.5, 1.2))
+"""The same of the passes with all features: the first starts with and without the wide ones, and the better goes on."""
 _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
@@ -37,28 +41,68 @@ _ADJUSTMENTS = 2
 """Adjustments in each pass, with a removal of outliers after each."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """model: with adjusted cameras and the points that adjusted them; agreement: photos that see points of three or
+    more photos, beyond two each; database: the matches."""
+
+    model: Any
+    agreement: int
+    database: Path
+
+
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
     """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them."""
-    placed = model
-    for number, (tolerance, error, most) in enumerate(_PASSES):
-        share = part(report, number / len(_PASSES), (number + 1) / len(_PASSES))
-        database = _match_again(job, features, model, tolerance, most, part(share, 0.0, 0.7))
-        share(0.7, "refining cameras")
-        model = _triangulated(job, database, model, error)
-        kept = _most_seen(model)
-        if kept.num_points3D() < _LEAST_POINTS:
-            return placed
-        for _ in range(_ADJUSTMENTS):
-            _adjust(job, kept)
-            colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
-        model = kept
-    return on_surfaces(_triangulated(job, database, model, error))
+    large = [each.largest(LARGEST) for each in features]
+    everything = [np.arange(len(each)) for each in features]
+    wide = model
+    for number, limits in enumerate(_WIDE):
+        share = part(report, 0.1 * number, 0.1 * (number + 1))
+        wide = _refined(job, features, large, wide, limits, share).model
+    starts = [
+        _refined(job, features, everything, start, _FIRST, part(report, 0.2 * number, 0.2 * (number + 1)))
+        for number, start in enumerate((wide, model), start=1)
+    ]
+    best = max(starts, key=lambda each: each.agreement)
+    for number, limits in enumerate(_FINE, start=3):
+        best = _refined(job, features, everything, best.model, limits, part(report, 0.2 * number, 0.2 * (number + 1)))
+    if best.model.num_points3D() < _LEAST_POINTS:
+        return model
+    return on_surfaces(_triangulated(job, best.database, best.model, _FINE[-1][1]))
+
+
+def _refined(
+    job: Job,
+    features: Sequence[Features],
+    chosen: Sequence[NDArray[np.int64]],
+    model: Any,
+    limits: tuple[float, float],
+    report: Progress,
+) -> _Pass:
+    """The model after one pass with the chosen features of each photo. limits: as in `_FIRST`."""
+    tolerance, error = limits
+    database = _match_again(job, features, chosen, model, tolerance, part(report, 0.0, 0.7))
+    report(0.7, "refining cameras")
+    triangulated = _triangulated(job, database, model, error)
+    agreement = sum(max(point.track.length() - 2, 0) for point in triangulated.points3D.values())
+    kept = _most_seen(triangulated)
+    if kept.num_points3D() < _LEAST_POINTS:
+        return _Pass(model, agreement, database)
+    for _ in range(_ADJUSTMENTS):
+        _adjust(job, kept)
+        colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
+    return _Pass(kept, agreement, database)
 
 
 def _match_again(
-    job: Job, features: Sequence[Features], model: Any, tolerance: float, most: int | None, report: Progress
+    job: Job,
+    features: Sequence[Features],
+    chosen: Sequence[NDArray[np.int64]],
+    model: Any,
+    tolerance: float,
+    report: Progress,
 ) -> Path:
-    """A database with the matches of placed photos along their epipolar lines, of the `most` largest features."""
+    """A database with the matches of placed photos along their epipolar lines, of the chosen features."""
     path = job.database.with_name("refined.db")
     shutil.copy(job.database, path)
     database = colmap_library().Database.open(path)
@@ -68,7 +112,6 @@ def _match_again(
         database.clear_two_view_geometries()
         database.clear_descriptors()
         placed = {i: model.images[number] for i, number in enumerate(numbers) if _has_pose(model, number)}
-        chosen = {i: features[i].largest(most or len(features[i])) for i in placed}
         straight = {
             i: _undistorted(model.cameras[image.camera_id], features[i].select(chosen[i]))
             for i, image in placed.items()
