@@ -97,6 +97,11 @@ def stage_bytes(gaussians: int, config: Config, cameras: Sequence[Camera], *, tr
     return training | {stage: size + left for stage, size in later.items()}
 
 
+def largest_copy(sizes: Sequence[tuple[int, int]], max_side: int) -> int:
+    """Pixels of the largest copy in which features of photos with these sizes (width, height) are searched."""
+    return int(max(min(1.0, max_side / max(size)) ** 2 * size[0] * size[1] for size in sizes))
+
+
 def camera_search_bytes(photos: int, pixels: int, threads: int) -> int:
     """Approximate peak memory of finding cameras, in bytes; pixels: of the largest copy of a photo."""
     return SEARCH_BASE + photos * SEARCHED_PHOTO + threads * SIFT_BYTES * pixels
@@ -113,8 +118,8 @@ def camera_search_threads(
         ConfigError: one thread needs more memory; says what would fit.
     """
     available, cores = available_bytes() if free is None else free, cores or os.cpu_count() or 1
-    largest = max(min(1.0, max_side / max(size)) ** 2 * size[0] * size[1] for size in sizes)
-    needed = camera_search_bytes(len(sizes), int(largest), 1)
+    largest = largest_copy(sizes, max_side)
+    needed = camera_search_bytes(len(sizes), largest, 1)
     if needed > available:
         fitting = max(available - camera_search_bytes(len(sizes), 0, 1), 0) / (SIFT_BYTES * largest)
         smaller = int(max_side * fitting**0.5) // 100 * 100

@@ -1,4 +1,4 @@
-"""How functions report their progress and how they are cancelled."""
+"""How functions report their progress and how they are cancelled, and durations as text."""
 
 from __future__ import annotations
 
@@ -19,3 +19,12 @@ def part(progress: Progress, start: float, end: float) -> Progress:
         progress(start + (end - start) * min(max(fraction, 0.0), 1.0), message)
 
     return report
+
+
+def duration(seconds: float, step: int = 1) -> str:
+    """A duration as text: '40 s', '3 min', '1 h 20 min'; seconds are multiples of `step`, except few of them."""
+    if seconds < 90:
+        few = seconds <= 1.5 * step
+        return f"{max(round(seconds) if few else round(seconds / step) * step, 1)} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -54,8 +54,8 @@ class Arguments:
 
 def report_lines(source: Path, check: PhotoCheck) -> Iterator[str]:
     """The findings in the scene, then the expected time and memory, as lines of text."""
-    from fruitlangs.engine.photo_check.cost import duration
     from fruitlangs.engine.photo_check.finding import photos_text
+    from fruitlangs.engine.progress import duration
 
     yield f"{source}: {photos_text(len(check.photos))}, {check.counts}"
     for finding in check.findings:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ...engine.evaluation.camera_errors import camera_similarity
 from ...engine.scene.alignment import Similarity, align
 from ...engine.scene.camera import Camera, Photo, Scene
 from ...engine.scene.photos.lens import source_map
@@ -34,12 +35,7 @@ def by_cameras(found: Scene, true: Scene) -> Similarity:
     Raises:
         SceneError: fewer than 3 are common, or they stand on one line.
     """
-    ours, theirs = cameras_by_file(found), cameras_by_file(true)
-    common = [name for name in ours if name in theirs]
-    return align(
-        np.array([ours[name].center for name in common]).reshape(-1, 3),
-        np.array([theirs[name].center for name in common]).reshape(-1, 3),
-    )
+    return camera_similarity(cameras_by_file(found), cameras_by_file(true))
 
 
 def by_fruit(

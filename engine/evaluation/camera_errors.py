@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.alignment import align
+from ..scene.alignment import Similarity, align
 from ..scene.camera import Camera
 
 
@@ -27,16 +27,28 @@ class CameraErrors:
     rotation_90: float
 
 
-def camera_errors(found: Mapping[str, Camera], true: Mapping[str, Camera]) -> CameraErrors:
-    """The errors of the cameras that both mappings name.
+def camera_similarity(found: Mapping[str, Camera], true: Mapping[str, Camera]) -> Similarity:
+    """The similarity from the frame of `found` to that of `true`, by the centres of the cameras that both name.
 
     Raises:
         SceneError: fewer than 3 are common, or they stand on one line.
     """
     common = [name for name in found if name in true]
-    ours = np.array([found[name].center for name in common]).reshape(-1, 3)
-    theirs = np.array([true[name].center for name in common]).reshape(-1, 3)
-    moved = align(ours, theirs)
+    return align(
+        np.array([found[name].center for name in common]).reshape(-1, 3),
+        np.array([true[name].center for name in common]).reshape(-1, 3),
+    )
+
+
+def camera_errors(found: Mapping[str, Camera], true: Mapping[str, Camera]) -> CameraErrors:
+    """The errors of the cameras that both mappings name.
+
+    Raises:
+        SceneError: as `camera_similarity`.
+    """
+    common = [name for name in found if name in true]
+    moved = camera_similarity(found, true)
+    ours, theirs = (np.array([cameras[name].center for name in common]) for cameras in (found, true))
     centers = np.linalg.norm(moved.apply(ours) - theirs, axis=1)
     turns = np.stack([
         found[name].world_to_camera[:3, :3] @ moved.rotation.T @ true[name].world_to_camera[:3, :3].T for name in common

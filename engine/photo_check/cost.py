@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config import Config
 from ..language.encoders.embedded import MAX_SIDE
-from ..memory import camera_search_bytes, stage_bytes
+from ..memory import camera_search_bytes, largest_copy, stage_bytes
 from ..scene.camera import Camera
 
 # Measured on two shared cores, where equal runs differ by up to a factor of two: 300 photos of 1600×1200 trained for
@@ -54,8 +54,8 @@ def expected_costs(
     needed = stage_bytes(config.train.max_gaussians, config, cameras, trained=True)
     if not posed:
         seconds = {"finding cameras": SEARCH_SECONDS * len(sizes)} | seconds
-        largest = max(_megapixels(_camera(*size, Config()), config.photos.max_side) for size in sizes)
-        needed["finding cameras"] = camera_search_bytes(len(sizes), int(1e6 * largest), cores)
+        largest = largest_copy(sizes, config.photos.max_side)
+        needed["finding cameras"] = camera_search_bytes(len(sizes), largest, cores)
     return [
         StageCost(stage=stage, seconds=value * MEASURED_CORES / cores, bytes=needed[stage])
         for stage, value in seconds.items()
@@ -80,11 +80,3 @@ def _training_seconds(cameras: Sequence[Camera], config: Config) -> float:
     mean = sum(camera.width * camera.height for camera in cameras) / len(cameras) / 1e6
     whole = 1.0 - 0.75 * config.train.coarse_until
     return config.train.steps * (STEP_SECONDS + STEP_MEGAPIXEL_SECONDS * mean * whole)
-
-
-def duration(seconds: float) -> str:
-    """A duration as text: '40 s', '3 min', '1 h 20 min'."""
-    if seconds < 90:
-        return f"{max(round(seconds), 1)} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -12,7 +12,7 @@ from PIL import ExifTags, Image, ImageFilter, ImageOps
 
 from ..errors import SceneError
 from ..scene.photos.photo import DECODE_ERRORS, read_exif
-from ..scene.photos.picture_file import open_picture
+from ..scene.photos.picture_file import open_picture, rgb_picture
 from .features import Features, find_features
 from .sharpness import sharpness
 
@@ -60,7 +60,7 @@ def examine(path: Path) -> Examined:
             size, camera = opened.size, _camera_tags(opened)
             opened.draft("RGB", (DETAIL_SIDE, DETAIL_SIDE))  # JPEG decodes faster at a reduced size
             turned = ImageOps.exif_transpose(opened)
-            picture = _eight_bit(turned if turned is not None else opened)
+            picture = rgb_picture(turned if turned is not None else opened)
     except DECODE_ERRORS as error:
         raise SceneError(f"{path} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
     width, height = sorted(size, reverse=picture.width >= picture.height)
@@ -79,13 +79,6 @@ def examine(path: Path) -> Examined:
         colors=linear[rows, columns],
         thumbnail=_reduced(small, THUMBNAIL_SIDE),
     )
-
-
-def _eight_bit(picture: Image.Image) -> Image.Image:
-    """RGB of any picture; 16-bit grey is scaled, not clipped."""
-    if picture.mode.startswith("I"):
-        picture = picture.convert("F").point(lambda value: value / 257.0).convert("L")
-    return picture.convert("RGB")
 
 
 def _reduced(picture: Image.Image, side: int) -> Image.Image:

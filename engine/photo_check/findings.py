@@ -7,6 +7,7 @@ from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
+from ..scene.sfm.find_cameras import LEAST_PHOTOS
 from .cost import StageCost
 from .examine import Examined
 from .exposure import COLOUR_STEP, EXPOSURE_STEP, changes, most_involved
@@ -15,7 +16,7 @@ from .links import Links, Pair
 from .photo_files import PhotoFiles
 from .sharpness import SOFT, blurred_photos
 
-LEAST_PHOTOS, GOOD_PHOTOS = 3, 40
+GOOD_PHOTOS = 40
 STILL = 0.004
 """Median shift of common content, in longer sides of the photo, below which the camera did not move."""
 MOST_ALIKE = 0.8

@@ -19,7 +19,7 @@ from ..storage.keys import stage_key
 from .camera import Scene
 from .formats.layout import find_model
 from .formats.transforms import TRANSFORMS
-from .photos.picture_file import RAW_SUFFIXES, raw_is_refused
+from .photos.picture_file import RAW_SUFFIXES, named_like, raw_is_refused
 from .read import SceneFiles, open_scene, read_scene
 from .sfm.find_cameras import find_poses, list_photos
 from .video.frames import VIDEO_SUFFIXES
@@ -197,10 +197,7 @@ class Source:
 
 def _files_of(folder: Path, suffixes: Collection[str]) -> list[Path]:
     """The files with these suffixes directly in a folder, in name order; [] if the folder does not exist."""
-    if not folder.is_dir():
-        return []
-    files = (file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith("."))
-    return sorted(file for file in files if file.is_file())
+    return [file for file in named_like(folder, suffixes) if file.is_file()]
 
 
 def _raw_notices(photos: Path) -> list[str]:

@@ -17,7 +17,7 @@ from typing import Any
 import bpy
 
 from ...engine.errors import Cancelled, FruitLangsError
-from ...engine.progress import Progress, silent
+from ...engine.progress import Progress, duration, silent
 from .active_tool import end_waiting
 from .preload import preload_libraries
 from .target_scene import Target
@@ -27,6 +27,9 @@ REDRAW_SECONDS = 0.25
 
 LEAST_FRACTION, LEAST_SECONDS = 0.03, 3.0
 """Progress and duration of a job above which the remaining time is shown."""
+
+ROUNDING = 5
+"""Remaining seconds are shown in multiples of this."""
 
 LEAVE_EDITING = "Leave Edit Mode first (Tab)"
 LINKED = "This scene is linked from another file. Make it local first"
@@ -75,7 +78,11 @@ class Job:
         """The progress as text: 'step 300/1200, 41,000 Gaussians, about 2 min left'."""
         if self.cancelling:
             return "stopping at the next safe point"
-        return self.message if self.remaining is None else f"{self.message}, about {duration(self.remaining)} left"
+        return (
+            self.message
+            if self.remaining is None
+            else f"{self.message}, about {duration(self.remaining, ROUNDING)} left"
+        )
 
     @property
     def shown(self) -> tuple[int, str, int, bool]:
@@ -352,14 +359,6 @@ class FRUITLANGS_OT_cancel(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         cancel_running()
         return {"FINISHED"}
-
-
-def duration(seconds: float) -> str:
-    """A duration as text: '40 s', '3 min', '1 h 20 min'."""
-    if seconds < 90:
-        return f"{max(round(seconds / 5) * 5, 5)} s" if seconds > 7.5 else f"{max(round(seconds), 1)} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def show_status(context: bpy.types.Context, text: str | None) -> None:

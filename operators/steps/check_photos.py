@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..jobs.jobs import JobOperator, Work, busy, duration, linked
+from ...engine.progress import duration
+from ..jobs.jobs import ROUNDING, JobOperator, Work, busy, linked
 from ..settings.settings import read_config, source_folder, stored_path, true_source
 
 if TYPE_CHECKING:
@@ -64,7 +65,11 @@ def check(photos: Path, config: Config, sheet: Path, progress: Progress) -> Phot
 
 def summary(found: PhotoCheck) -> str:
     """'60 photos: 0 problems, 1 warning. A run takes about 4 min and 1.1 GB'."""
-    cost = f". A run takes about {duration(found.seconds)} and {found.bytes / 2**30:.1f} GB" if found.costs else ""
+    cost = (
+        f". A run takes about {duration(found.seconds, ROUNDING)} and {found.bytes / 2**30:.1f} GB"
+        if found.costs
+        else ""
+    )
     return f"{len(found.photos)} photos: {found.counts}{cost}"
 
 

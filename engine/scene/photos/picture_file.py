@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Collection
 from pathlib import Path
 
 from PIL import Image
@@ -26,6 +27,23 @@ def open_picture(path: Path) -> Image.Image:
     if suffix in HEIF_SUFFIXES:
         _read_heif()
     return Image.open(path)
+
+
+def rgb_picture(image: Image.Image) -> Image.Image:
+    """8-bit RGB of any picture; 16-bit grey is scaled, not clipped."""
+    if image.mode.startswith("I"):
+        image = image.convert("F").point(lambda value: value / 257.0).convert("L")
+    return image.convert("RGB")
+
+
+def named_like(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """What has one of these suffixes directly in a folder, in name order; [] if the folder does not exist."""
+    if not folder.is_dir():
+        return []
+    return sorted(
+        (file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith(".")),
+        key=lambda file: file.name,
+    )
 
 
 def raw_is_refused(path: Path) -> str:

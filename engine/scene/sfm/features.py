@@ -47,7 +47,7 @@ class Features:
         return Features(self.positions[index], self.sizes[index], self.descriptors[index])
 
 
-def list_photos(job: Job) -> None:
+def add_photos(job: Job) -> None:
     """Add the photos and their cameras to the database, unless an earlier run did.
 
     Photos of one size share a camera, unless EXIF gives them other focal lengths; without EXIF the focal length starts

@@ -20,7 +20,7 @@ from ...storage.files import replacing
 from ..formats.colmap_records import check_records
 from ..photos.focal import exif_focal
 from ..photos.photo import DECODE_ERRORS, read_header
-from ..photos.picture_file import open_picture
+from ..photos.picture_file import named_like, open_picture, rgb_picture
 from .job import FOUND, Copy, Job
 
 PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".bmp"}
@@ -41,12 +41,7 @@ class FoundPoses:
 
 def list_photos(folder: Path) -> list[Path]:
     """The photos directly in a folder, in name order; [] if the folder does not exist."""
-    if not folder.is_dir():
-        return []
-    return sorted(
-        (file for file in folder.iterdir() if file.suffix.lower() in PHOTO_SUFFIXES and not file.name.startswith(".")),
-        key=lambda file: file.name,
-    )
+    return named_like(folder, PHOTO_SUFFIXES)
 
 
 def find_poses(
@@ -131,7 +126,7 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
     if not copy.is_file():
         try:
             with open_picture(file) as image:
-                pixels = _rgb(image)
+                pixels = rgb_picture(image)
         except DECODE_ERRORS as error:
             raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
         with replacing(copy) as temporary:
@@ -145,13 +140,6 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
         copy_height=size[1],
         focal=round(exif_focal(file) or 0.0, 2),
     )
-
-
-def _rgb(image: Image.Image) -> Image.Image:
-    """8-bit RGB of any picture; 16-bit grey is scaled, not clipped."""
-    if image.mode.startswith("I"):
-        image = image.convert("F").point(lambda value: value / 257.0).convert("L")
-    return image.convert("RGB")
 
 
 def _notices(files: Sequence[Path], model: Path) -> list[str]:

@@ -13,7 +13,7 @@ from ...errors import OutputError
 from ...progress import part
 from ...storage.lock import only_writer
 from ..pycolmap_import import colmap_library
-from .features import find_features, list_photos, read_features
+from .features import add_photos, find_features, read_features
 from .job import FOUND, Copy, Job
 from .pairs import match_photos, verified_pairs
 from .placing import place_photos
@@ -45,7 +45,7 @@ def find_model(job: Job) -> None:
         seconds[stage] = round(time.perf_counter() - start, 2)
         return result
 
-    list_photos(job)
+    add_photos(job)
     timed("features", find_features, job, part(tell, 0.0, 0.2))
     features = read_features(job)
     timed("matching", match_photos, job, features, part(tell, 0.2, 0.5))

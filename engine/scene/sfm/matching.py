@@ -23,6 +23,8 @@ _RATIOS = np.arange(0.95, 0.45, -0.05)
 """Ratio tests to choose from along epipolar lines: there are few other features on a line, so chance matches pass."""
 _DISPLACED, _DECOYS = 8.0, 2000
 """Distance of the lines that show how many matches chance gives, in tolerances, and about how many are searched."""
+LEAST_EXCESS = 5
+"""Matches on the lines beyond those of chance that show common content."""
 _CHANCE = 3.0
 """Standard deviations by which the matches on the lines must exceed those of chance."""
 _MOST_CHANCE = 0.35
@@ -51,13 +53,13 @@ def match(one: Features, other: Features) -> MatchArray:
 
 
 def match_along_lines(
-    fundamental: NDArray[np.float64], one: Features, other: Features, tolerance: float, *, fitted: int = 5
+    fundamental: NDArray[np.float64], one: Features, other: Features, tolerance: float, *, least: int = LEAST_EXCESS
 ) -> MatchArray | None:
     """(M, 2) matches within `tolerance` pixels of the epipolar lines; None if they are not more than chance gives.
 
-    fundamental: (3, 3), from pixels of `one` to lines of `other`; fitted: matches that chance puts on the best of many
-    lines, if it was estimated from matches of these photos. Matches along lines that are displaced to both sides
-    show how many chance gives at each ratio test. The loosest test that keeps its share small is used.
+    fundamental: (3, 3), from pixels of `one` to lines of `other`; least: matches beyond those of chance, in addition to
+    its deviation. Matches along lines that are displaced to both sides show how many chance gives at each ratio test.
+    The loosest test that keeps its share small is used.
     """
     lines = _lines(fundamental, one.positions)
     ratios, column = _ratios(lines, one, other, tolerance)
@@ -67,7 +69,7 @@ def match_along_lines(
     by_chance, _ = _ratios(decoys, one.select(np.arange(0, len(one), step)), other, tolerance)
     for most in _RATIOS:
         found, chance = int((ratios < most).sum()), step * int((by_chance < most).sum())
-        if chance <= _MOST_CHANCE * found and found - chance > _CHANCE * np.sqrt(step * chance) + fitted:
+        if chance <= _MOST_CHANCE * found and found - chance > _CHANCE * np.sqrt(step * chance) + least:
             break
     else:
         return None

@@ -15,7 +15,7 @@ from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
 from .features import Features, image_ids
 from .job import Job
-from .matching import MatchArray, match, match_along_lines
+from .matching import LEAST_EXCESS, MatchArray, match, match_along_lines
 
 Pair = tuple[int, int]
 """Positions of two photos in name order, the smaller first."""
@@ -26,9 +26,6 @@ LEAST_INLIERS = 10
 """Matches on one epipolar geometry below which a pair shows nothing in common."""
 SURE_INLIERS = 30
 """Matches on one geometry that no chance gives, even if all lie in a plane."""
-_FITTED = (5, 10)
-"""Matches on the lines beyond those of chance that a pair needs: neighbours in name order, and others. RANSAC finds
-lines for some by chance, but neighbours are likely to show the same."""
 ERROR, TOLERANCE = 2.0, 3.0
 """Largest distances in pixels from the epipolar line: in RANSAC, and of the matches along the lines."""
 _TRIALS = 1500
@@ -102,30 +99,25 @@ def match_pairs(job: Job, features: Sequence[Features], pairs: Iterable[Pair], r
         images = image_ids(database, job)
         cameras = [database.read_camera(database.read_image(image).camera_id) for image in images]
         large = [each.largest(LARGEST) for each in features]
+        chosen = [each.select(index) for each, index in zip(features, large, strict=True)]
         todo = [pair for pair in pairs if not database.exists_two_view_geometry(images[pair[0]], images[pair[1]])]
         with ThreadPoolExecutor(job.threads) as pool:
             for start in range(0, len(todo), _BLOCK):
                 report(start / len(todo), f"matching photos: pair {start + 1} of {len(todo)}")
                 block = todo[start : start + _BLOCK]
-                found = _match_block(job, features, large, cameras, block, pool)
+                found = _match_block(job, chosen, cameras, block, pool)
                 with colmap_library().DatabaseTransaction(database):
                     for (i, j), geometry in zip(block, found, strict=True):
-                        database.write_two_view_geometry(images[i], images[j], geometry)
+                        numbered = _numbered(geometry, large[i], large[j])
+                        database.write_two_view_geometry(images[i], images[j], numbered)
     finally:
         database.close()
 
 
 def _match_block(
-    job: Job,
-    features: Sequence[Features],
-    large: Sequence[NDArray[np.int64]],
-    cameras: Sequence[Any],
-    pairs: Sequence[Pair],
-    pool: ThreadPoolExecutor,
+    job: Job, features: Sequence[Features], cameras: Sequence[Any], pairs: Sequence[Pair], pool: ThreadPoolExecutor
 ) -> list[Any]:
-    """The two-view geometry of each pair with its inliers, numbered as in `features`; without inliers if there is
-    nothing in common."""
-    chosen = {i: features[i].select(large[i]) for pair in pairs for i in pair}
+    """The two-view geometry of each pair with its inliers; without inliers if there is nothing in common."""
     options = _verification(job)
     nothing = colmap_library().TwoViewGeometry()
 
@@ -134,20 +126,17 @@ def _match_block(
             return nothing
         i, j = pair
         return colmap_library().estimate_two_view_geometry(
-            cameras[i], chosen[i].positions.astype(np.float64), cameras[j], chosen[j].positions.astype(np.float64),
+            cameras[i], features[i].positions.astype(np.float64), cameras[j], features[j].positions.astype(np.float64),
             matches, options,
         )  # fmt: skip
 
-    first = list(pool.map(verify, pairs, [match(chosen[i], chosen[j]) for i, j in pairs]))
+    first = list(pool.map(verify, pairs, [match(features[i], features[j]) for i, j in pairs]))
     along = [
-        _along(geometry, chosen[i], chosen[j], _FITTED[j - i > job.config.overlap])
+        _along(geometry, features[i], features[j], neighbours=j - i <= job.config.overlap)
         for (i, j), geometry in zip(pairs, first, strict=True)
     ]
     second = list(pool.map(verify, pairs, along))
-    return [
-        _numbered(_better(before, after, nothing), large[i], large[j])
-        for (i, j), before, after in zip(pairs, first, second, strict=True)
-    ]
+    return [_better(before, after, nothing) for before, after in zip(first, second, strict=True)]
 
 
 def _verification(job: Job) -> Any:
@@ -159,10 +148,14 @@ def _verification(job: Job) -> Any:
     return options
 
 
-def _along(geometry: Any, one: Features, other: Features, fitted: int) -> MatchArray | None:
+def _along(geometry: Any, one: Features, other: Features, *, neighbours: bool) -> MatchArray | None:
+    """The matches along the lines of the geometry, if they show common content. neighbours: whether the photos are
+    neighbours in name order, which are likely to have some; RANSAC finds lines for a few matches of others by chance.
+    """
     if len(geometry.inlier_matches) < LEAST_INLIERS or geometry.F is None or not np.any(geometry.F):
         return None
-    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE, fitted=fitted)
+    least = LEAST_EXCESS if neighbours else LEAST_INLIERS
+    return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE, least=least)
 
 
 def _better(before: Any, after: Any, nothing: Any) -> Any:

@@ -44,17 +44,17 @@ _ADJUSTMENTS = 2
 @dataclass(frozen=True, eq=False)
 class _Pass:
     """model: with adjusted cameras and the points that adjusted them; agreement: photos that see points of three or
-    more photos, beyond two each; database: the matches."""
+    more photos, beyond two each."""
 
     model: Any
     agreement: int
-    database: Path
 
 
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
     """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them."""
     large = [each.largest(LARGEST) for each in features]
     everything = [np.arange(len(each)) for each in features]
+    _make_database(job)
     wide = model
     for number, limits in enumerate(_WIDE):
         share = part(report, 0.1 * number, 0.1 * (number + 1))
@@ -68,7 +68,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
         best = _refined(job, features, everything, best.model, limits, part(report, 0.2 * number, 0.2 * (number + 1)))
     if best.model.num_points3D() < _LEAST_POINTS:
         return model
-    return on_surfaces(_triangulated(job, best.database, best.model, _FINE[-1][1]))
+    return on_surfaces(_triangulated(job, best.model, _FINE[-1][1]))
 
 
 def _refined(
@@ -81,17 +81,31 @@ def _refined(
 ) -> _Pass:
     """The model after one pass with the chosen features of each photo. limits: as in `_FIRST`."""
     tolerance, error = limits
-    database = _match_again(job, features, chosen, model, tolerance, part(report, 0.0, 0.7))
+    _match_again(job, features, chosen, model, tolerance, part(report, 0.0, 0.7))
     report(0.7, "refining cameras")
-    triangulated = _triangulated(job, database, model, error)
+    triangulated = _triangulated(job, model, error)
     agreement = sum(max(point.track.length() - 2, 0) for point in triangulated.points3D.values())
     kept = _most_seen(triangulated)
     if kept.num_points3D() < _LEAST_POINTS:
-        return _Pass(model, agreement, database)
+        return _Pass(model, agreement)
     for _ in range(_ADJUSTMENTS):
         _adjust(job, kept)
         colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
-    return _Pass(kept, agreement, database)
+    return _Pass(kept, agreement)
+
+
+def _database(job: Job) -> Path:
+    """The database of the matches along epipolar lines."""
+    return job.database.with_name("refined.db")
+
+
+def _make_database(job: Job) -> None:
+    """Copy the photos and the places of their features to the database of the refinement."""
+    shutil.copy(job.database, _database(job))
+    database = colmap_library().Database.open(_database(job))
+    database.clear_matches()
+    database.clear_descriptors()
+    database.close()
 
 
 def _match_again(
@@ -101,16 +115,13 @@ def _match_again(
     model: Any,
     tolerance: float,
     report: Progress,
-) -> Path:
-    """A database with the matches of placed photos along their epipolar lines, of the chosen features."""
-    path = job.database.with_name("refined.db")
-    shutil.copy(job.database, path)
-    database = colmap_library().Database.open(path)
+) -> None:
+    """Replace the matches in the database by those of placed photos along their epipolar lines, of the chosen
+    features."""
+    database = colmap_library().Database.open(_database(job))
     try:
         numbers = image_ids(database, job)
-        database.clear_matches()
         database.clear_two_view_geometries()
-        database.clear_descriptors()
         placed = {i: model.images[number] for i, number in enumerate(numbers) if _has_pose(model, number)}
         straight = {
             i: _undistorted(model.cameras[image.camera_id], features[i].select(chosen[i]))
@@ -127,7 +138,6 @@ def _match_again(
                 database.write_two_view_geometry(numbers[i], numbers[j], geometry)
     finally:
         database.close()
-    return path
 
 
 def _has_pose(model: Any, image: int) -> bool:
@@ -176,7 +186,7 @@ def _geometry(model: Any, one: Any, other: Any) -> Any:
     return geometry
 
 
-def _triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
+def _triangulated(job: Job, model: Any, error: float) -> Any:
     """The model with the points of all tracks in the database, its cameras fixed."""
     pycolmap = colmap_library()
     options = pycolmap.IncrementalPipelineOptions()
@@ -190,7 +200,7 @@ def _triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
     folder = Path(job.folder) / "refined"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
+    return pycolmap.triangulate_points(model, _database(job), job.copies, folder, clear_points=True, options=options)
 
 
 def _most_seen(model: Any) -> Any:
