@@ -103,8 +103,11 @@ def largest_copy(sizes: Sequence[tuple[int, int]], max_side: int) -> int:
 
 
 def camera_search_bytes(photos: int, pixels: int, threads: int) -> int:
-    """Approximate peak memory of finding cameras, in bytes; pixels: of the largest copy of a photo."""
-    return SEARCH_BASE + photos * SEARCHED_PHOTO + threads * SIFT_BYTES * pixels
+    """Approximate peak memory of finding cameras, in bytes; pixels: of the largest copy of a photo.
+
+    Features are found in a few copies at a time; later all copies are in memory in grey.
+    """
+    return SEARCH_BASE + photos * SEARCHED_PHOTO + max(threads * SIFT_BYTES, photos) * pixels
 
 
 def camera_search_threads(

@@ -55,7 +55,7 @@ def expected_costs(
     if not posed:
         seconds = {"finding cameras": SEARCH_SECONDS * len(sizes)} | seconds
         largest = largest_copy(sizes, config.photos.max_side)
-        needed["finding cameras"] = camera_search_bytes(len(sizes), largest, cores)
+        needed["finding cameras"] = camera_search_bytes(len(sizes), largest, 1)  # more threads only if they fit
     return [
         StageCost(stage=stage, seconds=value * MEASURED_CORES / cores, bytes=needed[stage])
         for stage, value in seconds.items()

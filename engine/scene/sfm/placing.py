@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import shutil
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,10 @@ _LOST = 10.0
 """A photo this many times farther from the middle than most photos, and than the scene, is misplaced."""
 _LEAST_INLIERS = (20, 8)
 """Points needed to place a photo, in the first attempt, and in a second one if the first did not place `ENOUGH`."""
+_LEAST_ANGLE = 1.5
+"""Least angle in degrees between the rays of a triangulated point."""
+_AGAIN_ERROR = 4.0
+"""Largest distance in pixels of a point from its features, on which photos are placed again."""
 ENOUGH = 0.97
 """Share of the photos that is placed at the first attempt: a second one takes as long, and places few more."""
 
@@ -70,6 +75,59 @@ def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
     for model in models.values():
         drop_lost(model)
     return joined(list(models.values()))
+
+
+def place_again(job: Job, model: Any, doubtful: Collection[int], *, fixed: bool) -> Any:
+    """The model after its doubtful photos, and those that it has no place for, were placed anew on the points of the
+    others; None if fewer photos are placed than before.
+
+    fixed: whether the others keep their places.
+    """
+    pycolmap = colmap_library()
+    before = model.num_reg_images()
+    model = pycolmap.Reconstruction(model)
+    for image in list(model.images.values()):
+        if image.image_id in doubtful:
+            model.deregister_frame(image.frame_id)
+    for camera in model.cameras.values():
+        camera.has_prior_focal_length = True
+    start, folder = _emptied(job, "again-start"), _emptied(job, "again")
+    triangulated(job, job.database, model, _AGAIN_ERROR).write(start)
+    options = _mapping_options(job.config, _LEAST_INLIERS[0])
+    options.fix_existing_frames = fixed
+    options.ba_refine_focal_length = options.ba_refine_extra_params = False
+    found = pycolmap.incremental_mapping(job.database, job.copies, folder, options, input_path=start)
+    again = max(found.values(), key=lambda each: each.num_reg_images(), default=None)
+    if again is None:
+        return None
+    drop_lost(again)
+    return again if again.num_reg_images() > before - len(doubtful) else None
+
+
+def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
+    """The model with the points of all tracks in a database, its cameras fixed.
+
+    error: largest distance in pixels of a point from its features.
+    """
+    pycolmap = colmap_library()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.extract_colors = False
+    options.random_seed = options.triangulation.random_seed = options.mapper.random_seed = job.config.seed
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = _LEAST_ANGLE
+    options.triangulation.ignore_two_view_tracks = False
+    options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error
+    options.mapper.filter_max_reproj_error = error
+    folder, model = _emptied(job, "triangulated"), pycolmap.Reconstruction(model)
+    return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
+
+
+def _emptied(job: Job, name: str) -> Path:
+    """An empty folder of the job."""
+    folder = Path(job.folder) / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    return folder
 
 
 def drop_lost(model: Any) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +17,34 @@ from .features import Features, image_ids
 from .job import Job
 from .matching import match_along_lines
 from .pairs import LARGEST, Pair
+from .placing import place_again, triangulated
+from .tracks import Pictures, longer_tracks, read_pictures
 
 _WIDE = ((25.0, 20.0), (10.0, 8.0))
 """Largest distance in pixels from an epipolar line, and then of a point from its features, in passes with the largest
-features only. They bring parts of a capture together that a weak link placed, but may lose another weak link."""
-_FIRST, _FINE = (5.0, 4.0), ((2.5, 2.0), (1.5, 1.2))
-"""The same of the passes with all features: the first starts with and without the wide ones, and the better goes on."""
+features only. They bring parts of a capture together that a weak link placed."""
+_CLOSE, _ALL = (5.0, 4.0), (2.5, 2.0)
+"""The same of the matches that long tracks start from: of the largest features, then of all."""
+_REACH, _LAST_REACH = 4, 3
+"""Pixels around the predicted place of a point that are searched, until the last round and in it."""
+_LARGEST_ERROR = 4.0
+"""Largest distance in pixels of a point of a long track from its observations."""
+_DOUBTFUL = 0.5
+"""Observations of a photo, relative to the median of all photos, below which it may be misplaced."""
+_LEAST_SUPPORT, _LEAST_PHOTOS = 8, 3
+"""Observations below which a photo is left out in the end, if as many photos remain."""
+_SAME_PLACE = 0.05
+"""Distance, relative to that of most photos from their middle, up to which a photo was placed again where it was."""
+_ATTEMPTS, _LEAST_KEPT, _LEAST_GAIN = 3, 0.99, 1.005
+"""Rounds that match again and follow the points; factor of the agreement that a round must keep, and below which no
+other follows."""
 _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
 """Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
 _LEAST_ANGLE = 1.5
 """Least angle in degrees between the rays of a point."""
-_ENOUGH_POINTS, _LEAST_POINTS = 600, 40
+_ENOUGH_POINTS, _LEAST_POINTS = 1000, 40
 """Points per photo, those seen most often, that adjust the cameras, as more take longer and change nothing; and points
 per photo up to which those in two photos only are used, half of which are matched by chance."""
 _NEAR = 2.0
@@ -41,57 +55,143 @@ _ADJUSTMENTS = 2
 """Adjustments in each pass, with a removal of outliers after each."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Pass:
-    """model: with adjusted cameras and the points that adjusted them; agreement: photos that see points of three or
-    more photos, beyond two each."""
-
-    model: Any
-    agreement: int
-
-
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
-    """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them."""
+    """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them.
+
+    Photos that hardly any long track reaches are placed again.
+    """
+    pictures = read_pictures(job)
     large = [each.largest(LARGEST) for each in features]
     everything = [np.arange(len(each)) for each in features]
     _make_database(job)
+
+    def tracked(start: Any, share: Progress) -> Any:
+        seeds = _matched(job, features, large, start, _CLOSE, part(share, 0.0, 0.3))
+        return _with_long_tracks(job, seeds, pictures, _REACH, part(share, 0.3, 1.0))
+
     wide = model
     for number, limits in enumerate(_WIDE):
-        share = part(report, 0.1 * number, 0.1 * (number + 1))
-        wide = _refined(job, features, large, wide, limits, share).model
-    starts = [
-        _refined(job, features, everything, start, _FIRST, part(report, 0.2 * number, 0.2 * (number + 1)))
-        for number, start in enumerate((wide, model), start=1)
-    ]
-    best = max(starts, key=lambda each: each.agreement)
-    for number, limits in enumerate(_FINE, start=3):
-        best = _refined(job, features, everything, best.model, limits, part(report, 0.2 * number, 0.2 * (number + 1)))
-    if best.model.num_points3D() < _LEAST_POINTS:
+        wide = _passed(job, features, large, wide, limits, part(report, 0.1 * number, 0.1 * (number + 1)))
+    starts = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
+    best = max(starts, key=_agreement)
+    for attempt in range(_ATTEMPTS):
+        better = _improved(job, best, tracked, part(report, 0.4 + 0.1 * attempt, 0.5 + 0.1 * attempt))
+        if better is None:
+            break
+        gain = _agreement(better) / max(_agreement(best), 1)
+        best = better
+        if gain < _LEAST_GAIN:
+            break
+    seeds = on_surfaces(_matched(job, features, everything, best, _ALL, part(report, 0.7, 0.8)))
+    best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, part(report, 0.8, 1.0))
+    return _held(best) if best.num_points3D() >= _LEAST_POINTS else model
+
+
+def _held(model: Any) -> Any:
+    """The model without the photos that hardly any point holds in their places, unless too few would remain."""
+    loose = [image for image, count in _support(model).items() if count < _LEAST_SUPPORT]
+    if model.num_reg_images() - len(loose) >= _LEAST_PHOTOS:
+        for image in loose:
+            model.deregister_frame(model.images[image].frame_id)
+    return model
+
+
+def _improved(job: Job, model: Any, tracked: Callable[[Any, Progress], Any], report: Progress) -> Any:
+    """The model matched and followed again, after its doubtful photos were placed again if that moves them; None if
+    that loses tracks."""
+    support = _support(model)
+    usual = float(np.median(list(support.values()))) if support else 0.0
+    doubtful = {image for image, count in support.items() if count < _DOUBTFUL * usual}
+    for start in _starts(job, model, doubtful):
+        better = tracked(start, report)
+        if _agreement(better) > _LEAST_KEPT * _agreement(model):
+            return better
+    return None
+
+
+def _starts(job: Job, model: Any, doubtful: Collection[int]) -> Iterator[Any]:
+    """The model; or, if placing its doubtful photos again moves them, models after that, with the others fixed or
+    not."""
+    if not doubtful and model.num_reg_images() == len(job.photos):
+        yield model
+        return
+    again = place_again(job, model, doubtful, fixed=True)
+    if again is not None and _same_places(model, again, doubtful):
+        yield model
+        return
+    if again is not None:
+        yield again
+    again = place_again(job, model, doubtful, fixed=False)
+    if again is not None:
+        yield again
+
+
+def _same_places(before: Any, after: Any, images: Collection[int]) -> bool:
+    """Whether a model has all photos of an earlier one, and these images where they were."""
+    centers = np.array([image.projection_center() for image in before.images.values() if image.has_pose])
+    usual = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
+    if after.num_reg_images() != before.num_reg_images():
+        return False
+    moved = [after.images[i].projection_center() - before.images[i].projection_center() for i in sorted(images)]
+    return all(float(np.linalg.norm(each)) < _SAME_PLACE * usual for each in moved)
+
+
+def _support(model: Any) -> dict[int, int]:
+    """Observations of points, by photo."""
+    return {number: image.num_points3D for number, image in model.images.items() if image.has_pose}
+
+
+def _agreement(model: Any) -> int:
+    """Photos that see points of three or more photos, beyond two each."""
+    return sum(max(point.track.length() - 2, 0) for point in model.points3D.values())
+
+
+def _with_long_tracks(job: Job, model: Any, pictures: Pictures, reach: int, report: Progress) -> Any:
+    """The model with its points followed through all photos, and with cameras adjusted to those that most photos see;
+    as it is if hardly any can be followed."""
+    report(0.0, "following points")
+    longer = longer_tracks(job, model, pictures, reach)
+    if longer.num_points3D() < _LEAST_POINTS:
         return model
-    return on_surfaces(_triangulated(job, best.model, _FINE[-1][1]))
+    report(0.6, "refining cameras")
+    kept = _most_seen(longer)
+    _adjust(job, kept, _LARGEST_ERROR)
+    for number, camera in kept.cameras.items():
+        longer.cameras[number].params = camera.params
+    for number, image in kept.images.items():
+        longer.frame(longer.images[number].frame_id).rig_from_world = image.cam_from_world()
+    _adjust(job, longer, _LARGEST_ERROR, points_only=True)
+    return longer
 
 
-def _refined(
+def _passed(
     job: Job,
     features: Sequence[Features],
     chosen: Sequence[NDArray[np.int64]],
     model: Any,
     limits: tuple[float, float],
     report: Progress,
-) -> _Pass:
-    """The model after one pass with the chosen features of each photo. limits: as in `_FIRST`."""
-    tolerance, error = limits
-    _match_again(job, features, chosen, model, tolerance, part(report, 0.0, 0.7))
-    report(0.7, "refining cameras")
-    triangulated = _triangulated(job, model, error)
-    agreement = sum(max(point.track.length() - 2, 0) for point in triangulated.points3D.values())
-    kept = _most_seen(triangulated)
+) -> Any:
+    """The model with cameras adjusted to matches along its epipolar lines. limits: as in `_WIDE`."""
+    kept = _most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)))
     if kept.num_points3D() < _LEAST_POINTS:
-        return _Pass(model, agreement)
-    for _ in range(_ADJUSTMENTS):
-        _adjust(job, kept)
-        colmap_library().ObservationManager(kept).filter_all_points3D(error, _LEAST_ANGLE)
-    return _Pass(kept, agreement)
+        return model
+    report(0.7, "refining cameras")
+    _adjust(job, kept, limits[1])
+    return kept
+
+
+def _matched(
+    job: Job,
+    features: Sequence[Features],
+    chosen: Sequence[NDArray[np.int64]],
+    model: Any,
+    limits: tuple[float, float],
+    report: Progress,
+) -> Any:
+    """The model with the points of the chosen features that match along its epipolar lines."""
+    _match_again(job, features, chosen, model, limits[0], report)
+    return triangulated(job, _database(job), model, limits[1])
 
 
 def _database(job: Job) -> Path:
@@ -186,23 +286,6 @@ def _geometry(model: Any, one: Any, other: Any) -> Any:
     return geometry
 
 
-def _triangulated(job: Job, model: Any, error: float) -> Any:
-    """The model with the points of all tracks in the database, its cameras fixed."""
-    pycolmap = colmap_library()
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = options.mapper.num_threads = 1
-    options.extract_colors = False
-    options.random_seed = options.triangulation.random_seed = options.mapper.random_seed = job.config.seed
-    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = _LEAST_ANGLE
-    options.triangulation.ignore_two_view_tracks = False
-    options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error
-    options.mapper.filter_max_reproj_error = error
-    folder = Path(job.folder) / "refined"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    return pycolmap.triangulate_points(model, _database(job), job.copies, folder, clear_points=True, options=options)
-
-
 def _most_seen(model: Any) -> Any:
     """A copy with the points that most photos see, as many as each photo needs."""
     kept = colmap_library().Reconstruction(model)
@@ -232,16 +315,20 @@ def on_surfaces(model: Any) -> Any:
     return kept
 
 
-def _adjust(job: Job, model: Any) -> None:
-    """Bundle adjustment with a robust loss; photos of one camera share focal length and distortion."""
+def _adjust(job: Job, model: Any, error: float, *, points_only: bool = False) -> None:
+    """Bundle adjustments with a robust loss, each followed by the removal of points and observations that are off by
+    more than `error` pixels; photos of one camera share focal length and distortion."""
     pycolmap = colmap_library()
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_principal_point = False
+    options.refine_rig_from_world = options.refine_focal_length = options.refine_extra_params = not points_only
     options.min_track_length = 2
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = _LOSS_SCALE
     options.ceres.use_gpu = False
     options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.max_num_iterations = 30
-    pycolmap.bundle_adjustment(model, options)
+    for _ in range(1 if points_only else _ADJUSTMENTS):
+        pycolmap.bundle_adjustment(model, options)
+        pycolmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)
