@@ -1,4 +1,4 @@
-"""Refines placed photos: all features are matched again along their epipolar lines, then cameras are adjusted."""
+"""Refines placed photos: points from matches along epipolar lines are followed, and cameras are adjusted to them."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
             break
     seeds = on_surfaces(_matched(job, features, everything, best, _ALL, part(report, 0.7, 0.8)))
     best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, part(report, 0.8, 1.0))
-    return _held(best) if best.num_points3D() >= _LEAST_POINTS else model
+    return held(best) if best.num_points3D() >= _LEAST_POINTS else model
 
 
-def _held(model: Any) -> Any:
+def held(model: Any) -> Any:
     """The model without the photos that hardly any point holds in their places, unless too few would remain."""
     loose = [image for image, count in _support(model).items() if count < _LEAST_SUPPORT]
     if model.num_reg_images() - len(loose) >= _LEAST_PHOTOS:
@@ -102,8 +102,8 @@ def _improved(job: Job, model: Any, tracked: Callable[[Any, Progress], Any], rep
     support = _support(model)
     usual = float(np.median(list(support.values()))) if support else 0.0
     doubtful = {image for image, count in support.items() if count < _DOUBTFUL * usual}
-    for start in _starts(job, model, doubtful):
-        better = tracked(start, report)
+    for number, start in enumerate(_starts(job, model, doubtful)):
+        better = tracked(start, part(report, 0.5 * number, 0.5 * (number + 1)))
         if _agreement(better) > _LEAST_KEPT * _agreement(model):
             return better
     return None
@@ -116,7 +116,7 @@ def _starts(job: Job, model: Any, doubtful: Collection[int]) -> Iterator[Any]:
         yield model
         return
     again = place_again(job, model, doubtful, fixed=True)
-    if again is not None and _same_places(model, again, doubtful):
+    if again is not None and same_places(model, again, doubtful):
         yield model
         return
     if again is not None:
@@ -126,12 +126,12 @@ def _starts(job: Job, model: Any, doubtful: Collection[int]) -> Iterator[Any]:
         yield again
 
 
-def _same_places(before: Any, after: Any, images: Collection[int]) -> bool:
-    """Whether a model has all photos of an earlier one, and these images where they were."""
+def same_places(before: Any, after: Any, images: Collection[int]) -> bool:
+    """Whether a model has as many photos as an earlier one, and these images where they were."""
+    if after.num_reg_images() != before.num_reg_images() or not all(after.images[i].has_pose for i in images):
+        return False
     centers = np.array([image.projection_center() for image in before.images.values() if image.has_pose])
     usual = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
-    if after.num_reg_images() != before.num_reg_images():
-        return False
     moved = [after.images[i].projection_center() - before.images[i].projection_center() for i in sorted(images)]
     return all(float(np.linalg.norm(each)) < _SAME_PLACE * usual for each in moved)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
-from fruitlangs.engine.scene.sfm.refinement import near_pairs, on_surfaces
+from fruitlangs.engine.scene.sfm.refinement import held, near_pairs, on_surfaces, same_places
 
 
 def placed(degrees: float) -> types.SimpleNamespace:
@@ -50,3 +50,35 @@ def test_points_of_two_photos_are_kept_near_points_of_three_only() -> None:
     kept = on_surfaces(model)
     assert kept.num_points3D() == 105
     assert max(point.xyz[2] for point in kept.points3D.values()) < 1.0
+
+
+def test_photos_that_hardly_any_point_holds_are_left_out_but_not_all() -> None:
+    model = with_points(np.zeros((0, 3)), [])
+    assert held(model).num_reg_images() == 4  # too few would remain
+    model = with_points(np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3)), [4] * 50)
+    for number in sorted(model.points3D)[7:]:
+        loose = [each for each in model.points3D[number].track.elements if each.image_id == 2]
+        model.delete_observation(2, loose[0].point2D_idx)
+    assert model.images[2].num_points3D == 7
+    assert sorted(held(model).reg_image_ids()) == [1, 3, 4]
+
+
+def test_photos_are_at_the_same_places_if_none_is_missing_or_has_moved_far() -> None:
+    before = with_points(np.zeros((1, 3)), [4])
+    centers = np.array([image.projection_center() for image in before.images.values()])
+    extent = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
+
+    def moved(share: float) -> Any:
+        after = colmap_library().Reconstruction(before)
+        pose = after.images[2].cam_from_world()
+        translation = pose.translation + [share * extent, 0.0, 0.0]
+        frame = after.frame(after.images[2].frame_id)
+        frame.rig_from_world = colmap_library().Rigid3d(pose.rotation, translation)
+        return after
+
+    assert same_places(before, moved(0.04), {2})
+    assert not same_places(before, moved(0.06), {2})
+    assert same_places(before, moved(0.06), {1})
+    without = moved(0.0)
+    without.deregister_frame(without.images[3].frame_id)
+    assert not same_places(before, without, {2})
