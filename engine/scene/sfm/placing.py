@@ -77,8 +77,8 @@ def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
     return joined(list(models.values()))
 
 
-def place_again(job: Job, model: Any, doubtful: Collection[int], *, fixed: bool) -> Any:
-    """The model after its doubtful photos, and those that it has no place for, were placed anew on the points of the
+def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool) -> Any:
+    """The model after its uncertain photos, and those that it has no place for, were placed again on the points of the
     others; None if fewer photos are placed than before.
 
     fixed: whether the others keep their places.
@@ -87,7 +87,7 @@ def place_again(job: Job, model: Any, doubtful: Collection[int], *, fixed: bool)
     before = model.num_reg_images()
     model = pycolmap.Reconstruction(model)
     for image in list(model.images.values()):
-        if image.image_id in doubtful:
+        if image.image_id in uncertain:
             model.deregister_frame(image.frame_id)
     for camera in model.cameras.values():
         camera.has_prior_focal_length = True
@@ -101,7 +101,7 @@ def place_again(job: Job, model: Any, doubtful: Collection[int], *, fixed: bool)
     if again is None:
         return None
     drop_lost(again)
-    return again if again.num_reg_images() > before - len(doubtful) else None
+    return again if again.num_reg_images() > before - len(uncertain) else None
 
 
 def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:

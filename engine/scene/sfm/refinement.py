@@ -29,7 +29,7 @@ _REACH, _LAST_REACH = 4, 3
 """Pixels around the predicted place of a point that are searched, until the last round and in it."""
 _LARGEST_ERROR = 4.0
 """Largest distance in pixels of a point of a long track from its observations."""
-_DOUBTFUL = 0.5
+_UNCERTAIN = 0.5
 """Observations of a photo, relative to the median of all photos, below which it may be misplaced."""
 _LEAST_SUPPORT, _LEAST_PHOTOS = 8, 3
 """Observations below which a photo is left out in the end, if as many photos remain."""
@@ -97,31 +97,31 @@ def held(model: Any) -> Any:
 
 
 def _improved(job: Job, model: Any, tracked: Callable[[Any, Progress], Any], report: Progress) -> Any:
-    """The model matched and followed again, after its doubtful photos were placed again if that moves them; None if
+    """The model matched and followed again, after its uncertain photos were placed again if that moves them; None if
     that loses tracks."""
     support = _support(model)
     usual = float(np.median(list(support.values()))) if support else 0.0
-    doubtful = {image for image, count in support.items() if count < _DOUBTFUL * usual}
-    for number, start in enumerate(_starts(job, model, doubtful)):
+    uncertain = {image for image, count in support.items() if count < _UNCERTAIN * usual}
+    for number, start in enumerate(_starts(job, model, uncertain)):
         better = tracked(start, part(report, 0.5 * number, 0.5 * (number + 1)))
         if _agreement(better) > _LEAST_KEPT * _agreement(model):
             return better
     return None
 
 
-def _starts(job: Job, model: Any, doubtful: Collection[int]) -> Iterator[Any]:
-    """The model; or, if placing its doubtful photos again moves them, models after that, with the others fixed or
+def _starts(job: Job, model: Any, uncertain: Collection[int]) -> Iterator[Any]:
+    """The model; or, if placing its uncertain photos again moves them, models after that, with the others fixed or
     not."""
-    if not doubtful and model.num_reg_images() == len(job.photos):
+    if not uncertain and model.num_reg_images() == len(job.photos):
         yield model
         return
-    again = place_again(job, model, doubtful, fixed=True)
-    if again is not None and same_places(model, again, doubtful):
+    again = place_again(job, model, uncertain, fixed=True)
+    if again is not None and same_places(model, again, uncertain):
         yield model
         return
     if again is not None:
         yield again
-    again = place_again(job, model, doubtful, fixed=False)
+    again = place_again(job, model, uncertain, fixed=False)
     if again is not None:
         yield again
 

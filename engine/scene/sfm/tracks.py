@@ -1,6 +1,6 @@
 """Longer tracks: each point is searched in all near photos where the cameras predict it, by comparing the pictures.
 
-SIFT finds a leaf again in two or three photos, half a pixel beside its place. Patches of the pictures (least squares
+SIFT finds a leaf again in two or three photos, half a pixel from its place. Patches of the pictures (least squares
 matching, Gruen 1985; in all near photos, as in Furukawa and Ponce 2010) find it in five, and nearer to its place.
 """
 

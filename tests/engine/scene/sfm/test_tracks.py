@@ -95,9 +95,9 @@ def test_a_flat_patch_and_one_beyond_the_edge_are_not_searched() -> None:
 
 
 def row_of_cameras(folder: Path, count: int, off: float) -> tuple[Job, Any, np.ndarray]:
-    """Cameras beside each other that look at the wall, and points on it that the two middle photos show.
+    """Cameras in a row that look at the wall, and points on it that the two middle photos show.
 
-    off: by how much each camera of the model is beside its place, in metres. Also the true (count, N, 2) pixels.
+    off: by how much each camera of the model is off its place, in metres. Also the true (count, N, 2) pixels.
     """
     pycolmap = colmap_library()
     (folder / "copies").mkdir(parents=True)
