@@ -139,8 +139,8 @@ def test_progress_names_every_step_and_never_goes_back(walk: Path, tmp_path: Pat
         "matching photos",
         "placing photos",
         "matching placed photos",
-        "following points",
         "refining cameras",
+        "following points",
     ]
 
 
