@@ -15,7 +15,7 @@ from ..scene.camera import Camera
 
 # Measured on two shared cores, where equal runs differ by up to a factor of two: 300 photos of 1600×1200 trained for
 # 1200 steps in 141 s, got features in 811 s and were counted in 8 s; 60 photos of 480×360 trained in 51 s.
-SEARCH_SECONDS = 2.5
+SEARCH_SECONDS = 2.8
 """Seconds per photo of finding cameras."""
 STEP_SECONDS, STEP_MEGAPIXEL_SECONDS = 0.035, 0.078
 """Seconds per step of training, and in addition per megapixel of a photo."""
