@@ -7,7 +7,7 @@ from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
-from ..scene.sfm.find_cameras import LEAST_PHOTOS
+from ..scene.sfm.job import LEAST_PHOTOS
 from .cost import StageCost
 from .examine import Examined
 from .exposure import COLOUR_STEP, EXPOSURE_STEP, changes, most_involved

@@ -21,10 +21,9 @@ from ..formats.colmap_records import check_records
 from ..photos.focal import exif_focal
 from ..photos.photo import DECODE_ERRORS, read_header
 from ..photos.picture_file import named_like, open_picture, rgb_picture
-from .job import FOUND, Copy, Job
+from .job import FOUND, LEAST_PHOTOS, Copy, Job
 
 PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".bmp"}
-LEAST_PHOTOS = 3
 _MODEL, _WORK = "model", "work"
 _ENLARGED, _LARGEST_SCALE = 270_000, 2.0
 """Photos of fewer pixels are enlarged to this many, at most by this factor: SIFT finds three times as many leaves."""

@@ -1,4 +1,4 @@
-"""The job of the process that finds cameras: small grey copies of photos, in a folder with a database."""
+"""The job of the process that finds cameras: small copies of photos, in a folder with a database."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from ...config import PhotosConfig
 from ..pycolmap_import import colmap_library
 
 JOB, FOUND = "job.json", "poses.json"
+LEAST_PHOTOS = 3
+"""Photos that a model needs."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -66,6 +66,80 @@ def _take(
             values[down * side + across] = _sample(picture, middle[0] + at_x, middle[1] + at_y)
 
 
+@njit(fastmath=False)
+def _best_shift(
+    around: NDArray[np.float64], patch: NDArray[np.float64], weights: NDArray[np.float64], half: int, reach: int
+) -> tuple[float, float]:
+    """The whole-pixel shift of the sampled surroundings that correlates most with the patch; NaN if nothing does."""
+    best, at_x, at_y = _LEAST_FOUND, np.nan, np.nan
+    side, wide = 2 * half + 1, 2 * (half + reach) + 1
+    for row in range(2 * reach + 1):
+        for column in range(2 * reach + 1):
+            likeness, mean, square = 0.0, 0.0, 0.0
+            for down in range(side):
+                for across in range(side):
+                    k = down * side + across
+                    value = around[(row + down) * wide + column + across]
+                    weighted = weights[k] * value
+                    mean += weighted
+                    square += weighted * value
+                    likeness += weighted * patch[k]
+            likeness /= np.sqrt(max(square - mean * mean, 1e-12))
+            if likeness > best:
+                best, at_x, at_y = likeness, column - reach, row - reach
+    return at_x, at_y
+
+
+@njit(fastmath=False)
+def _least_squares(
+    target: NDArray[np.uint8],
+    middle: NDArray[np.float64],
+    affine: NDArray[np.float64],
+    x: float,
+    y: float,
+    half: int,
+    patch: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    values: NDArray[np.float64],
+    dx: NDArray[np.float64],
+    dy: NDArray[np.float64],
+    rim: NDArray[np.float64],
+) -> tuple[float, float]:
+    """The shift (x, y) after least squares matching; NaN where the grey levels do not determine it. The last four
+    arrays are scratch."""
+    side = 2 * half + 1
+    size = side * side
+    for _ in range(_ITERATIONS):
+        _take(target, middle, affine, x, y, half + 1, rim)
+        for down in range(side):
+            for across in range(side):
+                k, at = down * side + across, (down + 1) * (side + 2) + across + 1
+                values[k], dx[k] = rim[at], (rim[at + 1] - rim[at - 1]) / 2
+                dy[k] = (rim[at + side + 2] - rim[at - side - 2]) / 2
+        contrast = max(_standardise(values, weights), 1e-9)
+        mean_x, mean_y = (weights * dx).sum(), (weights * dy).sum()
+        xx, xy, yy, error_x, error_y = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(size):
+            slope_x, slope_y = (dx[k] - mean_x) / contrast, (dy[k] - mean_y) / contrast
+            error = weights[k] * (patch[k] - values[k])
+            xx += weights[k] * slope_x * slope_x
+            xy += weights[k] * slope_x * slope_y
+            yy += weights[k] * slope_y * slope_y
+            error_x += slope_x * error
+            error_y += slope_y * error
+        determinant = xx * yy - xy * xy
+        if not determinant > 1e-9:
+            return np.nan, np.nan
+        step_x = (yy * error_x - xy * error_y) / determinant
+        step_y = (xx * error_y - xy * error_x) / determinant
+        length = np.hypot(step_x, step_y)
+        x += step_x / max(length, 1.0)
+        y += step_y / max(length, 1.0)
+        if not length > _SMALL_STEP:
+            break
+    return x, y
+
+
 @kernel(fastmath=False)
 def find_patches(
     pictures: NDArray[np.uint8],
@@ -109,51 +183,10 @@ def find_patches(
                 continue
             target = pictures[other[m]]
             _take(target, start[m], affine[m], 0.0, 0.0, half + reach, around)
-            best, at_x, at_y = _LEAST_FOUND, np.nan, np.nan
-            for row in range(2 * reach + 1):
-                for column in range(2 * reach + 1):
-                    likeness, mean, square = 0.0, 0.0, 0.0
-                    for down in range(side):
-                        for across in range(side):
-                            k = down * side + across
-                            value = around[(row + down) * wide + column + across]
-                            weighted = weights[k] * value
-                            mean += weighted
-                            square += weighted * value
-                            likeness += weighted * patch[k]
-                    likeness /= np.sqrt(max(square - mean * mean, 1e-12))
-                    if likeness > best:
-                        best, at_x, at_y = likeness, column - reach, row - reach
-            x, y = at_x, at_y
-            for _ in range(_ITERATIONS):
-                _take(target, start[m], affine[m], x, y, half + 1, rim)
-                for down in range(side):
-                    for across in range(side):
-                        k, at = down * side + across, (down + 1) * (side + 2) + across + 1
-                        values[k], dx[k] = rim[at], (rim[at + 1] - rim[at - 1]) / 2
-                        dy[k] = (rim[at + side + 2] - rim[at - side - 2]) / 2
-                contrast = max(_standardise(values, weights), 1e-9)
-                mean_x, mean_y = (weights * dx).sum(), (weights * dy).sum()
-                xx, xy, yy, error_x, error_y = 0.0, 0.0, 0.0, 0.0, 0.0
-                for k in range(size):
-                    slope_x, slope_y = (dx[k] - mean_x) / contrast, (dy[k] - mean_y) / contrast
-                    error = weights[k] * (patch[k] - values[k])
-                    xx += weights[k] * slope_x * slope_x
-                    xy += weights[k] * slope_x * slope_y
-                    yy += weights[k] * slope_y * slope_y
-                    error_x += slope_x * error
-                    error_y += slope_y * error
-                determinant = xx * yy - xy * xy
-                if not determinant > 1e-9:
-                    x = np.nan
-                    break
-                step_x = (yy * error_x - xy * error_y) / determinant
-                step_y = (xx * error_y - xy * error_x) / determinant
-                length = np.hypot(step_x, step_y)
-                x += step_x / max(length, 1.0)
-                y += step_y / max(length, 1.0)
-                if not length > _SMALL_STEP:
-                    break
+            at_x, at_y = _best_shift(around, patch, weights, half, reach)
+            if np.isnan(at_x):
+                continue
+            x, y = _least_squares(target, start[m], affine[m], at_x, at_y, half, patch, weights, values, dx, dy, rim)
             if not np.hypot(x - at_x, y - at_y) < _DRIFT:  # NaN too
                 continue
             _take(target, start[m], affine[m], x, y, half, values)

@@ -22,7 +22,7 @@ _LOST = 10.0
 """A photo this many times farther from the middle than most photos, and than the scene, is misplaced."""
 _LEAST_INLIERS = (20, 8)
 """Points needed to place a photo, in the first attempt, and in a second one if the first did not place `ENOUGH`."""
-_LEAST_ANGLE = 1.5
+LEAST_ANGLE = 1.5
 """Least angle in degrees between the rays of a triangulated point."""
 _AGAIN_ERROR = 4.0
 """Largest distance in pixels of a point from its features, on which photos are placed again."""
@@ -79,7 +79,7 @@ def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
 
 def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool) -> Any:
     """The model after its uncertain photos, and those that it has no place for, were placed again on the points of the
-    others; None if fewer photos are placed than before.
+    others; None if none of them was placed.
 
     fixed: whether the others keep their places.
     """
@@ -114,7 +114,7 @@ def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
     options.num_threads = options.mapper.num_threads = 1
     options.extract_colors = False
     options.random_seed = options.triangulation.random_seed = options.mapper.random_seed = job.config.seed
-    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = _LEAST_ANGLE
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = LEAST_ANGLE
     options.triangulation.ignore_two_view_tracks = False
     options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error
     options.mapper.filter_max_reproj_error = error

@@ -14,10 +14,10 @@ from scipy.spatial import cKDTree
 from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
 from .features import Features, image_ids
-from .job import Job
+from .job import LEAST_PHOTOS, Job
 from .matching import match_along_lines
 from .pairs import LARGEST, Pair
-from .placing import place_again, triangulated
+from .placing import LEAST_ANGLE, place_again, triangulated
 from .tracks import Pictures, longer_tracks, read_pictures
 
 _WIDE = ((25.0, 20.0), (10.0, 8.0))
@@ -31,8 +31,8 @@ _LARGEST_ERROR = 4.0
 """Largest distance in pixels of a point of a long track from its observations."""
 _UNCERTAIN = 0.5
 """Observations of a photo, relative to the median of all photos, below which it may be misplaced."""
-_LEAST_SUPPORT, _LEAST_PHOTOS = 8, 3
-"""Observations below which a photo is left out in the end, if as many photos remain."""
+_LEAST_SUPPORT = 8
+"""Observations below which a photo is left out in the end, if enough photos remain."""
 _SAME_PLACE = 0.05
 """Distance, relative to that of most photos from their middle, up to which a photo was placed again where it was."""
 _ATTEMPTS, _LEAST_KEPT, _LEAST_GAIN = 3, 0.99, 1.005
@@ -42,8 +42,6 @@ _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
 """Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
-_LEAST_ANGLE = 1.5
-"""Least angle in degrees between the rays of a point."""
 _ENOUGH_POINTS, _LEAST_POINTS = 1000, 40
 """Points per photo, those seen most often, that adjust the cameras, as more take longer and change nothing; and points
 per photo up to which those in two photos only are used, half of which are matched by chance."""
@@ -90,7 +88,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
 def held(model: Any) -> Any:
     """The model without the photos that hardly any point holds in their places, unless too few would remain."""
     loose = [image for image, count in _support(model).items() if count < _LEAST_SUPPORT]
-    if model.num_reg_images() - len(loose) >= _LEAST_PHOTOS:
+    if model.num_reg_images() - len(loose) >= LEAST_PHOTOS:
         for image in loose:
             model.deregister_frame(model.images[image].frame_id)
     return model
@@ -181,19 +179,6 @@ def _passed(
     return kept
 
 
-def _matched(
-    job: Job,
-    features: Sequence[Features],
-    chosen: Sequence[NDArray[np.int64]],
-    model: Any,
-    limits: tuple[float, float],
-    report: Progress,
-) -> Any:
-    """The model with the points of the chosen features that match along its epipolar lines."""
-    _match_again(job, features, chosen, model, limits[0], report)
-    return triangulated(job, _database(job), model, limits[1])
-
-
 def _database(job: Job) -> Path:
     """The database of the matches along epipolar lines."""
     return job.database.with_name("refined.db")
@@ -208,16 +193,17 @@ def _make_database(job: Job) -> None:
     database.close()
 
 
-def _match_again(
+def _matched(
     job: Job,
     features: Sequence[Features],
     chosen: Sequence[NDArray[np.int64]],
     model: Any,
-    tolerance: float,
+    limits: tuple[float, float],
     report: Progress,
-) -> None:
-    """Replace the matches in the database by those of placed photos along their epipolar lines, of the chosen
-    features."""
+) -> Any:
+    """The model with the points of the chosen features that match along its epipolar lines; these matches replace
+    those in the database. limits: as in `_WIDE`."""
+    tolerance, error = limits
     database = colmap_library().Database.open(_database(job))
     try:
         numbers = image_ids(database, job)
@@ -238,6 +224,7 @@ def _match_again(
                 database.write_two_view_geometry(numbers[i], numbers[j], geometry)
     finally:
         database.close()
+    return triangulated(job, _database(job), model, error)
 
 
 def _has_pose(model: Any, image: int) -> bool:
@@ -317,7 +304,10 @@ def on_surfaces(model: Any) -> Any:
 
 def _adjust(job: Job, model: Any, error: float, *, points_only: bool = False) -> None:
     """Bundle adjustments with a robust loss, each followed by the removal of points and observations that are off by
-    more than `error` pixels; photos of one camera share focal length and distortion."""
+    more than `error` pixels; photos of one camera share focal length and distortion.
+
+    points_only: the cameras stay, and one adjustment is enough.
+    """
     pycolmap = colmap_library()
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
@@ -331,4 +321,4 @@ def _adjust(job: Job, model: Any, error: float, *, points_only: bool = False) ->
     options.ceres.solver_options.max_num_iterations = 30
     for _ in range(1 if points_only else _ADJUSTMENTS):
         pycolmap.bundle_adjustment(model, options)
-        pycolmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)
+        pycolmap.ObservationManager(model).filter_all_points3D(error, LEAST_ANGLE)

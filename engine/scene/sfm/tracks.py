@@ -18,7 +18,7 @@ from ..pycolmap_import import colmap_library
 from .job import Job
 from .patch_kernels import find_patches
 
-LEAST_VIEWS = 3
+_LEAST_VIEWS = 3
 """Photos that a track needs: chance matches two."""
 _HALF = 6
 """Half the side of a patch, in pixels of the copy."""
@@ -104,7 +104,7 @@ def longer_tracks(job: Job, model: Any, pictures: Pictures, reach: int) -> Any:
     point, view = (np.concatenate([np.zeros(0, np.int64)] + [each[column] for each in found]) for column in (0, 1))
     point += np.repeat([block.start for block in blocks], [len(each[0]) for each in found]).astype(np.int64)
     pixel = np.concatenate([np.zeros((0, 2))] + [each[2] for each in found])
-    seen = np.bincount(point, minlength=len(xyz)) + 1 >= LEAST_VIEWS
+    seen = np.bincount(point, minlength=len(xyz)) + 1 >= _LEAST_VIEWS
     own, kept = np.flatnonzero(seen), seen[point]
     return _model(
         views,
