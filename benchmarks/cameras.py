@@ -17,7 +17,7 @@ from ..engine.scene.sfm.find_cameras import find_poses, list_photos
 from ..engine.scene.sfm.job import FOUND
 from .markdown import markdown
 
-SEARCH_STAGES = ("features", "matching", "placing", "refining")
+SEARCH_STAGES = ("features", "matching", "placing", "refining", "surfaces")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from .job import FOUND, Copy, Job
 from .pairs import match_photos, verified_pairs
 from .placing import place_photos
 from .refinement import refine
+from .stereo import with_surfaces
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def find_model(job: Job) -> None:
-    """Features, matches, placed photos, refined cameras; writes the largest model and a summary."""
+    """Features, matches, placed photos, refined cameras, points of surfaces; writes the largest model and a summary."""
     seconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[..., Any], *arguments: Any) -> Any:
@@ -55,7 +56,8 @@ def find_model(job: Job) -> None:
     models = timed("placing", place_photos, job, features, part(tell, 0.5, 0.8))
     if not models:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
-    best = timed("refining", refine, job, features, models[0], part(tell, 0.8, 1.0))
+    refined = timed("refining", refine, job, features, models[0], part(tell, 0.8, 0.95))
+    best = timed("surfaces", with_surfaces, job, refined, part(tell, 0.95, 1.0))
     summary = {"models": [model.num_reg_images() for model in models], "pairs": pairs, "seconds": seconds}
     _write(job, best, summary)
 

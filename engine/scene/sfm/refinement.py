@@ -18,7 +18,9 @@ from .job import LEAST_PHOTOS, Job
 from .matching import match_along_lines
 from .pairs import LARGEST, Pair
 from .placing import LEAST_ANGLE, place_again, triangulated
-from .tracks import Pictures, longer_tracks, read_pictures
+from .resection import resected
+from .tracks import longer_tracks
+from .views import Pictures, read_pictures
 
 _WIDE = ((25.0, 20.0), (10.0, 8.0))
 """Largest distance in pixels from an epipolar line, and then of a point from its features, in passes with the largest
@@ -53,6 +55,10 @@ _ADJUSTMENTS = 2
 """Adjustments in each pass, with a removal of outliers after each."""
 
 
+_Tracked = Callable[[Any, Progress], Any]
+"""A model → the model matched and followed again, with cameras adjusted to that."""
+
+
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
     """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them.
 
@@ -72,16 +78,18 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
         wide = _passed(job, features, large, wide, limits, part(report, 0.1 * number, 0.1 * (number + 1)))
     starts = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
     best = max(starts, key=_agreement)
+    best, trusted = _with_missing(job, features, best, tracked, part(report, 0.4, 0.5))
     for attempt in range(_ATTEMPTS):
-        better = _improved(job, best, tracked, part(report, 0.4 + 0.1 * attempt, 0.5 + 0.1 * attempt))
+        share = part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt)
+        better = _improved(job, best, trusted, tracked, share)
         if better is None:
             break
         gain = _agreement(better) / max(_agreement(best), 1)
         best = better
         if gain < _LEAST_GAIN:
             break
-    seeds = on_surfaces(_matched(job, features, everything, best, _ALL, part(report, 0.7, 0.8)))
-    best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, part(report, 0.8, 1.0))
+    seeds = on_surfaces(_matched(job, features, everything, best, _ALL, part(report, 0.8, 0.9)))
+    best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, part(report, 0.9, 1.0))
     return held(best) if best.num_points3D() >= _LEAST_POINTS else model
 
 
@@ -94,34 +102,49 @@ def held(model: Any) -> Any:
     return model
 
 
-def _improved(job: Job, model: Any, tracked: Callable[[Any, Progress], Any], report: Progress) -> Any:
+def _with_missing(
+    job: Job, features: Sequence[Features], model: Any, tracked: _Tracked, report: Progress
+) -> tuple[Any, frozenset[int]]:
+    """The model with the missing photos that its points determine, and the ids of these photos."""
+    before = set(model.reg_image_ids())
+    everything = [np.arange(len(each)) for each in features]
+    for attempt in range(_ATTEMPTS):
+        if model.num_reg_images() == len(job.photos):
+            break
+        share = part(report, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
+        seeds = _matched(job, features, everything, model, _ALL, part(share, 0.0, 0.5))
+        more = resected(job, features, seeds)
+        if more is None:
+            break
+        model = tracked(more, part(share, 0.5, 1.0))
+    return model, frozenset(set(model.reg_image_ids()) - before)
+
+
+def _improved(job: Job, model: Any, trusted: frozenset[int], tracked: _Tracked, report: Progress) -> Any:
     """The model matched and followed again, after its uncertain photos were placed again if that moves them; None if
-    that loses tracks."""
+    that loses tracks. trusted: photos that are not placed again."""
     support = _support(model)
     usual = float(np.median(list(support.values()))) if support else 0.0
-    uncertain = {image for image, count in support.items() if count < _UNCERTAIN * usual}
-    for number, start in enumerate(_starts(job, model, uncertain)):
-        better = tracked(start, part(report, 0.5 * number, 0.5 * (number + 1)))
+    uncertain = {image for image, count in support.items() if count < _UNCERTAIN * usual} - trusted
+    for number, start in enumerate(_starts(job, model, trusted, uncertain)):
+        better = tracked(start, part(report, number / 3, (number + 1) / 3))
         if _agreement(better) > _LEAST_KEPT * _agreement(model):
             return better
     return None
 
 
-def _starts(job: Job, model: Any, uncertain: Collection[int]) -> Iterator[Any]:
-    """The model; or, if placing its uncertain photos again moves them, models after that, with the others fixed or
-    not."""
-    if not uncertain and model.num_reg_images() == len(job.photos):
-        yield model
-        return
-    again = place_again(job, model, uncertain, fixed=True)
-    if again is not None and same_places(model, again, uncertain):
-        yield model
-        return
-    if again is not None:
-        yield again
-    again = place_again(job, model, uncertain, fixed=False)
-    if again is not None:
-        yield again
+def _starts(job: Job, model: Any, trusted: frozenset[int], uncertain: Collection[int]) -> Iterator[Any]:
+    """Models to go on from, all with the trusted photos: those in which the uncertain and missing photos were placed
+    again, with the others fixed or not, unless that changes nothing; and the model itself."""
+    if uncertain or model.num_reg_images() < len(job.photos):
+        for fixed in (True, False):
+            again = place_again(job, model, uncertain, fixed=fixed)
+            if again is None or not trusted <= set(again.reg_image_ids()):
+                continue
+            if same_places(model, again, uncertain):
+                break
+            yield again
+    yield model
 
 
 def same_places(before: Any, after: Any, images: Collection[int]) -> bool:

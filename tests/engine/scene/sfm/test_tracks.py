@@ -13,7 +13,8 @@ from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
 from fruitlangs.engine.scene.sfm.patch_kernels import find_patches
-from fruitlangs.engine.scene.sfm.tracks import longer_tracks, read_pictures
+from fruitlangs.engine.scene.sfm.tracks import longer_tracks
+from fruitlangs.engine.scene.sfm.views import read_pictures
 
 WIDTH, HEIGHT, FOCAL = 200, 160, 400.0
 STEP = 0.15

@@ -1,0 +1,299 @@
+"""Points where SIFT finds none: the surfaces that whole photos show, by PatchMatch stereo, where several photos agree.
+
+Training starts from these points. Those of SIFT leave out plain and repeating surfaces, such as the ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from ...progress import Progress
+from .job import Job
+from .stereo_kernels import match_stereo
+from .views import Observations, Pictures, Views, read_pictures
+
+_PIXELS = 270_000
+"""Pixels of the pictures that are compared."""
+_SPACING, _STEP = 6, 2
+"""Distance between the pixels whose surface is searched, and between the samples of a patch around them."""
+_MARGIN = 8
+"""Pixels from the border of a picture to the first searched one."""
+_NEAR_PHOTOS = 6
+_LEAST_SHARED = 5
+"""Points that two photos must both see to be compared."""
+_ENOUGH_ANGLE = 8.0
+"""Angle in degrees between the rays of two photos above which depths hardly become more accurate."""
+_KNOWN, _RANDOM = 8, 6
+"""Depths that a pixel begins with: those of the nearest points in the photo, and random ones among all its depths."""
+_NOISE = 0.02
+"""Relative deviation that is added to known depths."""
+_ITERATIONS = 2
+_LEAST_LIKENESS = 0.6
+_SAME_DEPTH = 0.01
+"""Relative difference of depth up to which two photos agree."""
+_LEAST_AGREEING = 2
+"""Other photos that must agree with a point."""
+_APART = 3.0
+"""Least distance of a new point from others, in distances of the searched pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """One photo, made smaller: its picture and its SIMPLE_RADIAL lens.
+
+    rotation (3, 3) and translation (3,) of its pose; lens: (4,) focal length, principal point, radial distortion, in
+    pixels; scale: pixels per pixel of the copy; columns (W,), rows (H,): of the searched pixels; rays: (H, W, 2) of
+    them; near: positions of the photos that it is compared with.
+    """
+
+    picture: NDArray[np.uint8]
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    lens: NDArray[np.float64]
+    scale: float
+    columns: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    rays: NDArray[np.float64]
+    near: NDArray[np.int64]
+
+    def local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        result: NDArray[np.float64] = points @ self.rotation.T + self.translation
+        return result
+
+    def world(self, rays: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (N, 3) at inverse depths (N,) along rays (N, 2)."""
+        result: NDArray[np.float64] = (_homogeneous(rays) / inverse[:, None] - self.translation) @ self.rotation
+        return result
+
+    def pixels(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 2) pixels of points (N, 3) in the frame of the camera."""
+        rays = local[:, :2] / local[:, 2:]
+        bent = rays * (1.0 + self.lens[3] * (rays**2).sum(1, keepdims=True))
+        result: NDArray[np.float64] = self.lens[0] * bent + self.lens[1:3]
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """What a photo shows at its searched pixels: planes (H, W, 3) and likeness (H, W), of `match_stereo`."""
+
+    planes: NDArray[np.float64]
+    likeness: NDArray[np.float64]
+
+
+def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
+    """A model with the same cameras and points, and with points of surfaces where it has none.
+
+    model: of the copies, with refined cameras.
+    """
+    placed = Views.of(job, model)
+    seen = placed.observations()
+    if not len(seen.xyz):
+        return model
+    views = _views(placed, seen, read_pictures(job))
+    small = _stacked([view.picture for view in views])
+    surfaces = []
+    for number, view in enumerate(views):
+        report(0.9 * number / len(views), f"comparing surfaces: photo {number + 1} of {len(views)}")
+        known = seen.view == number
+        guesses = _guesses(view, seen.xyz[seen.point[known]], seen.pixel[known], [job.config.seed, number])
+        surfaces.append(_surface(views, small, number, guesses, job.config.seed))
+    report(0.9, "comparing surfaces")
+    parts = [_agreed(views, surfaces, number) for number in range(len(views))]
+    found = _Found(
+        _together([each.seen for each in parts]),
+        likeness=np.concatenate([each.likeness for each in parts]),
+        size=np.concatenate([each.size for each in parts]),
+    )
+    new = _some(found.seen, _in_gaps(seen.xyz, found))
+    return placed.with_points(_together([seen, new]))
+
+
+def _views(placed: Views, seen: Observations, pictures: Pictures) -> list[_View]:
+    shared = _near(placed, seen)
+    views = []
+    for number, image in enumerate(placed.images):
+        camera = placed.model.cameras[image.camera_id]
+        picture = pictures[placed.pictures[number], : camera.height, : camera.width]
+        scale = min((_PIXELS / picture.size) ** 0.5, 1.0)
+        height, width = int(scale * camera.height), int(scale * camera.width)
+        box = (0.0, 0.0, width / scale, height / scale)
+        smaller = np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX, box))
+        columns, rows = (np.arange(_MARGIN, side - _MARGIN, _SPACING) for side in (width, height))
+        grid = np.stack(np.meshgrid(columns + 0.5, rows + 0.5), axis=-1)
+        rays = np.asarray(camera.cam_from_img(grid.reshape(-1, 2) / scale)).reshape(grid.shape)
+        views.append(
+            _View(
+                picture=smaller,
+                rotation=placed.rotations[number],
+                translation=placed.translations[number],
+                lens=np.array(camera.params) * [scale, scale, scale, 1.0],
+                scale=scale,
+                columns=columns,
+                rows=rows,
+                rays=rays,
+                near=shared[number],
+            )
+        )
+    return views
+
+
+def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
+    """Per photo, the positions of those that it is compared with: they share many points, seen from other places."""
+    shape = len(placed.images), len(seen.xyz)
+    sees = csr_matrix((np.ones(len(seen.point)), (seen.view, seen.point)), shape)
+    common = (sees @ sees.T).toarray()
+    np.fill_diagonal(common, 0.0)
+    near = []
+    for number, center in enumerate(placed.centers):
+        own = seen.xyz[seen.point[seen.view == number]]
+        middle = np.median(own, axis=0) if len(own) else center
+        rays = placed.centers - middle
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+        angles = np.degrees(np.arccos(np.clip(rays @ rays[number], -1.0, 1.0)))
+        usefulness = common[number] * np.minimum(angles / _ENOUGH_ANGLE, 1.0)
+        ranked = np.argsort(-usefulness, kind="stable")[:_NEAR_PHOTOS]
+        near.append(ranked[common[number, ranked] >= _LEAST_SHARED])
+    return near
+
+
+def _stacked(pictures: Sequence[NDArray[np.uint8]]) -> Pictures:
+    """The pictures in one array, smaller ones with black borders to the right and below."""
+    height, width = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
+    stacked = np.zeros((len(pictures), height, width), np.uint8)
+    for number, picture in enumerate(pictures):
+        stacked[number, : picture.shape[0], : picture.shape[1]] = picture
+    return stacked
+
+
+def _guesses(
+    view: _View, points: NDArray[np.float64], pixels: NDArray[np.float64], seed: Sequence[int]
+) -> NDArray[np.float64]:
+    """(H, W, G) inverse depths that the search of a photo begins with; G = 0 if it sees too few points.
+
+    points (N, 3), pixels (N, 2): the points that it sees, and where, in pixels of the copy.
+    """
+    shape = view.rays.shape[:2]
+    if len(points) < _KNOWN:
+        return np.zeros((*shape, 0))
+    random = np.random.default_rng(seed)
+    inverse = 1.0 / view.local(points)[:, 2]
+    grid = np.stack(np.meshgrid(view.columns, view.rows), axis=-1).reshape(-1, 2)
+    nearest = cKDTree(pixels * view.scale).query(grid, k=_KNOWN)[1]
+    known = inverse[nearest] * (1.0 + _NOISE * random.normal(size=nearest.shape))
+    far, near = np.quantile(inverse, [0.01, 0.99])
+    others = random.uniform(0.8 * far, 1.1 * near, (len(grid), _RANDOM))
+    return np.ascontiguousarray(np.concatenate([known, others], axis=1).reshape(*shape, -1))
+
+
+def _surface(
+    views: Sequence[_View], pictures: Pictures, number: int, guesses: NDArray[np.float64], seed: int
+) -> _Surface:
+    view, others = views[number], [views[other] for other in views[number].near]
+    planes, likeness = np.zeros((*view.rays.shape[:2], 3)), np.full(view.rays.shape[:2], -1.0)
+    if others and guesses.size:
+        turns = np.stack([other.rotation @ view.rotation.T for other in others])
+        moves = np.stack([other.translation for other in others]) - turns @ view.translation
+        match_stereo(
+            pictures, number, view.columns, view.rows, _STEP, view.rays, guesses, view.near, turns, moves,
+            np.stack([other.lens for other in others]), view.lens[0], _ITERATIONS, seed * len(views) + number, planes,
+            likeness,
+        )  # fmt: skip
+    return _Surface(planes, likeness)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Points of photos that others agree with, and where they are seen; likeness (N,); size: (N,) distance between
+    searched pixels there, in units of the model."""
+
+    seen: Observations
+    likeness: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+
+def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -> _Found:
+    """The points of one photo that enough others agree with, in the middle of what all of these say."""
+    view, surface = views[number], surfaces[number]
+    row, column = np.nonzero(surface.likeness > _LEAST_LIKENESS)
+    rays = view.rays[row, column]
+    inverse = np.einsum("ni,ni->n", surface.planes[row, column], _homogeneous(rays))
+    own = view.world(rays, inverse)
+    point, where, places = [np.arange(len(own))], [np.full(len(own), number)], [own]
+    for other in view.near:
+        same, xyz = _seen_again(views[other], surfaces[other], own)
+        point, where, places = [*point, same], [*where, np.full(len(same), other)], [*places, xyz]
+    points, numbers = np.concatenate(point), np.concatenate(where)
+    count = np.bincount(points, minlength=len(own))
+    sums = np.zeros_like(own)
+    np.add.at(sums, points, np.concatenate(places))
+    agreed = count > _LEAST_AGREEING
+    kept = agreed[points]
+    seen = Observations(
+        (sums / count[:, None])[agreed],
+        point=(np.cumsum(agreed) - 1)[points[kept]],
+        view=numbers[kept],
+        pixel=np.empty((kept.sum(), 2)),
+    )
+    for other in (number, *view.near):
+        shown = seen.view == other
+        seen.pixel[shown] = views[other].pixels(views[other].local(seen.xyz[seen.point[shown]])) / views[other].scale
+    return _Found(seen, surface.likeness[row, column][agreed], _SPACING / (view.lens[0] * inverse[agreed]))
+
+
+def _seen_again(
+    view: _View, surface: _Surface, xyz: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Which of the points a photo shows at the same depth, and the places (M, 3) that it says they have."""
+    local = view.local(xyz)
+    front = np.flatnonzero(local[:, 2] > 1e-9)
+    cell = np.rint((view.pixels(local[front]) - 0.5 - _MARGIN) / _SPACING)
+    inside = ((cell >= 0) & (cell < [len(view.columns), len(view.rows)])).all(1)
+    front, (column, row) = front[inside], cell[inside].astype(np.int64).T
+    rays = local[front, :2] / local[front, 2:]
+    inverse = np.einsum("ni,ni->n", surface.planes[row, column], _homogeneous(rays))
+    same = np.abs(inverse * local[front, 2] - 1.0) < _SAME_DEPTH
+    same &= surface.likeness[row, column] > _LEAST_LIKENESS
+    return front[same], view.world(rays[same], inverse[same])
+
+
+def _homogeneous(rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([rays, np.ones(len(rays))])
+
+
+def _in_gaps(known: NDArray[np.float64], found: _Found) -> NDArray[np.int64]:
+    """The found points that are far from known ones, and from each other: of each cube the most certain."""
+    apart = _APART * found.size
+    level = np.floor(np.log2(apart))
+    cube = np.floor(found.seen.xyz / np.exp2(level)[:, None])
+    lonely = cKDTree(known).query(found.seen.xyz)[0] > apart
+    order = np.argsort(-found.likeness, kind="stable")
+    order = order[lonely[order]]
+    first = np.unique(np.column_stack([level, cube])[order], axis=0, return_index=True)[1]
+    return np.sort(order[first])
+
+
+def _together(parts: Sequence[Observations]) -> Observations:
+    before = np.cumsum([0] + [len(each.xyz) for each in parts])
+    return Observations(
+        np.concatenate([each.xyz for each in parts]),
+        point=np.concatenate([each.point + first for each, first in zip(parts, before, strict=False)]),
+        view=np.concatenate([each.view for each in parts]),
+        pixel=np.concatenate([each.pixel for each in parts]),
+    )
+
+
+def _some(seen: Observations, points: NDArray[np.int64]) -> Observations:
+    """These points with their observations."""
+    number = np.full(len(seen.xyz), -1)
+    number[points] = np.arange(len(points))
+    kept = number[seen.point] >= 0
+    return Observations(seen.xyz[points], point=number[seen.point[kept]], view=seen.view[kept], pixel=seen.pixel[kept])

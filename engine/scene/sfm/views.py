@@ -1,0 +1,129 @@
+"""Placed photos as arrays: their pictures, poses and lenses, and models made of points that they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..pycolmap_import import colmap_library
+from .job import Job
+
+Pictures = NDArray[np.uint8]
+"""(P, H, W) grey copies of the photos in name order; smaller ones have black borders to the right and below."""
+
+
+def read_pictures(job: Job) -> Pictures:
+    height = max(photo.copy_height for photo in job.photos)
+    width = max(photo.copy_width for photo in job.photos)
+    pictures = np.zeros((len(job.photos), height, width), np.uint8)
+    for index, photo in enumerate(job.photos):
+        with Image.open(job.copies / photo.copy) as image:
+            pictures[index, : photo.copy_height, : photo.copy_width] = np.asarray(image.convert("L"))
+    return pictures
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """The placed photos of a model, V of them.
+
+    images: of the model, in name order; pictures: (V,) their pictures; rotations (V, 3, 3), translations (V, 3) and
+    centers (V, 3): of their poses; focal: (V,) pixels; sizes: (V, 2) width and height in pixels.
+    """
+
+    model: Any
+    images: Sequence[Any]
+    pictures: NDArray[np.int64]
+    rotations: NDArray[np.float64]
+    translations: NDArray[np.float64]
+    centers: NDArray[np.float64]
+    focal: NDArray[np.float64]
+    sizes: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, job: Job, model: Any) -> Views:
+        numbers = {photo.copy: index for index, photo in enumerate(job.photos)}
+        images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
+        poses = [image.cam_from_world() for image in images]
+        cameras = [model.cameras[image.camera_id] for image in images]
+        return cls(
+            model=model,
+            images=images,
+            pictures=np.array([numbers[image.name] for image in images]),
+            rotations=np.stack([pose.rotation.matrix() for pose in poses]),
+            translations=np.stack([pose.translation for pose in poses]),
+            centers=np.stack([image.projection_center() for image in images]),
+            focal=np.array([camera.mean_focal_length() for camera in cameras]),
+            sizes=np.array([(camera.width, camera.height) for camera in cameras], float),
+        )
+
+    def projected(self, view: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 2) pixels of points (N, 3), each in one photo; NaN behind it."""
+        local = np.einsum("nij,nj->ni", self.rotations[view], points) + self.translations[view]
+        pixels = np.full((len(points), 2), np.nan)
+        cameras = np.array([image.camera_id for image in self.images])[view]
+        for camera in np.unique(cameras):
+            chosen = (cameras == camera) & (local[:, 2] > 1e-9)
+            if chosen.any():
+                pixels[chosen] = np.asarray(self.model.cameras[camera].img_from_cam(local[chosen])).reshape(-1, 2)
+        return pixels
+
+    def observations(self) -> Observations:
+        """The points of the model, in id order, and where the views show them."""
+        positions = {image.image_id: position for position, image in enumerate(self.images)}
+        pixels = [np.array([point.xy for point in image.points2D]).reshape(-1, 2) for image in self.images]
+        before = np.cumsum([0] + [len(each) for each in pixels])
+        points = [point for _, point in sorted(self.model.points3D.items())]
+        elements = np.array(
+            [
+                (number, positions[each.image_id], each.point2D_idx)
+                for number, point in enumerate(points)
+                for each in point.track.elements
+            ],
+            np.int64,
+        ).reshape(-1, 3)
+        point, view, index = elements[np.lexsort((elements[:, 1], elements[:, 0]))].T
+        everything = np.concatenate([np.zeros((0, 2)), *pixels])
+        xyz = np.array([point.xyz for point in points], float).reshape(-1, 3)
+        return Observations(xyz, point=point, view=view, pixel=everything[before[view] + index])
+
+    def with_points(self, seen: Observations) -> Any:
+        """A model of the views with the points that they show."""
+        pycolmap = colmap_library()
+        order = np.lexsort((seen.view, seen.point))
+        point, view, pixel = seen.point[order], seen.view[order], seen.pixel[order]
+        model = pycolmap.Reconstruction()
+        for number in sorted({image.camera_id for image in self.images}):
+            model.add_camera_with_trivial_rig(self.model.cameras[number])
+        index = np.empty(len(view), np.int64)
+        for position, image in enumerate(self.images):
+            mine = np.flatnonzero(view == position)
+            index[mine] = np.arange(len(mine))
+            copy = pycolmap.Image(
+                name=image.name, keypoints=pixel[mine], camera_id=image.camera_id, image_id=image.image_id
+            )
+            model.add_image_with_trivial_frame(copy, image.cam_from_world())
+        tracks: dict[int, Any] = {}
+        for k in range(len(point)):
+            track = tracks.setdefault(int(point[k]), pycolmap.Track())
+            track.add_element(self.images[view[k]].image_id, int(index[k]))
+        for number, track in tracks.items():
+            model.add_point3D(seen.xyz[number], track)
+        return model
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """N points and M observations of them.
+
+    xyz: (N, 3); point, view: (M,) which point each observation shows, and in which view; pixel: (M, 2) where.
+    """
+
+    xyz: NDArray[np.float64]
+    point: NDArray[np.int64]
+    view: NDArray[np.int64]
+    pixel: NDArray[np.float64]

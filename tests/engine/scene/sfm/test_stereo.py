@@ -1,0 +1,137 @@
+"""Surfaces get points where photos agree on them, and nowhere else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fruitlangs.engine.config import PhotosConfig
+from fruitlangs.engine.progress import silent
+from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm.job import Copy, Job
+from fruitlangs.engine.scene.sfm.stereo import with_surfaces
+
+from .test_tracks import wall
+
+WIDTH, HEIGHT, FOCAL, DISTANCE, STEP, CAMERAS = 300, 240, 400.0, 4.0, 0.3, 6
+"""Cameras in a row, `STEP` apart, that look at a surface `DISTANCE` ahead, in metres."""
+KNOWN_ABOVE = 0.4
+"""The model has points in this share of the pictures, from their upper border."""
+
+
+def rays() -> tuple[np.ndarray, np.ndarray]:
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
+    return (u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL
+
+
+def depth(y: np.ndarray, steep: float) -> np.ndarray:
+    """Of a surface that rises by `steep` metres a metre towards the camera, like ground seen from above."""
+    return DISTANCE / (1.0 + steep * y)
+
+
+def view(place: float, steep: float, seed: int = 0) -> np.ndarray:
+    x, y = rays()
+    z = depth(y, steep)
+    return np.rint(wall(x * z + place, y * z, seed)).astype(np.uint8)
+
+
+def scene(folder: Path, steep: float, pictures: list[np.ndarray] | None = None, scale: int = 1) -> tuple[Job, Any]:
+    """Photos of a surface with their true cameras, and with points in its upper part only.
+
+    scale: by how much the photos are larger.
+    """
+    pycolmap = colmap_library()
+    (folder / "copies").mkdir(parents=True)
+    names = [f"{i:06d}.png" for i in range(CAMERAS)]
+    size = {"copy_width": scale * WIDTH, "copy_height": scale * HEIGHT}
+    copies = [Copy(name=name, width=WIDTH, height=HEIGHT, copy=name, focal=0.0, **size) for name in names]
+    job = Job(folder=str(folder), photos=copies, config=PhotosConfig(), threads=1)
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", scale * FOCAL, scale * WIDTH, scale * HEIGHT)
+    model.add_camera_with_trivial_rig(camera)
+    places = STEP * (np.arange(CAMERAS) - (CAMERAS - 1) / 2)
+    pictures = [view(place, steep) for place in places] if pictures is None else pictures
+    x, y = (each[10 : int(KNOWN_ABOVE * HEIGHT) : 12, 80:-80:12].ravel() for each in rays())
+    points = np.column_stack([x, y, np.ones(len(x))]) * depth(y, steep)[:, None]
+    for i, (name, place, shown) in enumerate(zip(names, places, pictures, strict=True)):
+        Image.fromarray(shown).resize((scale * WIDTH, scale * HEIGHT)).save(folder / "copies" / name)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([-place, 0.0, 0.0]))
+        pixels = np.asarray(camera.img_from_cam(points - [place, 0.0, 0.0]))
+        image = pycolmap.Image(name=name, keypoints=pixels, camera_id=1, image_id=i + 1)
+        model.add_image_with_trivial_frame(image, pose)
+    for k, point in enumerate(points):
+        track = pycolmap.Track()
+        for i in range(CAMERAS):
+            track.add_element(i + 1, k)
+        model.add_point3D(point, track)
+    return job, model
+
+
+def places(model: Any) -> np.ndarray:
+    return np.array([point.xyz for _, point in sorted(model.points3D.items())])
+
+
+def off(points: np.ndarray, steep: float) -> np.ndarray:
+    """Relative distance along the ray of points from the surface."""
+    return np.abs(points[:, 2] / depth(points[:, 1] / points[:, 2], steep) - 1.0)
+
+
+@pytest.mark.parametrize(("steep", "scale"), [(0.0, 1), (1.0, 1), (0.0, 3)])
+def test_the_part_of_a_surface_without_points_gets_points_on_the_surface(
+    tmp_path: Path, steep: float, scale: int
+) -> None:
+    job, model = scene(tmp_path, steep, scale=scale)
+    known = places(model)
+    points = places(with_surfaces(job, model, silent))
+    assert np.allclose(points[: len(known)], known)
+    new = points[len(known) :]
+    assert (off(new, steep) < 0.01).mean() > 0.85
+    y = new[:, 1] / new[:, 2] * FOCAL + HEIGHT / 2
+    assert (y > KNOWN_ABOVE * HEIGHT).sum() > 60
+    assert y.max() > 0.85 * HEIGHT
+
+
+def test_new_points_are_seen_where_the_photos_show_them(tmp_path: Path) -> None:
+    job, model = scene(tmp_path, 0.0)
+    filled = with_surfaces(job, model, silent)
+    errors = []
+    for _, point in sorted(filled.points3D.items())[model.num_points3D() :]:
+        assert point.track.length() >= 3
+        for element in point.track.elements:
+            image = filled.images[element.image_id]
+            errors.append(image.points2D[element.point2D_idx].xy - image.project_point(point.xyz))
+    assert np.abs(errors).max() < 1e-6
+
+
+def test_new_points_are_not_near_known_ones(tmp_path: Path) -> None:
+    job, model = scene(tmp_path, 0.0)
+    known = places(model)
+    new = places(with_surfaces(job, model, silent))[len(known) :]
+    apart = np.linalg.norm(new[:, None] - known, axis=2).min(1)
+    assert apart.min() > 15 * DISTANCE / FOCAL
+
+
+@pytest.mark.parametrize("seen", ["plain", "different in each photo"])
+def test_what_photos_do_not_agree_on_gets_no_points(tmp_path: Path, seen: str) -> None:
+    plain = seen == "plain"
+    pictures = [np.full((HEIGHT, WIDTH), 90, np.uint8) if plain else view(0.0, 0.0, seed) for seed in range(CAMERAS)]
+    job, model = scene(tmp_path, 0.0, pictures)
+    chance = 0 if plain else 0.005 * CAMERAS * WIDTH * HEIGHT / 6**2
+    assert with_surfaces(job, model, silent).num_points3D() <= model.num_points3D() + chance
+
+
+def test_the_same_photos_give_the_same_points(tmp_path: Path) -> None:
+    job, model = scene(tmp_path, 1.0)
+    first, second = (places(with_surfaces(job, model, silent)) for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_a_model_without_points_stays_as_it_is(tmp_path: Path) -> None:
+    job, model = scene(tmp_path, 0.0)
+    for number in list(model.points3D):
+        model.delete_point3D(number)
+    assert with_surfaces(job, model, silent).num_points3D() == 0
