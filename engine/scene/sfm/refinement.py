@@ -76,8 +76,8 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
     wide = model
     for number, limits in enumerate(_WIDE):
         wide = _passed(job, features, large, wide, limits, part(report, 0.1 * number, 0.1 * (number + 1)))
-    starts = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
-    best = max(starts, key=_agreement)
+    both = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
+    best = max(both, key=_agreement)
     best, trusted = _with_missing(job, features, best, tracked, part(report, 0.4, 0.5))
     for attempt in range(_ATTEMPTS):
         share = part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt)
@@ -126,14 +126,14 @@ def _improved(job: Job, model: Any, trusted: frozenset[int], tracked: _Tracked, 
     support = _support(model)
     usual = float(np.median(list(support.values()))) if support else 0.0
     uncertain = {image for image, count in support.items() if count < _UNCERTAIN * usual} - trusted
-    for number, start in enumerate(_starts(job, model, trusted, uncertain)):
+    for number, start in enumerate(starts(job, model, trusted, uncertain)):
         better = tracked(start, part(report, number / 3, (number + 1) / 3))
         if _agreement(better) > _LEAST_KEPT * _agreement(model):
             return better
     return None
 
 
-def _starts(job: Job, model: Any, trusted: frozenset[int], uncertain: Collection[int]) -> Iterator[Any]:
+def starts(job: Job, model: Any, trusted: frozenset[int], uncertain: Collection[int]) -> Iterator[Any]:
     """Models to go on from, all with the trusted photos: those in which the uncertain and missing photos were placed
     again, with the others fixed or not, unless that changes nothing; and the model itself."""
     if uncertain or model.num_reg_images() < len(job.photos):

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from ...progress import Progress
 from .job import Job
 from .stereo_kernels import match_stereo
-from .views import Observations, Pictures, Views, read_pictures
+from .views import Observations, Pictures, Views
 
 _PIXELS = 270_000
 """Pixels of the pictures that are compared."""
@@ -98,7 +98,7 @@ def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
     seen = placed.observations()
     if not len(seen.xyz):
         return model
-    views = _views(placed, seen, read_pictures(job))
+    views = _views(job, placed, seen)
     small = _stacked([view.picture for view in views])
     surfaces = []
     for number, view in enumerate(views):
@@ -117,22 +117,22 @@ def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
     return placed.with_points(_together([seen, new]))
 
 
-def _views(placed: Views, seen: Observations, pictures: Pictures) -> list[_View]:
+def _views(job: Job, placed: Views, seen: Observations) -> list[_View]:
     shared = _near(placed, seen)
     views = []
     for number, image in enumerate(placed.images):
         camera = placed.model.cameras[image.camera_id]
-        picture = pictures[placed.pictures[number], : camera.height, : camera.width]
-        scale = min((_PIXELS / picture.size) ** 0.5, 1.0)
+        scale = min((_PIXELS / (camera.width * camera.height)) ** 0.5, 1.0)
         height, width = int(scale * camera.height), int(scale * camera.width)
         box = (0.0, 0.0, width / scale, height / scale)
-        smaller = np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX, box))
+        with Image.open(job.copies / image.name) as copy:
+            picture = np.asarray(copy.convert("L").resize((width, height), Image.Resampling.BOX, box))
         columns, rows = (np.arange(_MARGIN, side - _MARGIN, _SPACING) for side in (width, height))
         grid = np.stack(np.meshgrid(columns + 0.5, rows + 0.5), axis=-1)
         rays = np.asarray(camera.cam_from_img(grid.reshape(-1, 2) / scale)).reshape(grid.shape)
         views.append(
             _View(
-                picture=smaller,
+                picture=picture,
                 rotation=placed.rotations[number],
                 translation=placed.translations[number],
                 lens=np.array(camera.params) * [scale, scale, scale, 1.0],

@@ -141,6 +141,7 @@ def test_progress_names_every_step_and_never_goes_back(walk: Path, tmp_path: Pat
         "matching placed photos",
         "refining cameras",
         "following points",
+        "comparing surfaces",
     ]
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import types
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
-from fruitlangs.engine.scene.sfm.refinement import held, near_pairs, on_surfaces, same_places
+from fruitlangs.engine.scene.sfm import refinement
+from fruitlangs.engine.scene.sfm.job import Job
+from fruitlangs.engine.scene.sfm.refinement import held, near_pairs, on_surfaces, same_places, starts
 
 
 def placed(degrees: float) -> types.SimpleNamespace:
@@ -82,3 +85,14 @@ def test_photos_are_at_the_same_places_if_none_is_missing_or_has_moved_far() -> 
     without = moved(0.0)
     without.deregister_frame(without.images[3].frame_id)
     assert not same_places(before, without, {2})
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_placing_photos_again_never_loses_those_that_points_placed(kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = with_points(np.zeros((1, 3)), [4])
+    again = colmap_library().Reconstruction(model)
+    again.deregister_frame(again.images[3 if kept else 2].frame_id)
+    monkeypatch.setattr(refinement, "place_again", lambda *_, **__: again)
+    job = types.SimpleNamespace(photos=[None] * 5)
+    found = list(starts(cast(Job, job), model, trusted=frozenset({2}), uncertain={3}))
+    assert [each.num_reg_images() for each in found] == ([3, 3, 4] if kept else [4])
