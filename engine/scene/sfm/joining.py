@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import SceneError
 from ..alignment import Similarity, align
 from ..pycolmap_import import colmap_library
+from .views import PlacedPhoto, model_of
 
 LEAST_SHARED = 4
 """Photos that two models must share."""
@@ -29,7 +30,8 @@ def joined(models: Sequence[Any]) -> list[Any]:
         for other in list(remaining):
             moved = _similarity(other, model)
             if moved is not None:
-                model = _with_photos_of(model, other, moved)
+                new = set(other.reg_image_ids()) - set(model.reg_image_ids())
+                model = _with_photos_of(model, other, moved, new)
                 remaining.remove(other)
         result.append(model)
     return sorted(result, key=lambda model: -model.num_reg_images())
@@ -50,23 +52,27 @@ def _similarity(other: Any, model: Any) -> Similarity | None:
     return moved if error <= _LARGEST_ERROR * spread else None
 
 
-def _with_photos_of(model: Any, other: Any, moved: Similarity) -> Any:
-    """A model of the photos of both, with the poses of `model` for shared ones."""
-    pycolmap = colmap_library()
-    both = pycolmap.Reconstruction()
-    own = set(model.reg_image_ids())
-    poses = {i: model.images[i].cam_from_world() for i in own}
-    for i in other.reg_image_ids():
-        poses.setdefault(i, _moved(other.images[i], moved))
-    for i in sorted(poses):
-        image = (model if i in own else other).images[i]
-        if image.camera_id not in both.cameras:
-            owner = model if image.camera_id in model.cameras else other
-            both.add_camera_with_trivial_rig(owner.cameras[image.camera_id])
-        points = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
-        copy = pycolmap.Image(name=image.name, keypoints=points, camera_id=image.camera_id, image_id=i)
-        both.add_image_with_trivial_frame(copy, poses[i])
-    return both
+def with_photos(model: Any, other: Any, photos: Collection[int]) -> Any:
+    """The model, without points, and these photos of another one; None if others that both have do not agree."""
+    moved = _similarity(other, model)
+    return None if moved is None else _with_photos_of(model, other, moved, photos)
+
+
+def _with_photos_of(model: Any, other: Any, moved: Similarity, photos: Collection[int]) -> Any:
+    """The photos of `model`, without points, and in its frame these of `other`."""
+    both = [(image, image.cam_from_world()) for image in model.images.values() if image.has_pose]
+    both += [(other.images[i], _moved(other.images[i], moved)) for i in photos]
+    cameras = {i: camera for each in (other, model) for i, camera in each.cameras.items()}
+    return model_of(
+        PlacedPhoto(
+            number=image.image_id,
+            name=image.name,
+            camera=cameras[image.camera_id],
+            pose=pose,
+            pixels=np.array([point.xy for point in image.points2D]).reshape(-1, 2),
+        )
+        for image, pose in both
+    )
 
 
 def _moved(image: Any, moved: Similarity) -> Any:

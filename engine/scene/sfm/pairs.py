@@ -84,12 +84,21 @@ def verified_pairs(job: Job) -> list[Pair]:
     database = job.open_database()
     try:
         positions = {image: position for position, image in enumerate(image_ids(database, job))}
-        pairs, inliers = database.read_two_view_geometry_num_inliers()
-        ids = [colmap_library().pair_id_to_image_pair(pair) for pair in pairs]
     finally:
         database.close()
-    found = [(positions[a], positions[b]) for (a, b), number in zip(ids, inliers, strict=True) if number]
+    found = [(positions[a], positions[b]) for a, b in verified_images(job)]
     return sorted((min(pair), max(pair)) for pair in found)
+
+
+def verified_images(job: Job) -> list[tuple[int, int]]:
+    """The same as ids of photos in the database."""
+    database = job.open_database()
+    try:
+        pairs, inliers = database.read_two_view_geometry_num_inliers()
+    finally:
+        database.close()
+    found = [pair for pair, number in zip(pairs, inliers, strict=True) if number]
+    return [colmap_library().pair_id_to_image_pair(pair) for pair in found]
 
 
 def match_pairs(job: Job, features: Sequence[Features], pairs: Iterable[Pair], report: Progress) -> None:

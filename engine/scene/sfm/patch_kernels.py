@@ -18,6 +18,21 @@ _DRIFT = 2.0
 
 
 @njit(fastmath=False)
+def patch_weights(half: int) -> NDArray[np.float64]:
+    """Gaussian weights of the samples of a patch, row by row, whose sum is 1. Outside parallel kernels: there, the sum
+    would depend on the number of threads."""
+    side = 2 * half + 1
+    weights = np.empty(side * side)
+    for k in range(side * side):
+        across, down = k % side - half, k // side - half
+        weights[k] = np.exp(-(across * across + down * down) / (2.0 * (0.6 * half) ** 2))
+    total = 0.0
+    for k in range(side * side):
+        total += weights[k]
+    return weights / total
+
+
+@njit(fastmath=False)
 def _sample(picture: NDArray[np.uint8], x: float, y: float) -> float:
     """Grey level at a pixel position (the centre of the first pixel is at 0.5), linear between pixels; NaN outside."""
     x, y = x - 0.5, y - 0.5
@@ -166,11 +181,7 @@ def find_patches(
     """
     side, wide = 2 * half + 1, 2 * (half + reach) + 1
     size = side * side
-    weights = np.empty(size)
-    for k in range(size):
-        across, down = k % side - half, k // side - half
-        weights[k] = np.exp(-(across * across + down * down) / (2.0 * (0.6 * half) ** 2))
-    weights /= weights.sum()
+    weights = patch_weights(half)
     straight = np.eye(2)
     for n in prange(len(reference)):
         patch, values, dx, dy = np.empty(size), np.empty(size), np.empty(size), np.empty(size)

@@ -15,8 +15,8 @@ from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
 from .features import Features
 from .job import Job
-from .joining import joined
-from .pairs import Pair, match_pairs
+from .joining import joined, with_photos
+from .pairs import Pair, match_pairs, verified_images
 
 _LOST = 10.0
 """A photo this many times farther from the middle than most photos, and than the scene, is misplaced."""
@@ -91,8 +91,13 @@ def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool
             model.deregister_frame(image.frame_id)
     for camera in model.cameras.values():
         camera.has_prior_focal_length = True
+    # pycolmap does not know photos that no pair has.
+    alone = set(model.reg_image_ids()) - {image for pair in verified_images(job) for image in pair}
+    others = pycolmap.Reconstruction(model)
+    for image in alone:
+        others.deregister_frame(others.images[image].frame_id)
     start, folder = _emptied(job, "again-start"), _emptied(job, "again")
-    triangulated(job, job.database, model, _AGAIN_ERROR).write(start)
+    triangulated(job, job.database, others, _AGAIN_ERROR).write(start)
     options = _mapping_options(job.config, _LEAST_INLIERS[0])
     options.fix_existing_frames = fixed
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
@@ -101,7 +106,9 @@ def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool
     if again is None:
         return None
     drop_lost(again)
-    return again if again.num_reg_images() > before - len(uncertain) else None
+    if alone:
+        again = with_photos(again, model, alone - set(again.reg_image_ids()))
+    return again if again is not None and again.num_reg_images() > before - len(uncertain) else None
 
 
 def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:

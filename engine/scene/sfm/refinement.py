@@ -62,7 +62,7 @@ _Tracked = Callable[[Any, Progress], Any]
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
     """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them.
 
-    Photos that hardly any long track reaches are placed again.
+    Photos that are missing or that hardly any long track reaches are placed again.
     """
     pictures = read_pictures(job)
     large = [each.largest(LARGEST) for each in features]
@@ -94,7 +94,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
 
 
 def held(model: Any) -> Any:
-    """The model without the photos that hardly any point holds in their places, unless too few would remain."""
+    """The model without photos of fewer than 8 observations, unless too few would remain; it is changed."""
     loose = [image for image, count in _support(model).items() if count < _LEAST_SUPPORT]
     if model.num_reg_images() - len(loose) >= LEAST_PHOTOS:
         for image in loose:
@@ -116,8 +116,12 @@ def _with_missing(
         more = resected(job, features, seeds)
         if more is None:
             break
-        model = tracked(more, part(share, 0.5, 1.0))
-    return model, frozenset(set(model.reg_image_ids()) - before)
+        more = tracked(more, part(share, 0.5, 1.0))
+        if _agreement(more) <= _LEAST_KEPT * _agreement(model):
+            break
+        model = more
+    held_well = {image for image, count in _support(model).items() if count >= _LEAST_SUPPORT}
+    return model, frozenset(held_well - before)
 
 
 def _improved(job: Job, model: Any, trusted: frozenset[int], tracked: _Tracked, report: Progress) -> Any:

@@ -1,12 +1,12 @@
 """Places photos that no verified pair joins with the others, on the points of these.
 
-Two photos that show leaves from near by, a few degrees apart, may share so few features among wrong matches that no
-epipolar geometry is found. Points tell more: three of them determine a pose, so that far fewer matches need be right.
+Two photos of leaves near by, taken a few degrees apart, may share so few features that RANSAC finds no epipolar
+geometry among the wrong matches. Three points determine a pose, so far fewer correct matches are enough.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,17 +18,19 @@ from .job import Job
 from .matching import match
 from .pairs import first_pairs
 from .retrieval import similarities
+from .views import PlacedPhoto, model_of
 
-_LEAST_INLIERS = 12
-"""Features that must show a point where it is: chance gives up to 8 of 500."""
+_LEAST_INLIERS, _CHANCE = 12, 1.5
+"""Least number of inliers, absolute and relative to what RANSAC finds when the points are shuffled."""
 _ERROR = 6.0
 """Largest distance in pixels of a point from its feature."""
 _TRIALS = 20_000
-"""Trials of RANSAC: a tenth of the matches may be right."""
+"""Trials of RANSAC: enough if a tenth of the matches is correct."""
 
 
 def resected(job: Job, features: Sequence[Features], model: Any) -> Any:
-    """The model, without points, with those of its missing photos that its points determine; None if it has none.
+    """The model, without points, with those of its missing photos that its points determine; None if no missing photo
+    can be placed.
 
     model: its points are of features, in the order of `features`.
     """
@@ -45,17 +47,23 @@ def resected(job: Job, features: Sequence[Features], model: Any) -> Any:
         for position, image in enumerate(images)
         if image.image_id in model.images and model.images[image.image_id].has_pose
     }
-    seen = {position: _seen(model, images[position].image_id) for position in poses}
+    candidates = _candidates(job, features, set(poses))
+    seen = {other: _seen(model, images[other].image_id) for other in sorted(set().union(*candidates.values()))}
     found = {}
-    for missing, near in _candidates(job, features, set(poses)):
+    for missing, near in candidates.items():
         pose = _pose(model, features, seen, cameras[missing], missing, near, job.config.seed)
         if pose is not None:
             found[missing] = pose
-    return _with_poses(images, cameras, poses | found) if found else None
+    if not found:
+        return None
+    return model_of(
+        PlacedPhoto(images[i].image_id, images[i].name, cameras[i], pose, np.zeros((0, 2)))
+        for i, pose in (poses | found).items()
+    )
 
 
-def _candidates(job: Job, features: Sequence[Features], placed: set[int]) -> Iterator[tuple[int, list[int]]]:
-    """Each missing photo, with the placed ones that may show the same."""
+def _candidates(job: Job, features: Sequence[Features], placed: set[int]) -> dict[int, list[int]]:
+    """Of each missing photo: the placed ones that may show the same."""
     count = len(features)
     similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
     near: dict[int, list[int]] = {missing: [] for missing in range(count) if missing not in placed}
@@ -63,7 +71,7 @@ def _candidates(job: Job, features: Sequence[Features], placed: set[int]) -> Ite
         for missing, other in ((i, j), (j, i)):
             if missing in near and other in placed:
                 near[missing].append(other)
-    yield from near.items()
+    return near
 
 
 def _seen(model: Any, image: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -82,35 +90,30 @@ def _pose(
     seed: int,
 ) -> Any:
     """The pose of a photo from its matches with points that others see; None if they determine none."""
-    pycolmap = colmap_library()
     matched = [np.zeros((0, 2), np.int64)]
     for other in near:
         feature, point = seen[other]
         matches = match(features[other].select(feature), features[missing])
         matched.append(np.column_stack([matches[:, 1], point[matches[:, 0]]]))
     pairs = np.unique(np.concatenate(matched), axis=0)
-    pixels = features[missing].positions[pairs[:, 0]].astype(np.float64)
-    places = np.array([model.points3D[int(number)].xyz for number in pairs[:, 1]]).reshape(-1, 3)
+    pose, inliers = _resection(model, features[missing], pairs, camera, seed)
+    if inliers < _LEAST_INLIERS:
+        return None
+    shuffled = np.column_stack([pairs[:, 0], np.random.default_rng(seed).permutation(pairs[:, 1])])
+    return pose if inliers >= _CHANCE * _resection(model, features[missing], shuffled, camera, seed)[1] else None
+
+
+def _resection(model: Any, features: Features, pairs: NDArray[np.int64], camera: Any, seed: int) -> tuple[Any, int]:
+    """The pose that most pairs (N, 2) of a feature and a point agree with, and how many features and points do."""
+    pycolmap = colmap_library()
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = _ERROR
     options.ransac.max_num_trials = options.ransac.min_num_trials = _TRIALS
     options.ransac.random_seed = seed
+    pixels = features.positions[pairs[:, 0]].astype(np.float64)
+    places = np.array([model.points3D[int(number)].xyz for number in pairs[:, 1]]).reshape(-1, 3)
     found = pycolmap.estimate_and_refine_absolute_pose(pixels, places, camera, options)
-    if found is None or len(np.unique(pairs[found["inlier_mask"], 0])) < _LEAST_INLIERS:
-        return None
-    return found["cam_from_world"]
-
-
-def _with_poses(images: Sequence[Any], cameras: Sequence[Any], poses: Mapping[int, Any]) -> Any:
-    """A model of photos at these poses, without points: the refinement finds them again."""
-    pycolmap = colmap_library()
-    model = pycolmap.Reconstruction()
-    for position in sorted(poses):
-        image, camera = images[position], cameras[position]
-        if camera.camera_id not in model.cameras:
-            model.add_camera_with_trivial_rig(camera)
-        copy = pycolmap.Image(
-            name=image.name, keypoints=np.zeros((0, 2)), camera_id=camera.camera_id, image_id=image.image_id
-        )
-        model.add_image_with_trivial_frame(copy, poses[position])
-    return model
+    if found is None:
+        return None, 0
+    agreeing = pairs[found["inlier_mask"]]
+    return found["cam_from_world"], min(len(np.unique(agreeing[:, 0])), len(np.unique(agreeing[:, 1])))

@@ -1,6 +1,6 @@
-"""Points where SIFT finds none: the surfaces that whole photos show, by PatchMatch stereo, where several photos agree.
+"""PatchMatch stereo adds points on surfaces where SIFT finds none and several photos agree.
 
-Training starts from these points. Those of SIFT leave out plain and repeating surfaces, such as the ground.
+Training starts from all points; where there are none, it leaves out what the photos show.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from ...progress import Progress
 from .job import Job
+from .placing import LEAST_ANGLE
 from .stereo_kernels import match_stereo
 from .views import Observations, Pictures, Views
 
@@ -27,22 +28,26 @@ _SPACING, _STEP = 6, 2
 _MARGIN = 8
 """Pixels from the border of a picture to the first searched one."""
 _NEAR_PHOTOS = 6
+"""Photos that each one is compared with."""
 _LEAST_SHARED = 5
 """Points that two photos must both see to be compared."""
 _ENOUGH_ANGLE = 8.0
 """Angle in degrees between the rays of two photos above which depths hardly become more accurate."""
 _KNOWN, _RANDOM = 8, 6
-"""Depths that a pixel begins with: those of the nearest points in the photo, and random ones among all its depths."""
+"""Initial depths per pixel: those of the nearest points in the photo, and random ones among all its depths."""
 _NOISE = 0.02
 """Relative deviation that is added to known depths."""
 _ITERATIONS = 2
 _LEAST_LIKENESS = 0.6
+"""Correlation of a surface with other photos, below which it is unknown."""
 _SAME_DEPTH = 0.01
 """Relative difference of depth up to which two photos agree."""
 _LEAST_AGREEING = 2
 """Other photos that must agree with a point."""
-_APART = 3.0
+_APART = 1.5
 """Least distance of a new point from others, in distances of the searched pixels."""
+_MOST = 20_000
+"""Most new points: training has room for some ten thousand Gaussians, and splits them where it needs more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +97,7 @@ class _Surface:
 def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
     """A model with the same cameras and points, and with points of surfaces where it has none.
 
-    model: of the copies, with refined cameras.
+    model: of the copies, with refined cameras; photos without a pose are dropped.
     """
     placed = Views.of(job, model)
     seen = placed.observations()
@@ -160,6 +165,7 @@ def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
         angles = np.degrees(np.arccos(np.clip(rays @ rays[number], -1.0, 1.0)))
         usefulness = common[number] * np.minimum(angles / _ENOUGH_ANGLE, 1.0)
+        common[number, angles < LEAST_ANGLE] = 0.0
         ranked = np.argsort(-usefulness, kind="stable")[:_NEAR_PHOTOS]
         near.append(ranked[common[number, ranked] >= _LEAST_SHARED])
     return near
@@ -186,7 +192,7 @@ def _guesses(
         return np.zeros((*shape, 0))
     random = np.random.default_rng(seed)
     inverse = 1.0 / view.local(points)[:, 2]
-    grid = np.stack(np.meshgrid(view.columns, view.rows), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(view.columns + 0.5, view.rows + 0.5), axis=-1).reshape(-1, 2)
     nearest = cKDTree(pixels * view.scale).query(grid, k=_KNOWN)[1]
     known = inverse[nearest] * (1.0 + _NOISE * random.normal(size=nearest.shape))
     far, near = np.quantile(inverse, [0.01, 0.99])
@@ -221,7 +227,7 @@ class _Found:
 
 
 def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -> _Found:
-    """The points of one photo that enough others agree with, in the middle of what all of these say."""
+    """The points of one photo that enough others agree with, at the mean of what these photos estimate."""
     view, surface = views[number], surfaces[number]
     row, column = np.nonzero(surface.likeness > _LEAST_LIKENESS)
     rays = view.rays[row, column]
@@ -230,7 +236,9 @@ def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -
     point, where, places = [np.arange(len(own))], [np.full(len(own), number)], [own]
     for other in view.near:
         same, xyz = _seen_again(views[other], surfaces[other], own)
-        point, where, places = [*point, same], [*where, np.full(len(same), other)], [*places, xyz]
+        point.append(same)
+        where.append(np.full(len(same), other))
+        places.append(xyz)
     points, numbers = np.concatenate(point), np.concatenate(where)
     count = np.bincount(points, minlength=len(own))
     sums = np.zeros_like(own)
@@ -252,7 +260,7 @@ def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -
 def _seen_again(
     view: _View, surface: _Surface, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Which of the points a photo shows at the same depth, and the places (M, 3) that it says they have."""
+    """Which of the points a photo shows at the same depth, and the positions (M, 3) that it estimates."""
     local = view.local(xyz)
     front = np.flatnonzero(local[:, 2] > 1e-9)
     cell = np.rint((view.pixels(local[front]) - 0.5 - _MARGIN) / _SPACING)
@@ -270,15 +278,20 @@ def _homogeneous(rays: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _in_gaps(known: NDArray[np.float64], found: _Found) -> NDArray[np.int64]:
-    """The found points that are far from known ones, and from each other: of each cube the most certain."""
-    apart = _APART * found.size
-    level = np.floor(np.log2(apart))
-    cube = np.floor(found.seen.xyz / np.exp2(level)[:, None])
-    lonely = cKDTree(known).query(found.seen.xyz)[0] > apart
+    """Found points that are apart from known ones and from each other, the most certain first; of too many, those that
+    are farther apart."""
+    xyz, apart = found.seen.xyz, _APART * found.size
+    tree, free = cKDTree(xyz), cKDTree(known).query(xyz)[0]
     order = np.argsort(-found.likeness, kind="stable")
-    order = order[lonely[order]]
-    first = np.unique(np.column_stack([level, cube])[order], axis=0, return_index=True)[1]
-    return np.sort(order[first])
+    while True:
+        taken, kept = free <= apart, []
+        for number in order:
+            if not taken[number]:
+                taken[tree.query_ball_point(xyz[number], apart[number])] = True
+                kept.append(number)
+        if len(kept) <= _MOST:
+            return np.array(kept, np.int64)
+        apart = 1.5 * apart
 
 
 def _together(parts: Sequence[Observations]) -> Observations:

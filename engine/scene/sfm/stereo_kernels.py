@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, njit, prange
+from .patch_kernels import patch_weights
 
 _SIDE = 9
 """Samples along a side of a patch."""
-_BEST = 3
-"""A plane is as good as the mean of its highest correlations, of this many photos: others may not see the surface."""
+_BEST, _LEAST = 3, 2
+"""A plane is as good as the mean of its highest correlations, with at most and at least this many photos: others may
+not see the surface."""
 _LEAST_CONTRAST = 1.5
 """Deviation of the grey levels that a patch needs."""
 _STEEPEST = 0.15
@@ -120,12 +122,14 @@ def _likeness(
     patch: NDArray[np.float32],
     best: NDArray[np.float64],
 ) -> float:
-    """How well a plane explains what near photos show: the mean of the highest correlations, -1 at worst."""
+    """How well a plane explains what near photos show: the mean of the highest correlations, -1 without any. best:
+    scratch."""
     a, b, c = plane
     inverse = a * x + b * y + c
     if not inverse > _STEEPEST * np.sqrt((a * a + b * b + c * c) * (x * x + y * y + 1.0)):
         return -1.0
     best[:] = -1.0
+    seen = 0
     for n in range(len(near)):
         turn, move, lens = rotations[n], translations[n], lenses[n]
         depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] + move[2] * inverse
@@ -143,10 +147,16 @@ def _likeness(
         bent = lens[0] * (1.0 + lens[3] * (at_x * at_x + at_y * at_y))
         pixel_x, pixel_y = bent * at_x + lens[1] - 0.5, bent * at_y + lens[2] - 0.5
         found = _correlation(pictures[near[n]], pixel_x, pixel_y, slope, weights, patch)
+        seen += found > -1.0
         for k in range(_BEST):
             if found > best[k]:
                 best[k], found = found, best[k]
-    return best.sum() / _BEST
+    if seen < _LEAST:
+        return -1.0
+    total = 0.0
+    for k in range(min(seen, _BEST)):
+        total += best[k]
+    return total / min(seen, _BEST)
 
 
 @njit(fastmath=False)
@@ -194,13 +204,10 @@ def match_stereo(
     depths to begin with; near: (V,) pictures to compare with; rotations: (V, 3, 3) and translations: (V, 3) from the
     camera of `picture` to theirs; lenses: (V, 4) their focal length, principal point and radial distortion
     (SIMPLE_RADIAL), in pixels; focal: of `picture`; seed: of the random changes. Written: planes (H, W, 3), see above;
-    likeness (H, W) the mean of the highest correlations, -1 where the picture is too plain.
+    likeness (H, W) the mean of the highest correlations, -1 where the picture is
+    too plain or no plane was accepted.
     """
-    weights = np.empty(_SIDE * _SIDE, np.float32)
-    for k in range(_SIDE * _SIDE):
-        across, down = k % _SIDE - _HALF, k // _SIDE - _HALF
-        weights[k] = np.exp(-(across * across + down * down) / (2.0 * (0.6 * _HALF) ** 2))
-    weights /= weights.sum()
+    weights = patch_weights(_HALF).astype(np.float32)
     height, width = likeness.shape
     likeness[:] = -1.0
     for sweep in range(-1, 2 * iterations):  # the first tries the guesses
@@ -210,9 +217,11 @@ def match_stereo(
             for column in range(width):
                 if sweep >= 0 and (row + column) % 2 != sweep % 2:
                     continue
+                x, y = rays[row, column, 0], rays[row, column, 1]
+                if not np.isfinite(x + y):  # beyond what the lens model describes
+                    continue
                 if not _patch(pictures[picture], columns[column], rows[row], step, weights, patch):
                     continue
-                x, y = rays[row, column, 0], rays[row, column, 1]
                 most, plane = (
                     likeness[row, column],
                     (planes[row, column, 0], planes[row, column, 1], planes[row, column, 2]),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ Pictures = NDArray[np.uint8]
 
 
 def read_pictures(job: Job) -> Pictures:
+    """The copies of all photos."""
     height = max(photo.copy_height for photo in job.photos)
     width = max(photo.copy_width for photo in job.photos)
     pictures = np.zeros((len(job.photos), height, width), np.uint8)
@@ -96,23 +98,19 @@ class Views:
         pycolmap = colmap_library()
         order = np.lexsort((seen.view, seen.point))
         point, view, pixel = seen.point[order], seen.view[order], seen.pixel[order]
-        model = pycolmap.Reconstruction()
-        for number in sorted({image.camera_id for image in self.images}):
-            model.add_camera_with_trivial_rig(self.model.cameras[number])
         index = np.empty(len(view), np.int64)
+        photos = []
         for position, image in enumerate(self.images):
             mine = np.flatnonzero(view == position)
             index[mine] = np.arange(len(mine))
-            copy = pycolmap.Image(
-                name=image.name, keypoints=pixel[mine], camera_id=image.camera_id, image_id=image.image_id
-            )
-            model.add_image_with_trivial_frame(copy, image.cam_from_world())
-        tracks: dict[int, Any] = {}
-        for k in range(len(point)):
-            track = tracks.setdefault(int(point[k]), pycolmap.Track())
-            track.add_element(self.images[view[k]].image_id, int(index[k]))
-        for number, track in tracks.items():
-            model.add_point3D(seen.xyz[number], track)
+            photos.append(PlacedPhoto.of(image, self.model, pixel[mine]))
+        model = model_of(photos)
+        starts = np.flatnonzero(np.diff(point, prepend=-1))
+        for start, end in pairwise([*starts, len(point)]):
+            track = pycolmap.Track()
+            for k in range(start, end):
+                track.add_element(self.images[view[k]].image_id, int(index[k]))
+            model.add_point3D(seen.xyz[point[start]], track)
         return model
 
 
@@ -127,3 +125,32 @@ class Observations:
     point: NDArray[np.int64]
     view: NDArray[np.int64]
     pixel: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPhoto:
+    """A photo of a model: its id and name, camera, pose, and the pixels (N, 2) of its features."""
+
+    number: int
+    name: str
+    camera: Any
+    pose: Any
+    pixels: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, image: Any, model: Any, pixels: NDArray[np.float64]) -> PlacedPhoto:
+        return cls(image.image_id, image.name, model.cameras[image.camera_id], image.cam_from_world(), pixels)
+
+
+def model_of(photos: Iterable[PlacedPhoto]) -> Any:
+    """A model of the photos, without points."""
+    pycolmap = colmap_library()
+    model = pycolmap.Reconstruction()
+    for photo in sorted(photos, key=lambda each: (each.camera.camera_id, each.number)):
+        if photo.camera.camera_id not in model.cameras:
+            model.add_camera_with_trivial_rig(photo.camera)
+        image = pycolmap.Image(
+            name=photo.name, keypoints=photo.pixels, camera_id=photo.camera.camera_id, image_id=photo.number
+        )
+        model.add_image_with_trivial_frame(image, photo.pose)
+    return model

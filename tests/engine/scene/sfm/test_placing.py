@@ -46,14 +46,27 @@ def test_a_photo_at_a_wrong_place_returns(fixed: bool, tmp_path: Path) -> None:
 
 def test_a_photo_that_matches_nothing_stays_out(tmp_path: Path) -> None:
     job, model = scene(tmp_path)
-    database = job.open_database()
-    for image in range(1, 11):
-        if image != 4:
-            database.delete_two_view_geometry(min(image, 4), max(image, 4))
-            database.delete_matches(min(image, 4), max(image, 4))
-    database.close()
+    without_pairs(job, 4)
     again = place_again(job, model, {4}, fixed=True)
     assert again is None or not again.images[4].has_pose
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_a_photo_without_pairs_keeps_its_place_while_others_are_placed_again(fixed: bool, tmp_path: Path) -> None:
+    job, model = scene(tmp_path)
+    without_pairs(job, 7)
+    again = place_again(job, model, {4}, fixed=fixed)
+    assert again.num_reg_images() == 10
+    assert distances(again, model).max() < 1e-3
+
+
+def without_pairs(job: Job, photo: int) -> None:
+    database = job.open_database()
+    for image in range(1, 11):
+        if image != photo:
+            database.delete_two_view_geometry(min(image, photo), max(image, photo))
+            database.delete_matches(min(image, photo), max(image, photo))
+    database.close()
 
 
 def pycolmap_copy(model: Any) -> Any:

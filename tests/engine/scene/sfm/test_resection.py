@@ -66,3 +66,11 @@ def test_a_missing_photo_is_placed_by_a_tenth_of_its_matches(tmp_path: Path) -> 
 def test_chance_places_no_photo(tmp_path: Path, right: int) -> None:
     job, features, model, _ = scene(tmp_path, right)
     assert resected(job, features, model) is None
+
+
+def test_many_wrong_matches_in_a_small_part_of_the_picture_place_no_photo(tmp_path: Path) -> None:
+    job, features, model, _ = scene(tmp_path, right=0)
+    middle = features[MISSING].positions.mean(0)
+    crowded = (middle + 0.1 * (features[MISSING].positions - middle)).astype(np.float32)
+    features[MISSING] = Features(crowded, features[MISSING].sizes, features[MISSING].descriptors)
+    assert resected(job, features, model) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from PIL import Image
@@ -107,12 +108,11 @@ def test_new_points_are_seen_where_the_photos_show_them(tmp_path: Path) -> None:
     assert np.abs(errors).max() < 1e-6
 
 
-def test_new_points_are_not_near_known_ones(tmp_path: Path) -> None:
+def test_new_points_are_apart_from_known_ones_and_from_each_other(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.0)
-    known = places(model)
-    new = places(with_surfaces(job, model, silent))[len(known) :]
-    apart = np.linalg.norm(new[:, None] - known, axis=2).min(1)
-    assert apart.min() > 15 * DISTANCE / FOCAL
+    points = places(with_surfaces(job, model, silent))
+    apart = np.linalg.norm(points[:, None] - points, axis=2) + 1e9 * np.eye(len(points))
+    assert apart[model.num_points3D() :].min() > 8 * DISTANCE / FOCAL
 
 
 @pytest.mark.parametrize("seen", ["plain", "different in each photo"])
@@ -124,10 +124,29 @@ def test_what_photos_do_not_agree_on_gets_no_points(tmp_path: Path, seen: str) -
     assert with_surfaces(job, model, silent).num_points3D() <= model.num_points3D() + chance
 
 
-def test_the_same_photos_give_the_same_points(tmp_path: Path) -> None:
+def test_the_number_of_threads_does_not_change_the_points(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 1.0)
-    first, second = (places(with_surfaces(job, model, silent)) for _ in range(2))
-    assert np.array_equal(first, second)
+    before = numba.get_num_threads()
+    found = []
+    for threads in (1, min(2, before)):
+        numba.set_num_threads(threads)
+        found.append(places(with_surfaces(job, model, silent)))
+    numba.set_num_threads(before)
+    assert np.array_equal(*found)
+
+
+def test_three_photos_are_enough(tmp_path: Path) -> None:
+    job, model = scene(tmp_path, 0.0)
+    for number in (1, 5, 6):
+        model.deregister_frame(model.images[number].frame_id)
+    assert with_surfaces(job, model, silent).num_points3D() > model.num_points3D() + 30
+
+
+def test_a_lens_whose_distortion_has_no_inverse_at_the_border_gives_points_elsewhere(tmp_path: Path) -> None:
+    job, model = scene(tmp_path, 0.0)
+    model.cameras[1].params = [0.6 * WIDTH, WIDTH / 2, HEIGHT / 2, -0.3]
+    assert np.isnan(model.cameras[1].cam_from_img(np.array([[1.0, 1.0]]))).any()
+    assert np.isfinite(places(with_surfaces(job, model, silent))).all()
 
 
 def test_a_model_without_points_stays_as_it_is(tmp_path: Path) -> None:
