@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .features import Features
-from .match_kernels import best_along_lines, best_of_columns, best_of_rows
+from .kernels.descriptors import best_along_lines, best_of_columns, best_of_rows
 
 MOST_RATIO = 0.8
 """Largest angle to the best descriptor, relative to the second best (Lowe's ratio test)."""

@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 
 from ...progress import Progress
 from .job import Job
+from .kernels.planes import match_stereo
 from .placing import LEAST_ANGLE
-from .stereo_kernels import match_stereo
 from .views import Observations, Pictures, Views
 
 _PIXELS = 270_000

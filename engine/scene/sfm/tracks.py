@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .job import Job
-from .patch_kernels import find_patches
+from .kernels.patches import find_patches
 from .views import Observations, Pictures, Views
 
 _LEAST_VIEWS = 3

@@ -12,7 +12,7 @@ from PIL import Image
 from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
-from fruitlangs.engine.scene.sfm.patch_kernels import find_patches
+from fruitlangs.engine.scene.sfm.kernels.patches import find_patches
 from fruitlangs.engine.scene.sfm.tracks import longer_tracks
 from fruitlangs.engine.scene.sfm.views import read_pictures
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compiled.jit import kernel, njit, prange
-from .patch_kernels import patch_weights
+from ....compiled.jit import kernel, njit, prange
+from .patches import patch_weights
 
 _SIDE = 9
 """Samples along a side of a patch."""

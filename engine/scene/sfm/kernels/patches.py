@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compiled.jit import kernel, njit, prange
+from ....compiled.jit import kernel, njit, prange
 
 _ITERATIONS = 10
 """Largest number of Gauss-Newton steps."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compiled.jit import kernel, njit, prange
+from ....compiled.jit import kernel, njit, prange
 
 ROWS = 64
 """Rows or columns that a thread takes at a time."""
