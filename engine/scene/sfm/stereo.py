@@ -23,7 +23,7 @@ from .views import Observations, Pictures, Views
 
 _PIXELS = 270_000
 """Pixels of the pictures that are compared."""
-_SPACING, _STEP = 6, 2
+_SPACING, _STEP = 8, 2
 """Distance between the pixels whose surface is searched, and between the samples of a patch around them."""
 _MARGIN = 8
 """Pixels from the border of a picture to the first searched one."""
@@ -44,8 +44,8 @@ _SAME_DEPTH = 0.01
 """Relative difference of depth up to which two photos agree."""
 _LEAST_AGREEING = 2
 """Other photos that must agree with a point."""
-_APART = 1.5
-"""Least distance of a new point from others, in distances of the searched pixels."""
+_APART = 9.0
+"""Least distance of a new point from others, in pixels."""
 _MOST = 20_000
 """Most new points: training has room for some ten thousand Gaussians, and splits them where it needs more."""
 
@@ -218,8 +218,8 @@ def _surface(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Points of photos that others agree with, and where they are seen; likeness (N,); size: (N,) distance between
-    searched pixels there, in units of the model."""
+    """Points of photos that others agree with, and where they are seen; likeness (N,); size: (N,) of a pixel there, in
+    units of the model."""
 
     seen: Observations
     likeness: NDArray[np.float64]
@@ -254,7 +254,7 @@ def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -
     for other in (number, *view.near):
         shown = seen.view == other
         seen.pixel[shown] = views[other].pixels(views[other].local(seen.xyz[seen.point[shown]])) / views[other].scale
-    return _Found(seen, surface.likeness[row, column][agreed], _SPACING / (view.lens[0] * inverse[agreed]))
+    return _Found(seen, surface.likeness[row, column][agreed], 1.0 / (view.lens[0] * inverse[agreed]))
 
 
 def _seen_again(

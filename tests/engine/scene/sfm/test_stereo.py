@@ -141,7 +141,7 @@ def test_what_photos_do_not_agree_on_gets_hardly_any_points(
 ) -> None:
     job, model = scene(tmp_path, 0.0, seeds)
     new = with_surfaces(job, model, silent).num_points3D() - model.num_points3D()
-    assert new <= chance * CAMERAS * WIDTH * HEIGHT / 6**2
+    assert new <= chance * CAMERAS * WIDTH * HEIGHT / 8**2
 
 
 def test_the_number_of_threads_does_not_change_the_points(tmp_path: Path) -> None:
