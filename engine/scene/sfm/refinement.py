@@ -131,7 +131,7 @@ def _improved(job: Job, model: Any, trusted: frozenset[int], tracked: _Tracked, 
     usual = float(np.median(list(support.values()))) if support else 0.0
     uncertain = {image for image, count in support.items() if count < _UNCERTAIN * usual} - trusted
     for number, start in enumerate(starts(job, model, trusted, uncertain)):
-        better = tracked(start, part(report, number / 3, (number + 1) / 3))
+        better = tracked(start, part(report, number / 2, (number + 1) / 2))
         if _agreement(better) > _LEAST_KEPT * _agreement(model):
             return better
     return None
@@ -139,7 +139,8 @@ def _improved(job: Job, model: Any, trusted: frozenset[int], tracked: _Tracked, 
 
 def starts(job: Job, model: Any, trusted: frozenset[int], uncertain: Collection[int]) -> Iterator[Any]:
     """Models to go on from, all with the trusted photos: those in which the uncertain and missing photos were placed
-    again, with the others fixed or not, unless that changes nothing; and the model itself."""
+    again, with the others fixed or not; the model itself if that is not possible or changes nothing."""
+    placed = False
     if uncertain or model.num_reg_images() < len(job.photos):
         for fixed in (True, False):
             again = place_again(job, model, uncertain, fixed=fixed)
@@ -147,8 +148,10 @@ def starts(job: Job, model: Any, trusted: frozenset[int], uncertain: Collection[
                 continue
             if same_places(model, again, uncertain):
                 break
+            placed = True
             yield again
-    yield model
+    if not placed:
+        yield model
 
 
 def same_places(before: Any, after: Any, images: Collection[int]) -> bool:
