@@ -53,8 +53,9 @@ def find_poses(
 ) -> FoundPoses:
     """Estimate the cameras of the photos in the folder `photos` and write a COLMAP model (binary) to `out`/model.
 
-    SIFT features, matching of neighbours in name order and of photos with similar content, incremental mapping, then a
-    refinement on points that are followed through all near photos; all in a child process that a cancel ends at once.
+    SIFT features, matching of neighbours in name order and of photos with similar content, incremental mapping, a
+    refinement on points that are followed through all near photos, which also places missing ones, then points of
+    surfaces by stereo; all in a child process that a cancel ends at once.
     Photos of one size share a SIMPLE_RADIAL camera unless EXIF gives them other focal lengths. EXIF orientation is
     ignored, as COLMAP does, except that photos of several orientations are not assumed to be upright; masks are not
     used.

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import SceneError
 from ..alignment import Similarity, align
@@ -64,15 +65,12 @@ def _with_photos_of(model: Any, other: Any, moved: Similarity, photos: Collectio
     both += [(other.images[i], _moved(other.images[i], moved)) for i in photos]
     cameras = {i: camera for each in (other, model) for i, camera in each.cameras.items()}
     return model_of(
-        PlacedPhoto(
-            number=image.image_id,
-            name=image.name,
-            camera=cameras[image.camera_id],
-            pose=pose,
-            pixels=np.array([point.xy for point in image.points2D]).reshape(-1, 2),
-        )
-        for image, pose in both
+        PlacedPhoto(image.image_id, image.name, cameras[image.camera_id], pose, _pixels(image)) for image, pose in both
     )
+
+
+def _pixels(image: Any) -> NDArray[np.float64]:
+    return np.array([point.xy for point in image.points2D]).reshape(-1, 2)
 
 
 def _moved(image: Any, moved: Similarity) -> Any:

@@ -63,13 +63,19 @@ def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: in
     return sorted(near - set(tried))
 
 
-def match_photos(job: Job, features: Sequence[Features], report: Progress) -> None:
-    """Match the planned pairs, then those that close loops."""
+def planned_pairs(job: Job, features: Sequence[Features]) -> list[Pair]:
+    """The pairs to match first: see `first_pairs`."""
     from .retrieval import similarities
 
     count = len(features)
     similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
-    planned, tried, closing = first_pairs(similarity, count, job.config), set[Pair](), part(report, 0.9, 1.0)
+    return first_pairs(similarity, count, job.config)
+
+
+def match_photos(job: Job, features: Sequence[Features], report: Progress) -> None:
+    """Match the planned pairs, then those that close loops."""
+    count = len(features)
+    planned, tried, closing = planned_pairs(job, features), set[Pair](), part(report, 0.9, 1.0)
     for round_ in range(1 + _ROUNDS):
         share = part(report, 0.0, 0.9) if round_ == 0 else part(closing, (round_ - 1) / _ROUNDS, round_ / _ROUNDS)
         match_pairs(job, features, planned, share)

@@ -16,7 +16,7 @@ from ..pycolmap_import import colmap_library
 from .features import Features, image_ids
 from .job import LEAST_PHOTOS, Job
 from .matching import match_along_lines
-from .pairs import LARGEST, Pair
+from .pairs import LARGEST, Pair, planned_pairs
 from .placing import LEAST_ANGLE, place_again, triangulated
 from .resection import resected
 from .tracks import longer_tracks
@@ -66,7 +66,6 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
     """
     pictures = read_pictures(job)
     large = [each.largest(LARGEST) for each in features]
-    everything = [np.arange(len(each)) for each in features]
     _make_database(job)
 
     def tracked(start: Any, share: Progress) -> Any:
@@ -80,15 +79,14 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
     best = max(both, key=_agreement)
     best, trusted = _with_missing(job, features, best, tracked, part(report, 0.4, 0.5))
     for attempt in range(_ATTEMPTS):
-        share = part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt)
-        better = _improved(job, best, trusted, tracked, share)
+        better = _improved(job, best, trusted, tracked, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
         if better is None:
             break
         gain = _agreement(better) / max(_agreement(best), 1)
         best = better
         if gain < _LEAST_GAIN:
             break
-    seeds = on_surfaces(_matched(job, features, everything, best, _ALL, part(report, 0.8, 0.9)))
+    seeds = on_surfaces(_matched_all(job, features, best, part(report, 0.8, 0.9)))
     best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, part(report, 0.9, 1.0))
     return held(best) if best.num_points3D() >= _LEAST_POINTS else model
 
@@ -106,20 +104,20 @@ def _with_missing(
     job: Job, features: Sequence[Features], model: Any, tracked: _Tracked, report: Progress
 ) -> tuple[Any, frozenset[int]]:
     """The model with the missing photos that its points determine, and the ids of these photos."""
-    before = set(model.reg_image_ids())
-    everything = [np.arange(len(each)) for each in features]
+    if model.num_reg_images() == len(job.photos):
+        return model, frozenset()
+    before, pairs = set(model.reg_image_ids()), planned_pairs(job, features)
     for attempt in range(_ATTEMPTS):
-        if model.num_reg_images() == len(job.photos):
-            break
         share = part(report, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
-        seeds = _matched(job, features, everything, model, _ALL, part(share, 0.0, 0.5))
-        more = resected(job, features, seeds)
+        more = resected(job, features, pairs, _matched_all(job, features, model, part(share, 0.0, 0.5)))
         if more is None:
             break
         more = tracked(more, part(share, 0.5, 1.0))
         if _agreement(more) <= _LEAST_KEPT * _agreement(model):
             break
         model = more
+        if model.num_reg_images() == len(job.photos):
+            break
     held_well = {image for image, count in _support(model).items() if count >= _LEAST_SUPPORT}
     return model, frozenset(held_well - before)
 
@@ -255,6 +253,11 @@ def _matched(
     finally:
         database.close()
     return triangulated(job, _database(job), model, error)
+
+
+def _matched_all(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
+    """The model with the points of all features that match along its epipolar lines."""
+    return _matched(job, features, [np.arange(len(each)) for each in features], model, _ALL, report)
 
 
 def _has_pose(model: Any, image: int) -> bool:

@@ -6,7 +6,7 @@ geometry among the wrong matches. Three points determine a pose, so far fewer co
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,7 @@ from ..pycolmap_import import colmap_library
 from .features import Features, image_ids
 from .job import Job
 from .matching import match
-from .pairs import first_pairs
-from .retrieval import similarities
+from .pairs import Pair
 from .views import PlacedPhoto, model_of
 
 _LEAST_INLIERS, _CHANCE = 12, 1.5
@@ -28,11 +27,11 @@ _TRIALS = 20_000
 """Trials of RANSAC: enough if a tenth of the matches is correct."""
 
 
-def resected(job: Job, features: Sequence[Features], model: Any) -> Any:
+def resected(job: Job, features: Sequence[Features], pairs: Sequence[Pair], model: Any) -> Any:
     """The model, without points, with those of its missing photos that its points determine; None if no missing photo
     can be placed.
 
-    model: its points are of features, in the order of `features`.
+    pairs: of photos that may show the same; model: its points are of features, in the order of `features`.
     """
     database = job.open_database()
     try:
@@ -47,7 +46,7 @@ def resected(job: Job, features: Sequence[Features], model: Any) -> Any:
         for position, image in enumerate(images)
         if image.image_id in model.images and model.images[image.image_id].has_pose
     }
-    candidates = _candidates(job, features, set(poses))
+    candidates = _candidates(pairs, set(range(len(images))) - set(poses))
     seen = {other: _seen(model, images[other].image_id) for other in sorted(set().union(*candidates.values()))}
     found = {}
     for missing, near in candidates.items():
@@ -62,15 +61,13 @@ def resected(job: Job, features: Sequence[Features], model: Any) -> Any:
     )
 
 
-def _candidates(job: Job, features: Sequence[Features], placed: set[int]) -> dict[int, list[int]]:
+def _candidates(pairs: Sequence[Pair], missing: Collection[int]) -> dict[int, list[int]]:
     """Of each missing photo: the placed ones that may show the same."""
-    count = len(features)
-    similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
-    near: dict[int, list[int]] = {missing: [] for missing in range(count) if missing not in placed}
-    for i, j in first_pairs(similarity, count, job.config):
-        for missing, other in ((i, j), (j, i)):
-            if missing in near and other in placed:
-                near[missing].append(other)
+    near: dict[int, list[int]] = {photo: [] for photo in missing}
+    for i, j in pairs:
+        for photo, other in ((i, j), (j, i)):
+            if photo in near and other not in near:
+                near[photo].append(other)
     return near
 
 

@@ -19,7 +19,7 @@ from ...progress import Progress
 from .job import Job
 from .kernels.planes import match_stereo
 from .placing import LEAST_ANGLE
-from .views import Observations, Pictures, Views
+from .views import Observations, Pictures, Views, read_picture, stacked
 
 _PIXELS = 270_000
 """Pixels of the pictures that are compared."""
@@ -52,24 +52,40 @@ _MOST = 20_000
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One photo, made smaller: its picture and its SIMPLE_RADIAL lens.
+    """One photo, made smaller.
 
-    rotation (3, 3) and translation (3,) of its pose; lens: (4,) focal length, principal point, radial distortion, in
-    pixels; scale: pixels per pixel of the copy; columns (W,), rows (H,): of the searched pixels; rays: (H, W, 2) of
-    them; near: positions of the photos that it is compared with.
+    name: of its copy; camera: of the copy, SIMPLE_RADIAL; rotation (3, 3) and translation (3,) of its pose; scale:
+    pixels per pixel of the copy; columns (W,), rows (H,): of the searched pixels; rays: (H, W, 2) of them; near:
+    positions of the photos that it is compared with.
     """
 
-    picture: NDArray[np.uint8]
+    name: str
+    camera: Any
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
-    lens: NDArray[np.float64]
     scale: float
     columns: NDArray[np.int64]
     rows: NDArray[np.int64]
     rays: NDArray[np.float64]
     near: NDArray[np.int64]
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return int(self.scale * self.camera.height), int(self.scale * self.camera.width)
+
+    @property
+    def lens(self) -> NDArray[np.float64]:
+        """(4,) focal length, principal point and radial distortion, in pixels."""
+        return np.array(self.camera.params) * [self.scale, self.scale, self.scale, 1.0]
+
+    def picture(self, job: Job) -> Image.Image:
+        height, width = self.size
+        box = (0.0, 0.0, width / self.scale, height / self.scale)
+        return read_picture(job, self.name).resize((width, height), Image.Resampling.BOX, box)
+
     def local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (N, 3) in the frame of the camera."""
         result: NDArray[np.float64] = points @ self.rotation.T + self.translation
         return result
 
@@ -80,9 +96,7 @@ class _View:
 
     def pixels(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2) pixels of points (N, 3) in the frame of the camera."""
-        rays = local[:, :2] / local[:, 2:]
-        bent = rays * (1.0 + self.lens[3] * (rays**2).sum(1, keepdims=True))
-        result: NDArray[np.float64] = self.lens[0] * bent + self.lens[1:3]
+        result: NDArray[np.float64] = self.scale * np.asarray(self.camera.img_from_cam(local)).reshape(-1, 2)
         return result
 
 
@@ -103,52 +117,55 @@ def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
     seen = placed.observations()
     if not len(seen.xyz):
         return model
-    views = _views(job, placed, seen)
-    small = _stacked([view.picture for view in views])
+    views = _views(placed, seen)
+    pictures = stacked((view.picture(job) for view in views), [view.size for view in views])
     surfaces = []
     for number, view in enumerate(views):
         report(0.9 * number / len(views), f"comparing surfaces: photo {number + 1} of {len(views)}")
         known = seen.view == number
         guesses = _guesses(view, seen.xyz[seen.point[known]], seen.pixel[known], [job.config.seed, number])
-        surfaces.append(_surface(views, small, number, guesses, job.config.seed))
+        surfaces.append(_surface(views, pictures, number, guesses, job.config.seed))
     report(0.9, "comparing surfaces")
     parts = [_agreed(views, surfaces, number) for number in range(len(views))]
     found = _Found(
-        _together([each.seen for each in parts]),
+        Observations.together([each.seen for each in parts]),
         likeness=np.concatenate([each.likeness for each in parts]),
         size=np.concatenate([each.size for each in parts]),
     )
-    new = _some(found.seen, _in_gaps(seen.xyz, found))
-    return placed.with_points(_together([seen, new]))
+    new = found.seen.select(_in_gaps(seen.xyz, found))
+    return placed.with_points(Observations.together([seen, new]))
 
 
-def _views(job: Job, placed: Views, seen: Observations) -> list[_View]:
+def _views(placed: Views, seen: Observations) -> list[_View]:
+    """The photos with the pixels that are searched."""
     shared = _near(placed, seen)
     views = []
     for number, image in enumerate(placed.images):
         camera = placed.model.cameras[image.camera_id]
         scale = min((_PIXELS / (camera.width * camera.height)) ** 0.5, 1.0)
-        height, width = int(scale * camera.height), int(scale * camera.width)
-        box = (0.0, 0.0, width / scale, height / scale)
-        with Image.open(job.copies / image.name) as copy:
-            picture = np.asarray(copy.convert("L").resize((width, height), Image.Resampling.BOX, box))
-        columns, rows = (np.arange(_MARGIN, side - _MARGIN, _SPACING) for side in (width, height))
-        grid = np.stack(np.meshgrid(columns + 0.5, rows + 0.5), axis=-1)
-        rays = np.asarray(camera.cam_from_img(grid.reshape(-1, 2) / scale)).reshape(grid.shape)
+        columns, rows = (
+            np.arange(_MARGIN, int(scale * side) - _MARGIN, _SPACING) for side in (camera.width, camera.height)
+        )
+        grid = _grid(columns, rows)
         views.append(
             _View(
-                picture=picture,
+                name=image.name,
+                camera=camera,
                 rotation=placed.rotations[number],
                 translation=placed.translations[number],
-                lens=np.array(camera.params) * [scale, scale, scale, 1.0],
                 scale=scale,
                 columns=columns,
                 rows=rows,
-                rays=rays,
+                rays=np.asarray(camera.cam_from_img(grid.reshape(-1, 2) / scale)).reshape(grid.shape),
                 near=shared[number],
             )
         )
     return views
+
+
+def _grid(columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(H, W, 2) the middles of the pixels at these columns (W,) and rows (H,)."""
+    return np.stack(np.meshgrid(columns + 0.5, rows + 0.5), axis=-1)
 
 
 def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
@@ -171,15 +188,6 @@ def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
     return near
 
 
-def _stacked(pictures: Sequence[NDArray[np.uint8]]) -> Pictures:
-    """The pictures in one array, smaller ones with black borders to the right and below."""
-    height, width = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
-    stacked = np.zeros((len(pictures), height, width), np.uint8)
-    for number, picture in enumerate(pictures):
-        stacked[number, : picture.shape[0], : picture.shape[1]] = picture
-    return stacked
-
-
 def _guesses(
     view: _View, points: NDArray[np.float64], pixels: NDArray[np.float64], seed: Sequence[int]
 ) -> NDArray[np.float64]:
@@ -192,7 +200,7 @@ def _guesses(
         return np.zeros((*shape, 0))
     random = np.random.default_rng(seed)
     inverse = 1.0 / view.local(points)[:, 2]
-    grid = np.stack(np.meshgrid(view.columns + 0.5, view.rows + 0.5), axis=-1).reshape(-1, 2)
+    grid = _grid(view.columns, view.rows).reshape(-1, 2)
     nearest = cKDTree(pixels * view.scale).query(grid, k=_KNOWN)[1]
     known = inverse[nearest] * (1.0 + _NOISE * random.normal(size=nearest.shape))
     far, near = np.quantile(inverse, [0.01, 0.99])
@@ -203,6 +211,7 @@ def _guesses(
 def _surface(
     views: Sequence[_View], pictures: Pictures, number: int, guesses: NDArray[np.float64], seed: int
 ) -> _Surface:
+    """What the photo at a position shows; nothing if there are no photos or depths to compare."""
     view, others = views[number], [views[other] for other in views[number].near]
     planes, likeness = np.zeros((*view.rays.shape[:2], 3)), np.full(view.rays.shape[:2], -1.0)
     if others and guesses.size:
@@ -243,14 +252,9 @@ def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -
     count = np.bincount(points, minlength=len(own))
     sums = np.zeros_like(own)
     np.add.at(sums, points, np.concatenate(places))
-    agreed = count > _LEAST_AGREEING
-    kept = agreed[points]
-    seen = Observations(
-        (sums / count[:, None])[agreed],
-        point=(np.cumsum(agreed) - 1)[points[kept]],
-        view=numbers[kept],
-        pixel=np.empty((kept.sum(), 2)),
-    )
+    agreed = np.flatnonzero(count > _LEAST_AGREEING)
+    everything = Observations(sums / count[:, None], point=points, view=numbers, pixel=np.empty((len(points), 2)))
+    seen = everything.select(agreed)
     for other in (number, *view.near):
         shown = seen.view == other
         seen.pixel[shown] = views[other].pixels(views[other].local(seen.xyz[seen.point[shown]])) / views[other].scale
@@ -274,6 +278,7 @@ def _seen_again(
 
 
 def _homogeneous(rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) rays (N, 2) with a third component of 1."""
     return np.column_stack([rays, np.ones(len(rays))])
 
 
@@ -292,21 +297,3 @@ def _in_gaps(known: NDArray[np.float64], found: _Found) -> NDArray[np.int64]:
         if len(kept) <= _MOST:
             return np.array(kept, np.int64)
         apart = 1.5 * apart
-
-
-def _together(parts: Sequence[Observations]) -> Observations:
-    before = np.cumsum([0] + [len(each.xyz) for each in parts])
-    return Observations(
-        np.concatenate([each.xyz for each in parts]),
-        point=np.concatenate([each.point + first for each, first in zip(parts, before, strict=False)]),
-        view=np.concatenate([each.view for each in parts]),
-        pixel=np.concatenate([each.pixel for each in parts]),
-    )
-
-
-def _some(seen: Observations, points: NDArray[np.int64]) -> Observations:
-    """These points with their observations."""
-    number = np.full(len(seen.xyz), -1)
-    number[points] = np.arange(len(points))
-    kept = number[seen.point] >= 0
-    return Observations(seen.xyz[points], point=number[seen.point[kept]], view=seen.view[kept], pixel=seen.pixel[kept])

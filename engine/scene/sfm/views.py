@@ -20,13 +20,22 @@ Pictures = NDArray[np.uint8]
 
 def read_pictures(job: Job) -> Pictures:
     """The copies of all photos."""
-    height = max(photo.copy_height for photo in job.photos)
-    width = max(photo.copy_width for photo in job.photos)
-    pictures = np.zeros((len(job.photos), height, width), np.uint8)
-    for index, photo in enumerate(job.photos):
-        with Image.open(job.copies / photo.copy) as image:
-            pictures[index, : photo.copy_height, : photo.copy_width] = np.asarray(image.convert("L"))
-    return pictures
+    sizes = [(photo.copy_height, photo.copy_width) for photo in job.photos]
+    return stacked((read_picture(job, photo.copy) for photo in job.photos), sizes)
+
+
+def read_picture(job: Job, name: str) -> Image.Image:
+    """The grey copy of one photo."""
+    with Image.open(job.copies / name) as image:
+        return image.convert("L")
+
+
+def stacked(pictures: Iterable[Image.Image], sizes: Sequence[tuple[int, int]]) -> Pictures:
+    """The pictures, of these heights and widths, in one array."""
+    stack = np.zeros((len(sizes), *np.max(sizes, axis=0)), np.uint8)
+    for place, picture, (height, width) in zip(stack, pictures, sizes, strict=True):
+        place[:height, :width] = np.asarray(picture)
+    return stack
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +112,8 @@ class Views:
         for position, image in enumerate(self.images):
             mine = np.flatnonzero(view == position)
             index[mine] = np.arange(len(mine))
-            photos.append(PlacedPhoto.of(image, self.model, pixel[mine]))
+            camera = self.model.cameras[image.camera_id]
+            photos.append(PlacedPhoto(image.image_id, image.name, camera, image.cam_from_world(), pixel[mine]))
         model = model_of(photos)
         starts = np.flatnonzero(np.diff(point, prepend=-1))
         for start, end in pairwise([*starts, len(point)]):
@@ -126,6 +136,26 @@ class Observations:
     view: NDArray[np.int64]
     pixel: NDArray[np.float64]
 
+    @classmethod
+    def together(cls, parts: Sequence[Observations]) -> Observations:
+        """The points of all parts, one part after the other."""
+        before = np.cumsum([0] + [len(each.xyz) for each in parts[:-1]])
+        return cls(
+            np.concatenate([each.xyz for each in parts]),
+            point=np.concatenate([each.point + first for each, first in zip(parts, before, strict=True)]),
+            view=np.concatenate([each.view for each in parts]),
+            pixel=np.concatenate([each.pixel for each in parts]),
+        )
+
+    def select(self, points: NDArray[np.int64]) -> Observations:
+        """These points with their observations."""
+        number = np.full(len(self.xyz), -1)
+        number[points] = np.arange(len(points))
+        kept = number[self.point] >= 0
+        return Observations(
+            self.xyz[points], point=number[self.point[kept]], view=self.view[kept], pixel=self.pixel[kept]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class PlacedPhoto:
@@ -136,10 +166,6 @@ class PlacedPhoto:
     camera: Any
     pose: Any
     pixels: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, image: Any, model: Any, pixels: NDArray[np.float64]) -> PlacedPhoto:
-        return cls(image.image_id, image.name, model.cameras[image.camera_id], image.cam_from_world(), pixels)
 
 
 def model_of(photos: Iterable[PlacedPhoto]) -> Any:

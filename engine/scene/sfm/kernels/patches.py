@@ -46,7 +46,7 @@ def _sample(picture: NDArray[np.uint8], x: float, y: float) -> float:
 
 
 @njit(fastmath=False)
-def _standardise(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def standardise(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
     """Subtract the weighted mean of the values and divide them by their deviation, which is returned."""
     mean = 0.0
     for k in range(len(values)):
@@ -131,7 +131,7 @@ def _least_squares(
                 k, at = down * side + across, (down + 1) * (side + 2) + across + 1
                 values[k], dx[k] = rim[at], (rim[at + 1] - rim[at - 1]) / 2
                 dy[k] = (rim[at + side + 2] - rim[at - side - 2]) / 2
-        contrast = max(_standardise(values, weights), 1e-9)
+        contrast = max(standardise(values, weights), 1e-9)
         mean_x, mean_y = (weights * dx).sum(), (weights * dy).sum()
         xx, xy, yy, error_x, error_y = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(size):
@@ -187,7 +187,7 @@ def find_patches(
         patch, values, dx, dy = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
         around, rim = np.empty(wide * wide), np.empty((side + 2) ** 2)
         _take(pictures[reference[n]], center[n], straight, 0.0, 0.0, half, patch)
-        usable = _standardise(patch, weights) > least_contrast
+        usable = standardise(patch, weights) > least_contrast
         for m in range(first[n], first[n + 1]):
             correlation[m] = -1.0
             if not usable:
@@ -201,7 +201,7 @@ def find_patches(
             if not np.hypot(x - at_x, y - at_y) < _DRIFT:  # NaN too
                 continue
             _take(target, start[m], affine[m], x, y, half, values)
-            _standardise(values, weights)
+            standardise(values, weights)
             likeness = (weights * patch * values).sum()
             if likeness > 0.0:
                 correlation[m] = likeness

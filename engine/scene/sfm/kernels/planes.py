@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....compiled.jit import kernel, njit, prange
-from .patches import patch_weights
+from .patches import patch_weights, standardise
 
 _SIDE = 9
 """Samples along a side of a patch."""
@@ -56,20 +56,9 @@ def _patch(
     reach = _HALF * step
     if min(column, row) < reach or column + reach >= picture.shape[1] or row + reach >= picture.shape[0]:
         return False
-    mean = np.float32(0.0)
     for k in range(_SIDE * _SIDE):
         patch[k] = picture[row + (k // _SIDE - _HALF) * step, column + (k % _SIDE - _HALF) * step]
-        mean += weights[k] * patch[k]
-    variance = np.float32(0.0)
-    for k in range(_SIDE * _SIDE):
-        patch[k] -= mean
-        variance += weights[k] * patch[k] * patch[k]
-    deviation = np.sqrt(variance)
-    if deviation < _LEAST_CONTRAST:
-        return False
-    for k in range(_SIDE * _SIDE):
-        patch[k] /= deviation
-    return True
+    return standardise(patch, weights) >= _LEAST_CONTRAST
 
 
 @njit(fastmath=True)
@@ -204,8 +193,7 @@ def match_stereo(
     depths to begin with; near: (V,) pictures to compare with; rotations: (V, 3, 3) and translations: (V, 3) from the
     camera of `picture` to theirs; lenses: (V, 4) their focal length, principal point and radial distortion
     (SIMPLE_RADIAL), in pixels; focal: of `picture`; seed: of the random changes. Written: planes (H, W, 3), see above;
-    likeness (H, W) the mean of the highest correlations, -1 where the picture is
-    too plain or no plane was accepted.
+    likeness (H, W) the mean of the highest correlations, -1 where the picture is too plain or no plane was accepted.
     """
     weights = patch_weights(_HALF).astype(np.float32)
     height, width = likeness.shape
@@ -222,10 +210,8 @@ def match_stereo(
                     continue
                 if not _patch(pictures[picture], columns[column], rows[row], step, weights, patch):
                     continue
-                most, plane = (
-                    likeness[row, column],
-                    (planes[row, column, 0], planes[row, column, 1], planes[row, column, 2]),
-                )
+                most = likeness[row, column]
+                plane = (planes[row, column, 0], planes[row, column, 1], planes[row, column, 2])
                 number = ((seed * (2 * iterations + 1) + sweep + 1) * height + row) * width + column
                 tries = guesses.shape[2] if sweep < 0 else len(_NEIGHBOURS) + len(_CHANGES)
                 for trial in range(tries):
