@@ -58,7 +58,9 @@ def find_model(job: Job) -> None:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
     refined = timed("refining", refine, job, features, models[0], part(tell, 0.8, 0.95))
     best = timed("surfaces", with_surfaces, job, refined, part(tell, 0.95, 1.0))
-    summary = {"models": [model.num_reg_images() for model in models], "pairs": pairs, "seconds": seconds}
+    placed = set(best.reg_image_ids())
+    apart = [model.num_reg_images() for model in models[1:] if not placed.issuperset(model.reg_image_ids())]
+    summary = {"models": [len(placed), *apart], "pairs": pairs, "seconds": seconds}
     _write(job, best, summary)
 
 

@@ -24,6 +24,8 @@ _LEAST_INLIERS = (20, 8)
 """Points needed to place a photo, in the first attempt, and in a second one if the first did not place `ENOUGH`."""
 LEAST_ANGLE = 1.5
 """Least angle in degrees between the rays of a triangulated point."""
+CONVERGED = 1e-4
+"""Relative change of the loss at which an adjustment ends: going on changes cameras by less than their errors."""
 _AGAIN_ERROR = 4.0
 """Largest distance in pixels of a point from its features, on which photos are placed again."""
 ENOUGH = 0.97
@@ -125,6 +127,7 @@ def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
     options.triangulation.ignore_two_view_tracks = False
     options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error
     options.mapper.filter_max_reproj_error = error
+    options.ba_global_max_refinements, options.ba_global_function_tolerance = 1, CONVERGED
     folder, model = _emptied(job, "triangulated"), pycolmap.Reconstruction(model)
     return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
 
@@ -163,6 +166,7 @@ def _mapping_options(config: PhotosConfig, least_inliers: int) -> Any:
     options.extract_colors = False
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 2
+    options.ba_global_function_tolerance = options.ba_local_function_tolerance = CONVERGED
     options.triangulation.ignore_two_view_tracks = False
     options.triangulation.random_seed = config.seed
     options.mapper.random_seed = config.seed

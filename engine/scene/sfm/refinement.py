@@ -17,7 +17,7 @@ from .features import Features, image_ids
 from .job import LEAST_PHOTOS, Job
 from .matching import match_along_lines
 from .pairs import LARGEST, Pair, planned_pairs
-from .placing import LEAST_ANGLE, place_again, triangulated
+from .placing import CONVERGED, LEAST_ANGLE, place_again, triangulated
 from .resection import resected
 from .tracks import longer_tracks
 from .views import Pictures, read_pictures
@@ -27,6 +27,8 @@ _WIDE = ((25.0, 20.0), (10.0, 8.0))
 features only. They bring parts of a capture together that a weak link placed."""
 _CLOSE, _ALL = (5.0, 4.0), (2.5, 2.0)
 """The same of the matches that long tracks start from: of the largest features, then of all."""
+_MOST_FEATURES = 650_000
+"""Features of all photos together that points are made of in the end: training has room for a tenth as many."""
 _REACH, _LAST_REACH = 4, 3
 """Pixels around the predicted place of a point that are searched, until the last round and in it."""
 _LARGEST_ERROR = 4.0
@@ -62,7 +64,7 @@ _Tracked = Callable[[Any, Progress], Any]
 def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
     """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them.
 
-    Photos that are missing or that hardly any long track reaches are placed again.
+    Photos that are missing or that hardly any long track reaches are placed again, until that does not move them.
     """
     pictures = read_pictures(job)
     large = [each.largest(LARGEST) for each in features]
@@ -78,8 +80,9 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
     both = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
     best = max(both, key=_agreement)
     best, trusted = _with_missing(job, features, best, tracked, part(report, 0.4, 0.5))
+    settled = set(trusted)
     for attempt in range(_ATTEMPTS):
-        better = _improved(job, best, trusted, tracked, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
+        better = _improved(job, best, settled, tracked, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
         if better is None:
             break
         gain = _agreement(better) / max(_agreement(best), 1)
@@ -122,27 +125,39 @@ def _with_missing(
     return model, frozenset(held_well - before)
 
 
-def _improved(job: Job, model: Any, trusted: frozenset[int], tracked: _Tracked, report: Progress) -> Any:
-    """The model matched and followed again, after its uncertain photos were placed again if that moves them; None if
-    that loses tracks. trusted: photos that are not placed again."""
-    support = _support(model)
-    usual = float(np.median(list(support.values()))) if support else 0.0
-    uncertain = {image for image, count in support.items() if count < _UNCERTAIN * usual} - trusted
-    for number, start in enumerate(starts(job, model, trusted, uncertain)):
+def _improved(job: Job, model: Any, settled: set[int], tracked: _Tracked, report: Progress) -> Any:
+    """The model matched and followed again, after its unsure photos were placed again if that moves them; None if that
+    loses tracks. settled: photos that are not placed again; unsure ones that do not move are added."""
+    unsure = _unsure(job, model) - settled
+    for number, start in enumerate(starts(job, model, settled, unsure)):
+        if start is model:
+            settled |= unsure
         better = tracked(start, part(report, number / 2, (number + 1) / 2))
         if _agreement(better) > _LEAST_KEPT * _agreement(model):
             return better
     return None
 
 
-def starts(job: Job, model: Any, trusted: frozenset[int], uncertain: Collection[int]) -> Iterator[Any]:
-    """Models to go on from, all with the trusted photos: those in which the uncertain and missing photos were placed
+def _unsure(job: Job, model: Any) -> set[int]:
+    """The photos that are missing, and those with few observations."""
+    support = _support(model)
+    usual = float(np.median(list(support.values()))) if support else 0.0
+    database = job.open_database()
+    try:
+        return {image for image in image_ids(database, job) if support.get(image, -1) < _UNCERTAIN * usual}
+    finally:
+        database.close()
+
+
+def starts(job: Job, model: Any, settled: Collection[int], unsure: Collection[int]) -> Iterator[Any]:
+    """Models to go on from, all with the settled photos that are placed: those in which the unsure photos were placed
     again, with the others fixed or not; the model itself if that is not possible or changes nothing."""
-    placed = False
-    if uncertain or model.num_reg_images() < len(job.photos):
+    before = set(model.reg_image_ids())
+    uncertain, placed = before & set(unsure), False
+    if unsure:
         for fixed in (True, False):
             again = place_again(job, model, uncertain, fixed=fixed)
-            if again is None or not trusted <= set(again.reg_image_ids()):
+            if again is None or not before & set(settled) <= set(again.reg_image_ids()):
                 continue
             if same_places(model, again, uncertain):
                 break
@@ -256,8 +271,10 @@ def _matched(
 
 
 def _matched_all(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
-    """The model with the points of all features that match along its epipolar lines."""
-    return _matched(job, features, [np.arange(len(each)) for each in features], model, _ALL, report)
+    """The model with the points of all features that match along its epipolar lines; of the largest, if photos are
+    many."""
+    count = max(LARGEST, _MOST_FEATURES // len(features))
+    return _matched(job, features, [each.largest(count) for each in features], model, _ALL, report)
 
 
 def _has_pose(model: Any, image: int) -> bool:
@@ -352,6 +369,7 @@ def _adjust(job: Job, model: Any, error: float, *, points_only: bool = False) ->
     options.ceres.use_gpu = False
     options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.max_num_iterations = 30
+    options.ceres.solver_options.function_tolerance = CONVERGED
     for _ in range(1 if points_only else _ADJUSTMENTS):
         pycolmap.bundle_adjustment(model, options)
         pycolmap.ObservationManager(model).filter_all_points3D(error, LEAST_ANGLE)

@@ -8,8 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from fruitlangs.engine.progress import silent
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm import refinement
+from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.job import Job
 from fruitlangs.engine.scene.sfm.refinement import held, near_pairs, on_surfaces, same_places, starts
 
@@ -93,6 +95,30 @@ def test_placing_photos_again_never_loses_those_that_points_placed(kept: bool, m
     again = colmap_library().Reconstruction(model)
     again.deregister_frame(again.images[3 if kept else 2].frame_id)
     monkeypatch.setattr(refinement, "place_again", lambda *_, **__: again)
-    job = types.SimpleNamespace(photos=[None] * 5)
-    found = list(starts(cast(Job, job), model, trusted=frozenset({2}), uncertain={3}))
+    found = list(starts(cast(Job, None), model, settled={2, 9}, unsure={3, 5}))
     assert [each.num_reg_images() for each in found] == ([3, 3] if kept else [4])
+
+
+def test_photos_that_placing_again_does_not_move_are_not_placed_again_in_later_rounds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, calls, settled = with_points(np.zeros((1, 3)), [4]), [], set[int]()
+    monkeypatch.setattr(refinement, "_unsure", lambda *_: {3, 5})
+    monkeypatch.setattr(refinement, "place_again", lambda *_, fixed: calls.append(fixed))
+    for _ in range(3):
+        again = refinement._improved(cast(Job, None), model, settled, lambda start, _: start, silent)
+        assert again is model
+    assert calls == [True, False]
+    assert settled == {3, 5}
+
+
+@pytest.mark.parametrize(("photos", "count"), [(10, 5000), (200, 3250), (1000, 2048)])
+def test_the_more_photos_the_fewer_features_of_each_become_points(
+    photos: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = np.arange(5000, dtype=np.float32)
+    features = [Features(np.zeros((5000, 2), np.float32), sizes, np.zeros((5000, 128), np.uint8))] * photos
+    monkeypatch.setattr(refinement, "_matched", lambda _, __, chosen, *___: chosen)
+    chosen = refinement._matched_all(cast(Job, None), features, None, silent)
+    assert len(chosen) == photos
+    assert all(np.array_equal(each, np.arange(5000 - count, 5000)) for each in chosen)
