@@ -79,8 +79,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
         wide = _passed(job, features, large, wide, limits, part(report, 0.1 * number, 0.1 * (number + 1)))
     both = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
     best = max(both, key=_agreement)
-    best, trusted = _with_missing(job, features, best, tracked, part(report, 0.4, 0.5))
-    settled = set(trusted)
+    best, settled = _with_missing(job, features, best, tracked, part(report, 0.4, 0.5))
     for attempt in range(_ATTEMPTS):
         better = _improved(job, best, settled, tracked, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
         if better is None:
@@ -105,10 +104,10 @@ def held(model: Any) -> Any:
 
 def _with_missing(
     job: Job, features: Sequence[Features], model: Any, tracked: _Tracked, report: Progress
-) -> tuple[Any, frozenset[int]]:
+) -> tuple[Any, set[int]]:
     """The model with the missing photos that its points determine, and the ids of these photos."""
     if model.num_reg_images() == len(job.photos):
-        return model, frozenset()
+        return model, set()
     before, pairs = set(model.reg_image_ids()), planned_pairs(job, features)
     for attempt in range(_ATTEMPTS):
         share = part(report, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
@@ -122,7 +121,7 @@ def _with_missing(
         if model.num_reg_images() == len(job.photos):
             break
     held_well = {image for image, count in _support(model).items() if count >= _LEAST_SUPPORT}
-    return model, frozenset(held_well - before)
+    return model, held_well - before
 
 
 def _improved(job: Job, model: Any, settled: set[int], tracked: _Tracked, report: Progress) -> Any:
