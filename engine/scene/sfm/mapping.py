@@ -58,10 +58,13 @@ def find_model(job: Job) -> None:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
     refined = timed("refining", refine, job, features, models[0], part(tell, 0.8, 0.95))
     best = timed("surfaces", with_surfaces, job, refined, part(tell, 0.95, 1.0))
-    placed = set(best.reg_image_ids())
-    apart = [model.num_reg_images() for model in models[1:] if not placed.issuperset(model.reg_image_ids())]
-    summary = {"models": [len(placed), *apart], "pairs": pairs, "seconds": seconds}
-    _write(job, best, summary)
+    _write(job, best, {"models": part_sizes(best, models[1:]), "pairs": pairs, "seconds": seconds})
+
+
+def part_sizes(model: Any, others: Sequence[Any]) -> list[int]:
+    """The number of photos of a model, and of each other one that has photos which the model lacks."""
+    placed = set(model.reg_image_ids())
+    return [len(placed), *(each.num_reg_images() for each in others if not placed.issuperset(each.reg_image_ids()))]
 
 
 def _write(job: Job, model: Any, summary: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ import time
 import types
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm import placing
 from fruitlangs.engine.scene.sfm.find_cameras import find_poses
 from fruitlangs.engine.scene.sfm.job import Copy, Job
+from fruitlangs.engine.scene.sfm.mapping import part_sizes
 from fruitlangs.engine.scene.sfm.placing import drop_lost
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.storage.files import file_hash
@@ -282,6 +284,13 @@ def test_photos_that_fit_nowhere_are_named(walk: Path, tmp_path: Path) -> None:
     Image.fromarray(noise).save(tmp_path / "images" / "a.png")
     (notice,) = find_poses(tmp_path / "images", tmp_path / "found").notices
     assert notice.startswith("1 of 7 photos fit nowhere and were left out, first a.png")
+
+
+def test_parts_whose_photos_were_all_placed_are_no_parts() -> None:
+    def model(*photos: int) -> Any:
+        return types.SimpleNamespace(num_reg_images=lambda: len(photos), reg_image_ids=lambda: list(photos))
+
+    assert part_sizes(model(1, 2, 3, 4, 5), [model(3, 4, 5), model(5, 6, 7)]) == [5, 3]
 
 
 def test_too_few_photos_in_the_model_are_an_error(walk: Path, tmp_path: Path) -> None:
