@@ -46,15 +46,17 @@ _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
 """Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
-_ENOUGH_POINTS, _LEAST_POINTS = 1000, 40
-"""Points per photo, those seen most often, that adjust the cameras, as more take longer and change nothing; and points
-per photo up to which those in two photos only are used, half of which are matched by chance."""
+_ENOUGH_POINTS, _LAST_ENOUGH, _LEAST_POINTS = 400, 1000, 40
+"""Points per photo, those seen most often, that adjust the cameras, until the last round and in it, as more take longer
+and change nothing; and points per photo up to which those in two photos only are used: chance matched half of these."""
 _NEAR = 2.0
 """Distance from points that three photos see, in their median spacing, up to which a point of two photos is kept."""
 _LOSS_SCALE = 0.5
 """Scale in pixels of the Cauchy loss."""
 _ADJUSTMENTS = 2
 """Adjustments in each pass, with a removal of outliers after each."""
+_CAMERAS_CONVERGED = 1e-6
+"""Relative change of the loss at which an adjustment of cameras ends: a bent ring of cameras straightens slowly."""
 
 
 _Tracked = Callable[[Any, Progress], Any]
@@ -72,7 +74,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
 
     def tracked(start: Any, share: Progress) -> Any:
         seeds = _matched(job, features, large, start, _CLOSE, part(share, 0.0, 0.3))
-        return _with_long_tracks(job, seeds, pictures, _REACH, part(share, 0.3, 1.0))
+        return _with_long_tracks(job, seeds, pictures, _REACH, _ENOUGH_POINTS, part(share, 0.3, 1.0))
 
     wide = model
     for number, limits in enumerate(_WIDE):
@@ -89,7 +91,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
         if gain < _LEAST_GAIN:
             break
     seeds = on_surfaces(_matched_all(job, features, best, part(report, 0.8, 0.9)))
-    best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, part(report, 0.9, 1.0))
+    best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, _LAST_ENOUGH, part(report, 0.9, 1.0))
     return held(best) if best.num_points3D() >= _LEAST_POINTS else model
 
 
@@ -186,7 +188,7 @@ def _agreement(model: Any) -> int:
     return sum(max(point.track.length() - 2, 0) for point in model.points3D.values())
 
 
-def _with_long_tracks(job: Job, model: Any, pictures: Pictures, reach: int, report: Progress) -> Any:
+def _with_long_tracks(job: Job, model: Any, pictures: Pictures, reach: int, enough: int, report: Progress) -> Any:
     """The model with its points followed through all photos, and with cameras adjusted to those that most photos see;
     as it is if hardly any can be followed."""
     report(0.0, "following points")
@@ -194,7 +196,7 @@ def _with_long_tracks(job: Job, model: Any, pictures: Pictures, reach: int, repo
     if longer.num_points3D() < _LEAST_POINTS:
         return model
     report(0.6, "refining cameras")
-    kept = _most_seen(longer)
+    kept = _most_seen(longer, enough)
     _adjust(job, kept, _LARGEST_ERROR)
     for number, camera in kept.cameras.items():
         longer.cameras[number].params = camera.params
@@ -213,7 +215,7 @@ def _passed(
     report: Progress,
 ) -> Any:
     """The model with cameras adjusted to matches along its epipolar lines. limits: as in `_WIDE`."""
-    kept = _most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)))
+    kept = _most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)), _ENOUGH_POINTS)
     if kept.num_points3D() < _LEAST_POINTS:
         return model
     report(0.7, "refining cameras")
@@ -322,14 +324,14 @@ def _geometry(model: Any, one: Any, other: Any) -> Any:
     return geometry
 
 
-def _most_seen(model: Any) -> Any:
-    """A copy with the points that most photos see, as many as each photo needs."""
+def _most_seen(model: Any, enough: int) -> Any:
+    """A copy with the points that most photos see: up to `enough` for each photo."""
     kept = colmap_library().Reconstruction(model)
     counts: dict[int, int] = {}
     ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
     for number, point in ranked:
         images = {element.image_id for element in point.track.elements}
-        if min(counts.get(image, 0) for image in images) >= (_ENOUGH_POINTS if len(images) > 2 else _LEAST_POINTS):
+        if min(counts.get(image, 0) for image in images) >= (enough if len(images) > 2 else _LEAST_POINTS):
             kept.delete_point3D(number)
             continue
         for image in images:
@@ -367,8 +369,8 @@ def _adjust(job: Job, model: Any, error: float, *, points_only: bool = False) ->
     options.ceres.loss_function_scale = _LOSS_SCALE
     options.ceres.use_gpu = False
     options.ceres.solver_options.num_threads = 1
-    options.ceres.solver_options.max_num_iterations = 30
-    options.ceres.solver_options.function_tolerance = CONVERGED
+    options.ceres.solver_options.max_num_iterations = 30 if points_only else 100
+    options.ceres.solver_options.function_tolerance = CONVERGED if points_only else _CAMERAS_CONVERGED
     for _ in range(1 if points_only else _ADJUSTMENTS):
         pycolmap.bundle_adjustment(model, options)
         pycolmap.ObservationManager(model).filter_all_points3D(error, LEAST_ANGLE)
