@@ -119,6 +119,15 @@ def image_ids(database: Any, job: Job) -> list[int]:
     return [numbers[photo.copy] for photo in job.photos]
 
 
+def photo_ids(job: Job) -> list[int]:
+    """The database's numbers of the photos, in name order; opens and closes it."""
+    database = job.open_database()
+    try:
+        return image_ids(database, job)
+    finally:
+        database.close()
+
+
 def _features(keypoints: NDArray[np.float32], descriptors: NDArray[np.uint8]) -> Features:
     keypoints = np.asarray(keypoints, np.float32).reshape(-1, 6)
     areas = np.abs(keypoints[:, 2] * keypoints[:, 5] - keypoints[:, 3] * keypoints[:, 4])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...config import PhotosConfig
 from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
-from .features import Features, image_ids
+from .features import Features, image_ids, photo_ids
 from .job import Job
 from .matching import LEAST_EXCESS, MatchArray, match, match_along_lines
 
@@ -87,11 +87,7 @@ def match_photos(job: Job, features: Sequence[Features], report: Progress) -> No
 
 def verified_pairs(job: Job) -> list[Pair]:
     """The pairs in the database that show something in common."""
-    database = job.open_database()
-    try:
-        positions = {image: position for position, image in enumerate(image_ids(database, job))}
-    finally:
-        database.close()
+    positions = {image: position for position, image in enumerate(photo_ids(job))}
     found = [(positions[a], positions[b]) for a, b in verified_images(job)]
     return sorted((min(pair), max(pair)) for pair in found)
 

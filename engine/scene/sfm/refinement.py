@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
-from .features import Features, image_ids
+from .features import Features, image_ids, photo_ids
 from .job import LEAST_PHOTOS, Job
 from .matching import match_along_lines
 from .pairs import LARGEST, Pair, planned_pairs
@@ -29,8 +29,9 @@ _CLOSE, _ALL = (5.0, 4.0), (2.5, 2.0)
 """The same of the matches that long tracks start from: of the largest features, then of all."""
 _MOST_FEATURES = 650_000
 """Features of all photos together that points are made of in the end: training has room for a tenth as many."""
-_REACH, _LAST_REACH = 4, 3
-"""Pixels around the predicted place of a point that are searched, until the last round and in it."""
+_ROUND, _LAST_ROUND = (4, 400), (3, 1000)
+"""Pixels around the predicted place of a point that are searched, and points per photo, those seen most often, that
+adjust the cameras: until the last round, and in it. Fewer points take less time, more give more accurate cameras."""
 _LARGEST_ERROR = 4.0
 """Largest distance in pixels of a point of a long track from its observations."""
 _UNCERTAIN = 0.5
@@ -46,9 +47,9 @@ _NEAREST = 12
 """Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
 """Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
-_ENOUGH_POINTS, _LAST_ENOUGH, _LEAST_POINTS = 400, 1000, 40
-"""Points per photo, those seen most often, that adjust the cameras, until the last round and in it, as more take longer
-and change nothing; and points per photo up to which those in two photos only are used: chance matched half of these."""
+_LEAST_POINTS = 40
+"""Points that a model needs; and points per photo up to which those in two photos only are used: chance matched half of
+these."""
 _NEAR = 2.0
 """Distance from points that three photos see, in their median spacing, up to which a point of two photos is kept."""
 _LOSS_SCALE = 0.5
@@ -74,7 +75,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
 
     def tracked(start: Any, share: Progress) -> Any:
         seeds = _matched(job, features, large, start, _CLOSE, part(share, 0.0, 0.3))
-        return _with_long_tracks(job, seeds, pictures, _REACH, _ENOUGH_POINTS, part(share, 0.3, 1.0))
+        return _with_long_tracks(job, seeds, pictures, _ROUND, part(share, 0.3, 1.0))
 
     wide = model
     for number, limits in enumerate(_WIDE):
@@ -91,7 +92,7 @@ def refine(job: Job, features: Sequence[Features], model: Any, report: Progress)
         if gain < _LEAST_GAIN:
             break
     seeds = on_surfaces(_matched_all(job, features, best, part(report, 0.8, 0.9)))
-    best = _with_long_tracks(job, seeds, pictures, _LAST_REACH, _LAST_ENOUGH, part(report, 0.9, 1.0))
+    best = _with_long_tracks(job, seeds, pictures, _LAST_ROUND, part(report, 0.9, 1.0))
     return held(best) if best.num_points3D() >= _LEAST_POINTS else model
 
 
@@ -143,11 +144,7 @@ def _unsure(job: Job, model: Any) -> set[int]:
     """The photos that are missing, and those with few observations."""
     support = _support(model)
     usual = float(np.median(list(support.values()))) if support else 0.0
-    database = job.open_database()
-    try:
-        return {image for image in image_ids(database, job) if support.get(image, -1) < _UNCERTAIN * usual}
-    finally:
-        database.close()
+    return {image for image in photo_ids(job) if support.get(image, -1) < _UNCERTAIN * usual}
 
 
 def starts(job: Job, model: Any, settled: Collection[int], unsure: Collection[int]) -> Iterator[Any]:
@@ -188,9 +185,10 @@ def _agreement(model: Any) -> int:
     return sum(max(point.track.length() - 2, 0) for point in model.points3D.values())
 
 
-def _with_long_tracks(job: Job, model: Any, pictures: Pictures, reach: int, enough: int, report: Progress) -> Any:
+def _with_long_tracks(job: Job, model: Any, pictures: Pictures, limits: tuple[int, int], report: Progress) -> Any:
     """The model with its points followed through all photos, and with cameras adjusted to those that most photos see;
-    as it is if hardly any can be followed."""
+    as it is if hardly any can be followed. limits: as in `_ROUND`."""
+    reach, enough = limits
     report(0.0, "following points")
     longer = longer_tracks(job, model, pictures, reach)
     if longer.num_points3D() < _LEAST_POINTS:
@@ -215,7 +213,8 @@ def _passed(
     report: Progress,
 ) -> Any:
     """The model with cameras adjusted to matches along its epipolar lines. limits: as in `_WIDE`."""
-    kept = _most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)), _ENOUGH_POINTS)
+    _, enough = _ROUND
+    kept = _most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)), enough)
     if kept.num_points3D() < _LEAST_POINTS:
         return model
     report(0.7, "refining cameras")
@@ -325,7 +324,7 @@ def _geometry(model: Any, one: Any, other: Any) -> Any:
 
 
 def _most_seen(model: Any, enough: int) -> Any:
-    """A copy with the points that most photos see: up to `enough` for each photo."""
+    """A copy with the points that most photos see, until each photo has `enough` of them."""
     kept = colmap_library().Reconstruction(model)
     counts: dict[int, int] = {}
     ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
