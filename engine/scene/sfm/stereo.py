@@ -1,4 +1,4 @@
-"""PatchMatch stereo adds points on surfaces where SIFT finds none and several photos agree.
+"""PatchMatch stereo adds points on surfaces where SIFT finds none and photos agree.
 
 Training starts from all points; where there are none, it leaves out what the photos show.
 """
@@ -42,12 +42,12 @@ _LEAST_LIKENESS = 0.6
 """Correlation of a surface with other photos, below which it is unknown."""
 _SAME_DEPTH = 0.01
 """Relative difference of depth up to which two photos agree."""
-_LEAST_AGREEING = 2
-"""Other photos that must agree with a point."""
-_APART = 9.0
+_LEAST_AGREEING = 1
+"""Other photos that must agree with a point. Fruit between leaves are often seen by two photos only."""
+_APART = 6.0
 """Least distance of a new point from others, in pixels."""
-_MOST = 20_000
-"""Most new points: training has room for some ten thousand Gaussians, and splits them where it needs more."""
+_MOST = 40_000
+"""Most new points: training has room for 70,000 Gaussians, and splits them where it needs more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,7 +121,7 @@ def test_new_points_are_seen_where_the_photos_show_them(tmp_path: Path) -> None:
     filled = with_surfaces(job, model, silent)
     errors = []
     for _, point in sorted(filled.points3D.items())[model.num_points3D() :]:
-        assert point.track.length() >= 3
+        assert point.track.length() >= 2
         for element in point.track.elements:
             image = filled.images[element.image_id]
             errors.append(image.points2D[element.point2D_idx].xy - image.project_point(point.xyz))
@@ -132,10 +132,10 @@ def test_new_points_are_apart_from_known_ones_and_from_each_other(tmp_path: Path
     job, model = scene(tmp_path, 0.0)
     points = places(with_surfaces(job, model, silent))
     apart = np.linalg.norm(points[:, None] - points, axis=2) + 1e9 * np.eye(len(points))
-    assert apart[model.num_points3D() :].min() > 8 * DISTANCE / FOCAL
+    assert apart[model.num_points3D() :].min() > 5 * DISTANCE / FOCAL
 
 
-@pytest.mark.parametrize(("seeds", "chance"), [([None] * CAMERAS, 0.0), (range(CAMERAS), 0.003)])
+@pytest.mark.parametrize(("seeds", "chance"), [([None] * CAMERAS, 0.0), (range(CAMERAS), 0.01)])
 def test_what_photos_do_not_agree_on_gets_hardly_any_points(
     tmp_path: Path, seeds: Sequence[int | None], chance: float
 ) -> None:
