@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,11 @@ _CLOSE, _ALL = (5.0, 4.0), (2.5, 2.0)
 """The same of the matches that long tracks start from: of the largest features, then of all."""
 _MOST_FEATURES = 650_000
 """Features of all photos together that points are made of in the end: training has room for a tenth as many."""
-_ROUND, _LAST_ROUND = (4, 400), (3, 1000)
+_ROUND, _LAST_ROUND = (4, 200), (3, 500)
 """Pixels around the predicted place of a point that are searched, and points per photo, those seen most often, that
 adjust the cameras: until the last round, and in it. Fewer points take less time, more give more accurate cameras."""
+_PARTS = 8
+"""Columns and rows of the parts of a photo that share these points: without the outer ones the lens is not known."""
 _LARGEST_ERROR = 4.0
 """Largest distance in pixels of a point of a long track from its observations."""
 _UNCERTAIN = 0.5
@@ -194,7 +197,7 @@ def _with_long_tracks(job: Job, model: Any, pictures: Pictures, limits: tuple[in
     if longer.num_points3D() < _LEAST_POINTS:
         return model
     report(0.6, "refining cameras")
-    kept = _most_seen(longer, enough)
+    kept = most_seen(longer, enough)
     _adjust(job, kept, _LARGEST_ERROR)
     for number, camera in kept.cameras.items():
         longer.cameras[number].params = camera.params
@@ -214,7 +217,7 @@ def _passed(
 ) -> Any:
     """The model with cameras adjusted to matches along its epipolar lines. limits: as in `_WIDE`."""
     _, enough = _ROUND
-    kept = _most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)), enough)
+    kept = most_seen(_matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)), enough)
     if kept.num_points3D() < _LEAST_POINTS:
         return model
     report(0.7, "refining cameras")
@@ -323,19 +326,29 @@ def _geometry(model: Any, one: Any, other: Any) -> Any:
     return geometry
 
 
-def _most_seen(model: Any, enough: int) -> Any:
-    """A copy with the points that most photos see, until each photo has `enough` of them."""
+def most_seen(model: Any, enough: int) -> Any:
+    """A copy with the points that most photos see, until each photo has about `enough` of them, spread over all of its
+    parts."""
     kept = colmap_library().Reconstruction(model)
-    counts: dict[int, int] = {}
+    counts: Counter[tuple[int, int, int]] = Counter()
     ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
     for number, point in ranked:
-        images = {element.image_id for element in point.track.elements}
-        if min(counts.get(image, 0) for image in images) >= (enough if len(images) > 2 else _LEAST_POINTS):
+        elements = point.track.elements
+        share = (enough if len({each.image_id for each in elements}) > 2 else _LEAST_POINTS) / _PARTS**2
+        places = [_part_of_photo(kept, each) for each in elements]
+        if min(counts[place] for place in places) >= share:
             kept.delete_point3D(number)
-            continue
-        for image in images:
-            counts[image] = counts.get(image, 0) + 1
+        else:
+            counts.update(set(places))
     return kept
+
+
+def _part_of_photo(model: Any, element: Any) -> tuple[int, int, int]:
+    """The photo of an observation, and the column and row of its part there."""
+    image = model.images[element.image_id]
+    camera = model.cameras[image.camera_id]
+    x, y = image.points2D[element.point2D_idx].xy
+    return element.image_id, int(x * _PARTS / camera.width), int(y * _PARTS / camera.height)
 
 
 def on_surfaces(model: Any) -> Any:

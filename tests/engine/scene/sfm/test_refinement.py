@@ -13,7 +13,8 @@ from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm import refinement
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.job import Job
-from fruitlangs.engine.scene.sfm.refinement import held, near_pairs, on_surfaces, same_places, starts
+from fruitlangs.engine.scene.sfm.refinement import held, most_seen, near_pairs, on_surfaces, same_places, starts
+from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of
 
 
 def placed(degrees: float) -> types.SimpleNamespace:
@@ -55,6 +56,23 @@ def test_points_of_two_photos_are_kept_near_points_of_three_only() -> None:
     kept = on_surfaces(model)
     assert kept.num_points3D() == 105
     assert max(point.xyz[2] for point in kept.points3D.values()) < 1.0
+
+
+def test_points_that_adjust_cameras_reach_the_edges_of_the_photos() -> None:
+    middle = [(30.0 + column, 30.0 + row) for column in range(20) for row in range(20)]
+    edge = [(float(x), y) for x in range(5, 80, 10) for y in (5.0, 75.0)]
+    camera = colmap_library().Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
+    pixels = np.array(middle + edge)
+    photos = [PlacedPhoto(number, f"{number}", camera, colmap_library().Rigid3d(), pixels) for number in range(1, 5)]
+    model = model_of(photos)
+    for index in range(len(pixels)):
+        track = colmap_library().Track()
+        for photo in photos[: 4 if index < len(middle) else 3]:
+            track.add_element(photo.number, index)
+        model.add_point3D(np.zeros(3), track)
+    kept = most_seen(model, 128)
+    assert kept.num_points3D() == len(edge) + 2 * 4  # two in each of the four parts of the middle
+    assert sum(point.track.length() == 3 for point in kept.points3D.values()) == len(edge)
 
 
 def test_photos_that_hardly_any_point_holds_are_left_out_but_not_all() -> None:
