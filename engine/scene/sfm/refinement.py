@@ -330,25 +330,25 @@ def most_seen(model: Any, enough: int) -> Any:
     """A copy with the points that most photos see, until each photo has about `enough` of them, spread over all of its
     parts."""
     kept = colmap_library().Reconstruction(model)
-    counts: Counter[tuple[int, int, int]] = Counter()
+    parts = {number: _parts(model.cameras[image.camera_id], image) for number, image in model.images.items()}
+    counts: Counter[tuple[int, int]] = Counter()
     ranked = sorted(kept.points3D.items(), key=lambda item: (-item[1].track.length(), item[1].error, item[0]))
     for number, point in ranked:
-        elements = point.track.elements
-        share = (enough if len({each.image_id for each in elements}) > 2 else _LEAST_POINTS) / _PARTS**2
-        places = [_part_of_photo(kept, each) for each in elements]
+        seen = [(each.image_id, each.point2D_idx) for each in point.track.elements]
+        places = {(image, parts[image][index]) for image, index in seen}
+        share = (enough if len({image for image, _ in seen}) > 2 else _LEAST_POINTS) / _PARTS**2
         if min(counts[place] for place in places) >= share:
             kept.delete_point3D(number)
         else:
-            counts.update(set(places))
+            counts.update(places)
     return kept
 
 
-def _part_of_photo(model: Any, element: Any) -> tuple[int, int, int]:
-    """The photo of an observation, and the column and row of its part there."""
-    image = model.images[element.image_id]
-    camera = model.cameras[image.camera_id]
-    x, y = image.points2D[element.point2D_idx].xy
-    return element.image_id, int(x * _PARTS / camera.width), int(y * _PARTS / camera.height)
+def _parts(camera: Any, image: Any) -> list[int]:
+    """The number of the part of a photo that each of its features lies in."""
+    pixels = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+    column, row = (pixels * _PARTS / [camera.width, camera.height]).astype(int).T
+    return (column + _PARTS * row).tolist()
 
 
 def on_surfaces(model: Any) -> Any:
