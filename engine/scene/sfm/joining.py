@@ -22,7 +22,7 @@ _LARGEST_ERROR = 0.1
 def joined(models: Sequence[Any]) -> list[Any]:
     """The models, largest first, each with the photos of those that it could be joined with.
 
-    A joined model has cameras and photos, without points: `refinement` finds these again.
+    A joined model has cameras and photos, without points: `refining` finds these again.
     """
     remaining = sorted(models, key=lambda model: -model.num_reg_images())
     result = []

@@ -17,7 +17,7 @@ from .features import add_photos, find_features, read_features
 from .job import FOUND, Copy, Job
 from .pairs import match_photos, verified_pairs
 from .placing import place_photos
-from .refinement import refine
+from .refining.refinement import refine
 from .stereo import with_surfaces
 
 

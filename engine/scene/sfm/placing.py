@@ -26,7 +26,7 @@ LEAST_ANGLE = 1.5
 """Least angle in degrees between the rays of a triangulated point."""
 CONVERGED = 1e-4
 """Relative change of the loss at which an adjustment ends, of points or while photos are placed: more accurate cameras
-are left to `refinement`."""
+are left to `refining`."""
 _AGAIN_ERROR = 4.0
 """Largest distance in pixels of a point from its features, on which photos are placed again."""
 ENOUGH = 0.97

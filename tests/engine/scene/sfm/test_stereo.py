@@ -17,7 +17,7 @@ from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
 from fruitlangs.engine.scene.sfm.stereo import with_surfaces
 
-from .test_tracks import wall
+from .refining.test_tracks import wall
 
 WIDTH, HEIGHT, FOCAL, DISTANCE, STEP, CAMERAS = 300, 240, 400.0, 4.0, 0.3, 6
 """Cameras in a row, `STEP` apart, that look at a surface `DISTANCE` ahead, in metres."""

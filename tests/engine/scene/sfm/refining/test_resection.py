@@ -13,7 +13,7 @@ from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.job import Copy, Job
 from fruitlangs.engine.scene.sfm.pairs import planned_pairs
-from fruitlangs.engine.scene.sfm.resection import resected
+from fruitlangs.engine.scene.sfm.refining.resection import resected
 
 PHOTOS, POINTS, MISSING = 8, 400, 4
 

@@ -13,7 +13,7 @@ from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
 from fruitlangs.engine.scene.sfm.kernels.patches import find_patches
-from fruitlangs.engine.scene.sfm.tracks import longer_tracks
+from fruitlangs.engine.scene.sfm.refining.tracks import longer_tracks
 from fruitlangs.engine.scene.sfm.views import read_pictures
 
 WIDTH, HEIGHT, FOCAL = 200, 160, 400.0

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .job import Job
-from .kernels.patches import find_patches
-from .views import Observations, Pictures, Views
+from ..job import Job
+from ..kernels.patches import find_patches
+from ..views import Observations, Pictures, Views
 
 _LEAST_VIEWS = 3
 """Photos that a track needs: chance matches two."""

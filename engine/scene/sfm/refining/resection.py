@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..pycolmap_import import colmap_library
-from .features import Features, image_ids
-from .job import Job
-from .matching import match
-from .pairs import Pair
-from .views import PlacedPhoto, model_of
+from ...pycolmap_import import colmap_library
+from ..features import Features, image_ids
+from ..job import Job
+from ..matching import match
+from ..pairs import Pair
+from ..views import PlacedPhoto, model_of
 
 _LEAST_INLIERS, _CHANCE = 12, 1.5
 """Least number of inliers, absolute and relative to what RANSAC finds when the points are shuffled."""

@@ -1,0 +1,42 @@
+"""Matches of placed photos: which are compared, and how many of their features."""
+
+from __future__ import annotations
+
+import types
+from typing import cast
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.progress import silent
+from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm.features import Features
+from fruitlangs.engine.scene.sfm.job import Job
+from fruitlangs.engine.scene.sfm.refining import guided
+from fruitlangs.engine.scene.sfm.refining.guided import matched_all, near_pairs
+
+
+def placed(degrees: float) -> types.SimpleNamespace:
+    """A photo on a circle around the origin that looks at it."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    pose = colmap_library().Rigid3d(colmap_library().Rotation3d(turn), np.array([0.0, 0.0, 4.0]))
+    return types.SimpleNamespace(cam_from_world=lambda: pose, projection_center=lambda: -turn.T @ [0.0, 0.0, 4.0])
+
+
+def test_photos_are_matched_again_with_similar_views_only() -> None:
+    pairs = near_pairs({position: placed(20.0 * position) for position in range(18)})
+    assert {(i, i + 1) for i in range(17)} <= set(pairs)
+    assert all(min(j - i, 18 - j + i) <= 2 for i, j in pairs)
+
+
+@pytest.mark.parametrize(("photos", "count"), [(10, 5000), (200, 3250), (1000, 2048)])
+def test_the_more_photos_the_fewer_features_of_each_become_points(
+    photos: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = np.arange(5000, dtype=np.float32)
+    features = [Features(np.zeros((5000, 2), np.float32), sizes, np.zeros((5000, 128), np.uint8))] * photos
+    monkeypatch.setattr(guided, "matched", lambda _, __, chosen, *___: chosen)
+    chosen = matched_all(cast(Job, None), features, None, silent)
+    assert len(chosen) == photos
+    assert all(np.array_equal(each, np.arange(5000 - count, 5000)) for each in chosen)

@@ -1,0 +1,51 @@
+"""Parts of a model that hardly any point joins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm.refining.parts import largest_part
+from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of
+
+
+def chain(shared: list[int]) -> Any:
+    """A model of photos of which each shares so many points with the next one."""
+    camera = colmap_library().Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
+    pixels = np.random.default_rng(0).uniform(0.0, 80.0, (1000, 2))
+    pose = colmap_library().Rigid3d()
+    model = model_of(PlacedPhoto(number, f"{number}", camera, pose, pixels) for number in range(1, len(shared) + 2))
+    for first, count in enumerate(shared, start=1):
+        for index in range(count):
+            track = colmap_library().Track()
+            track.add_element(first, 500 + index)
+            track.add_element(first + 1, index)
+            model.add_point3D(np.zeros(3), track)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("shared", "kept"),
+    [
+        ([100, 100, 100, 100], [1, 2, 3, 4, 5]),
+        ([100, 100, 100, 9, 100, 100], [1, 2, 3, 4]),
+        ([100, 100, 100, 11, 100, 100], [1, 2, 3, 4, 5, 6, 7]),
+        ([100, 100, 9, 100, 100, 100], [4, 5, 6, 7]),
+        ([20, 20, 20, 7], [1, 2, 3, 4]),
+        ([20, 20, 20, 8], [1, 2, 3, 4, 5]),
+    ],
+)
+def test_photos_that_hardly_any_point_joins_with_the_largest_part_are_taken_out(
+    shared: list[int], kept: list[int]
+) -> None:
+    model = chain(shared)
+    assert sorted(largest_part(model).reg_image_ids()) == kept
+    assert model.num_reg_images() == len(shared) + 1
+
+
+@pytest.mark.parametrize("shared", [[0, 0, 0], [100, 0, 100]])
+def test_no_photo_is_taken_out_if_fewer_than_three_would_remain(shared: list[int]) -> None:
+    assert largest_part(chain(shared)).num_reg_images() == 4
