@@ -56,7 +56,7 @@ def find_model(job: Job) -> None:
     models = timed("placing", place_photos, job, features, part(tell, 0.5, 0.8))
     if not models:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
-    refined = timed("refining", refine, job, features, models[0], part(tell, 0.8, 0.95))
+    refined = timed("refining", refine, job, features, models, part(tell, 0.8, 0.95))
     best = timed("surfaces", with_surfaces, job, refined, part(tell, 0.95, 1.0))
     _write(job, best, {"models": part_sizes(best, models[1:]), "pairs": pairs, "seconds": seconds})
 

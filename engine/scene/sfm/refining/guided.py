@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,8 @@ def _database(job: Job) -> Path:
 
 def make_database(job: Job) -> None:
     """Copy the photos and the places of their features to the database of the refinement."""
+    for leftover in _database(job).parent.glob(f"{_database(job).name}*"):
+        leftover.unlink()  # SQLite would apply the journal of a killed run to the copy
     shutil.copy(job.database, _database(job))
     database = colmap_library().Database.open(_database(job))
     database.clear_matches()
@@ -52,20 +54,21 @@ def matched(
     model: Any,
     limits: Limits,
     report: Progress,
+    near: Set[int] | None = None,
 ) -> Any:
     """The model with the points of the chosen features that match along its epipolar lines; these matches replace
-    those in the database."""
+    those in the database. near: only pairs with one of these photos are matched."""
     tolerance, error = limits
     database = colmap_library().Database.open(_database(job))
     try:
         numbers = image_ids(database, job)
         database.clear_two_view_geometries()
-        placed = {i: model.images[number] for i, number in enumerate(numbers) if _has_pose(model, number)}
+        placed = {i: model.images[number] for i, number in enumerate(numbers) if has_pose(model, number)}
         straight = {
             i: _undistorted(model.cameras[image.camera_id], features[i].select(chosen[i]))
             for i, image in placed.items()
         }
-        pairs = near_pairs(placed)
+        pairs = [pair for pair in near_pairs(placed) if near is None or not near.isdisjoint(pair)]
         for done, (i, j) in enumerate(pairs):
             report(done / len(pairs), f"matching placed photos: pair {done + 1} of {len(pairs)}")
             geometry = _geometry(model, placed[i], placed[j])
@@ -79,14 +82,17 @@ def matched(
     return triangulated(job, _database(job), model, error)
 
 
-def matched_all(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
+def matched_all(
+    job: Job, features: Sequence[Features], model: Any, report: Progress, near: Set[int] | None = None
+) -> Any:
     """The model with the points of all features that match along its epipolar lines; of the largest, if photos are
-    many."""
+    many. near: as in `matched`."""
     count = max(LARGEST, _MOST_FEATURES // len(features))
-    return matched(job, features, [each.largest(count) for each in features], model, _ALL, report)
+    return matched(job, features, [each.largest(count) for each in features], model, _ALL, report, near)
 
 
-def _has_pose(model: Any, image: int) -> bool:
+def has_pose(model: Any, image: int) -> bool:
+    """Whether a model has a place for a photo."""
     return image in model.images and model.images[image].has_pose
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence, Set
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ....progress import Progress, part
@@ -17,7 +16,8 @@ from ..pairs import LARGEST, planned_pairs
 from ..placing import place_again
 from ..views import Pictures, read_pictures
 from .adjustment import LEAST_POINTS, adjust, most_seen
-from .guided import Limits, make_database, matched, matched_all
+from .guided import Limits, has_pose, make_database, matched, matched_all
+from .linking import linked
 from .parts import largest_part
 from .resection import resected
 from .tracks import longer_tracks
@@ -42,72 +42,135 @@ other follows."""
 _NEAR = 2.0
 """Distance from points that three photos see, in their median spacing, up to which a point of two photos is kept."""
 
-_Tracked = Callable[[Any, Progress], Any]
-"""A model → the model matched and followed again, with cameras adjusted to that."""
+_LEAST_MORE, _ENOUGH_SHARED = 4, 2
+"""Missing photos that another model must have to be linked; photos of both models with which it need not grow more."""
 
 
-def refine(job: Job, features: Sequence[Features], model: Any, report: Progress) -> Any:
-    """The model with cameras refined on longer tracks, and with the points of these; as it is with too few of them.
+def refine(job: Job, features: Sequence[Features], models: Sequence[Any], report: Progress) -> Any:
+    """The first model with cameras refined on longer tracks, and with the points of these; as it is with too few.
 
-    Photos that are missing or that hardly any long track reaches are placed again, until that does not move them.
+    Missing photos are placed on its points, and with other models that these reach. Photos that hardly any long track
+    reaches are placed again, until that does not move them.
     """
-    pictures = read_pictures(job)
-    large = [each.largest(LARGEST) for each in features]
-    make_database(job)
-
-    def tracked(start: Any, share: Progress) -> Any:
-        seeds = matched(job, features, large, start, _CLOSE, part(share, 0.0, 0.3))
-        return largest_part(_with_long_tracks(job, seeds, pictures, _ROUND, part(share, 0.3, 1.0)))
-
-    wide = model
-    for number, limits in enumerate(_WIDE):
-        wide = _passed(job, features, large, wide, limits, part(report, 0.1 * number, 0.1 * (number + 1)))
-    both = [tracked(wide, part(report, 0.2, 0.3)), tracked(model, part(report, 0.3, 0.4))]
-    best = max(both, key=_agreement)
-    best, settled = _grown(job, features, best, tracked, part(report, 0.4, 0.5))
+    rounds = _Rounds(job, features)
+    best = rounds.straightened(models[0], part(report, 0.0, 0.4))
+    before = set(best.reg_image_ids())
+    best = rounds.completed(best, models[1:], part(report, 0.4, 0.5))
+    settled = set(best.reg_image_ids()) - before
     for attempt in range(_ATTEMPTS):
-        better = _improved(job, best, settled, tracked, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
+        better = rounds.improved(best, settled, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
         if better is None:
             break
         gain = _agreement(better) / max(_agreement(best), 1)
         best = better
         if gain < _LEAST_GAIN:
             break
-    seeds = on_surfaces(matched_all(job, features, best, part(report, 0.8, 0.9)))
-    best = largest_part(_with_long_tracks(job, seeds, pictures, _LAST_ROUND, part(report, 0.9, 1.0)))
-    return best if best.num_points3D() >= LEAST_POINTS else model
+    best = rounds.last(best, part(report, 0.8, 1.0))
+    return best if best.num_points3D() >= LEAST_POINTS else models[0]
 
 
-def _grown(
-    job: Job, features: Sequence[Features], model: Any, tracked: _Tracked, report: Progress
-) -> tuple[Any, set[int]]:
-    """The model with the missing photos that its points determine, one after the other, and the ids of these photos."""
-    before, count, missing = set(model.reg_image_ids()), len(job.photos), len(job.photos) - model.num_reg_images()
-    pairs = planned_pairs(job, features) if missing else []
-    while model.num_reg_images() < count:
-        done = 1.0 - (count - model.num_reg_images()) / missing
-        share = part(report, done, done)
-        more = resected(job, features, pairs, matched_all(job, features, model, share))
-        if more is None:
-            break
-        more = tracked(more, share)
-        if more.num_reg_images() <= model.num_reg_images():
-            break
-        model = more
-    return model, set(model.reg_image_ids()) - before
+class _Rounds:
+    """Rounds in which a model is matched again, its points are followed, and its cameras are adjusted to them."""
 
+    def __init__(self, job: Job, features: Sequence[Features]) -> None:
+        self.job, self.features = job, features
+        self.large = [each.largest(LARGEST) for each in features]
+        self.pictures = read_pictures(job)
+        make_database(job)
 
-def _improved(job: Job, model: Any, settled: set[int], tracked: _Tracked, report: Progress) -> Any:
-    """The model matched and followed again, after its unsure photos were placed again if that moves them; None if that
-    loses tracks. settled: photos that are not placed again; unsure ones that do not move are added."""
-    unsure = _unsure(job, model) - settled
-    for number, start in enumerate(starts(job, model, settled, unsure)):
-        if start is model:
-            settled |= unsure
-        better = tracked(start, part(report, number / 2, (number + 1) / 2))
-        if _agreement(better) > _LEAST_KEPT * _agreement(model):
-            return better
-    return None
+    def tracked(self, model: Any, report: Progress) -> Any:
+        """The largest part of the model after one round."""
+        seeds = matched(self.job, self.features, self.large, model, _CLOSE, part(report, 0.0, 0.3))
+        return largest_part(_with_long_tracks(self.job, seeds, self.pictures, _ROUND, part(report, 0.3, 1.0)))
+
+    def straightened(self, model: Any, report: Progress) -> Any:
+        """The better of two models: after passes that bring its parts together and a round, or after a round only."""
+        wide = model
+        for number, limits in enumerate(_WIDE):
+            wide = self._passed(wide, limits, part(report, 0.25 * number, 0.25 * (number + 1)))
+        both = [self.tracked(wide, part(report, 0.5, 0.75)), self.tracked(model, part(report, 0.75, 1.0))]
+        return max(both, key=_agreement)
+
+    def _passed(self, model: Any, limits: Limits, report: Progress) -> Any:
+        """The model with cameras adjusted to matches along its epipolar lines."""
+        _, enough = _ROUND
+        seeds = matched(self.job, self.features, self.large, model, limits, part(report, 0.0, 0.7))
+        kept = most_seen(seeds, enough)
+        if kept.num_points3D() < LEAST_POINTS:
+            return model
+        report(0.7, "refining cameras")
+        adjust(kept, limits[1])
+        return kept
+
+    def completed(self, model: Any, others: Sequence[Any], report: Progress) -> Any:
+        """The model with the missing photos that its points determine, and with those of other models that it then
+        shares a photo with."""
+        before = set(model.reg_image_ids())
+        elsewhere = {image for other in others for image in other.reg_image_ids()} - before
+        model = self._grown(model, part(report, 0.0, 0.3), elsewhere)
+        for number, other in enumerate(others):
+            share = part(report, 0.3 + 0.3 * number / len(others), 0.3 + 0.3 * (number + 1) / len(others))
+            if len(set(other.reg_image_ids()) - set(model.reg_image_ids())) < _LEAST_MORE:
+                continue
+            other = self.straightened(other, part(share, 0.0, 0.3))
+            other = self._grown(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
+            seen = [matched_all(self.job, self.features, each, part(share, 0.5, 0.6)) for each in (model, other)]
+            both = linked(*seen)
+            if both is None:
+                continue
+            both = self.straightened(both, part(share, 0.6, 1.0))
+            if both.num_reg_images() > model.num_reg_images():
+                model = both
+        model = self._grown(model, part(report, 0.6, 0.8))
+        # Photos that were placed on few points get a better place on the points that came later.
+        unsure = (_unsure(self.job, model) & set(model.reg_image_ids())) - before
+        if not unsure:
+            return model
+        again = colmap_library().Reconstruction(model)
+        for image in unsure:
+            again.deregister_frame(again.images[image].frame_id)
+        again = self._grown(again, part(report, 0.8, 1.0))
+        return max(model, again, key=_agreement)
+
+    def _grown(self, model: Any, report: Progress, reached: Set[int] = frozenset()) -> Any:
+        """The model with the missing photos that its points determine, round after round until there are none, or until
+        it has `_ENOUGH_SHARED` of the photos `reached`."""
+        photos = photo_ids(self.job)
+        placed, missing = model.num_reg_images(), len(photos) - model.num_reg_images()
+        pairs = planned_pairs(self.job, self.features) if missing else []
+        while model.num_reg_images() < len(photos):
+            if len(reached & set(model.reg_image_ids())) >= _ENOUGH_SHARED:
+                break
+            done = (model.num_reg_images() - placed) / missing
+            share = part(report, done, done)
+            absent = {position for position, image in enumerate(photos) if not has_pose(model, image)}
+            near = {position for pair in pairs if not absent.isdisjoint(pair) for position in pair}
+            points = matched_all(self.job, self.features, model, share, near)
+            more = resected(self.job, self.features, pairs, points)
+            if more is None:
+                break
+            more = self.tracked(more, share)
+            if more.num_reg_images() <= model.num_reg_images():
+                break
+            model = more
+        return model
+
+    def improved(self, model: Any, settled: set[int], report: Progress) -> Any:
+        """The model after another round, with its unsure photos placed again if that moves them; None if that loses
+        tracks. settled: photos that are not placed again; unsure ones that do not move are added."""
+        unsure = _unsure(self.job, model) - settled
+        for number, start in enumerate(starts(self.job, model, settled, unsure)):
+            if start is model:
+                settled |= unsure
+            better = self.tracked(start, part(report, number / 2, (number + 1) / 2))
+            if _agreement(better) > _LEAST_KEPT * _agreement(model):
+                return better
+        return None
+
+    def last(self, model: Any, report: Progress) -> Any:
+        """The largest part of the model after the last round, on all features."""
+        seeds = on_surfaces(matched_all(self.job, self.features, model, part(report, 0.0, 0.5)))
+        return largest_part(_with_long_tracks(self.job, seeds, self.pictures, _LAST_ROUND, part(report, 0.5, 1.0)))
 
 
 def _unsure(job: Job, model: Any) -> set[int]:
@@ -172,24 +235,6 @@ def _with_long_tracks(job: Job, model: Any, pictures: Pictures, limits: tuple[in
         longer.frame(longer.images[number].frame_id).rig_from_world = image.cam_from_world()
     adjust(longer, _LARGEST_ERROR, points_only=True)
     return longer
-
-
-def _passed(
-    job: Job,
-    features: Sequence[Features],
-    chosen: Sequence[NDArray[np.int64]],
-    model: Any,
-    limits: Limits,
-    report: Progress,
-) -> Any:
-    """The model with cameras adjusted to matches along its epipolar lines."""
-    _, enough = _ROUND
-    kept = most_seen(matched(job, features, chosen, model, limits, part(report, 0.0, 0.7)), enough)
-    if kept.num_points3D() < LEAST_POINTS:
-        return model
-    report(0.7, "refining cameras")
-    adjust(kept, limits[1])
-    return kept
 
 
 def on_surfaces(model: Any) -> Any:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 import types
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 import pytest
 
+from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.progress import silent
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.job import Job
 from fruitlangs.engine.scene.sfm.refining import guided
-from fruitlangs.engine.scene.sfm.refining.guided import matched_all, near_pairs
+from fruitlangs.engine.scene.sfm.refining.guided import make_database, matched_all, near_pairs
 
 
 def placed(degrees: float) -> types.SimpleNamespace:
@@ -40,3 +44,19 @@ def test_the_more_photos_the_fewer_features_of_each_become_points(
     chosen = matched_all(cast(Job, None), features, None, silent)
     assert len(chosen) == photos
     assert all(np.array_equal(each, np.arange(5000 - count, 5000)) for each in chosen)
+
+
+def test_what_a_killed_run_left_of_its_database_does_not_reach_the_next_one(tmp_path: Path) -> None:
+    job = Job(folder=str(tmp_path), photos=[], config=PhotosConfig(), threads=1)
+    job.open_database().close()
+    refined = tmp_path / "refined.db"
+    with contextlib.closing(sqlite3.connect(refined)) as running:
+        running.execute("PRAGMA journal_mode=WAL")
+        running.execute("CREATE TABLE cameras (number INTEGER)")
+        running.commit()
+        journals = {path: path.read_bytes() for path in tmp_path.glob("refined.db-*")}
+    for path, content in journals.items():
+        path.write_bytes(content)
+    make_database(job)
+    with contextlib.closing(colmap_library().Database.open(refined)) as database:
+        assert database.num_images() == 0

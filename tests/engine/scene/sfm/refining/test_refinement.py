@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import types
 from typing import Any, cast
 
 import numpy as np
@@ -78,8 +79,8 @@ def test_photos_that_placing_again_does_not_move_are_not_placed_again_in_later_r
     model, calls, settled = with_points(np.zeros((1, 3)), [4]), [], set[int]()
     monkeypatch.setattr(refinement, "_unsure", lambda *_: {3, 5})
     monkeypatch.setattr(refinement, "place_again", lambda *_, fixed: calls.append(fixed))
+    rounds = cast(Any, types.SimpleNamespace(job=None, tracked=lambda start, _: start))
     for _ in range(3):
-        again = refinement._improved(cast(Job, None), model, settled, lambda start, _: start, silent)
-        assert again is model
+        assert refinement._Rounds.improved(rounds, model, settled, silent) is model
     assert calls == [True, False]
     assert settled == {3, 5}
