@@ -19,7 +19,7 @@ _LEAST_SHARED = 8
 _LEAST_FOUND = 0.15
 """Share of the points of one photo inside the frame of the other that the other shows: .2 to .8 for right links, .05 to
 .09 for wrong ones. The lower share of both directions counts."""
-_USUAL = 0.5
+_USUAL = 0.3
 """Observations, relative to the median of all photos, that one of two photos must have: two that were misplaced
 together agree."""
 

@@ -121,7 +121,8 @@ class _Rounds:
             both = self.straightened(both, part(share, 0.6, 1.0))
             if both.num_reg_images() > model.num_reg_images():
                 model = both
-        model = self._grown(model, part(report, 0.6, 0.8))
+        if others:
+            model = self._grown(model, part(report, 0.6, 0.8))
         # Photos that were placed on few points get a better place on the points that came later.
         unsure = (_unsure(self.job, model) & set(model.reg_image_ids())) - before
         if not unsure:
