@@ -32,7 +32,7 @@ def joined(models: Sequence[Any]) -> list[Any]:
             moved = _similarity(other, model)
             if moved is not None:
                 new = set(other.reg_image_ids()) - set(model.reg_image_ids())
-                model = with_photos_of(model, other, moved, new)
+                model = merged(model, other, moved, new)
                 remaining.remove(other)
         result.append(model)
     return sorted(result, key=lambda model: -model.num_reg_images())
@@ -56,10 +56,10 @@ def _similarity(other: Any, model: Any) -> Similarity | None:
 def with_photos(model: Any, other: Any, photos: Collection[int]) -> Any:
     """The model, without points, and these photos of another one; None if others that both have do not agree."""
     moved = _similarity(other, model)
-    return None if moved is None else with_photos_of(model, other, moved, photos)
+    return None if moved is None else merged(model, other, moved, photos)
 
 
-def with_photos_of(model: Any, other: Any, moved: Similarity, photos: Collection[int]) -> Any:
+def merged(model: Any, other: Any, moved: Similarity, photos: Collection[int]) -> Any:
     """The photos of `model`, without points, and in its frame these of `other`."""
     both = [(image, image.cam_from_world()) for image in model.images.values() if image.has_pose]
     both += [(other.images[i], _moved(other.images[i], moved)) for i in photos]

@@ -17,6 +17,7 @@ from .features import Features
 from .job import Job
 from .joining import joined, with_photos
 from .pairs import Pair, match_pairs, verified_images
+from .views import without
 
 _LOST = 10.0
 """A photo this many times farther from the middle than most photos, and than the scene, is misplaced."""
@@ -88,19 +89,13 @@ def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool
     """
     pycolmap = colmap_library()
     before = model.num_reg_images()
-    model = pycolmap.Reconstruction(model)
-    for image in list(model.images.values()):
-        if image.image_id in uncertain:
-            model.deregister_frame(image.frame_id)
+    model = without(model, uncertain)
     for camera in model.cameras.values():
         camera.has_prior_focal_length = True
     # pycolmap does not know photos that no pair has.
     alone = set(model.reg_image_ids()) - {image for pair in verified_images(job) for image in pair}
-    others = pycolmap.Reconstruction(model)
-    for image in alone:
-        others.deregister_frame(others.images[image].frame_id)
     start, folder = _emptied(job, "again-start"), _emptied(job, "again")
-    triangulated(job, job.database, others, _AGAIN_ERROR).write(start)
+    triangulated(job, job.database, without(model, alone), _AGAIN_ERROR).write(start)
     options = _mapping_options(job.config, _LEAST_INLIERS[0])
     options.fix_existing_frames = fixed
     options.ba_refine_focal_length = options.ba_refine_extra_params = False

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from ...progress import Progress
@@ -170,10 +169,7 @@ def _grid(columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.flo
 
 def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
     """Per photo, the positions of those that it is compared with: they share many points, seen from other places."""
-    shape = len(placed.images), len(seen.xyz)
-    sees = csr_matrix((np.ones(len(seen.point)), (seen.view, seen.point)), shape)
-    common = (sees @ sees.T).toarray()
-    np.fill_diagonal(common, 0.0)
+    common = seen.shared(len(placed.images))
     near = []
     for number, center in enumerate(placed.centers):
         own = seen.xyz[seen.point[seen.view == number]]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.sparse import csr_matrix
 
 from ..pycolmap_import import colmap_library
 from .job import Job
@@ -83,6 +84,11 @@ class Views:
                 pixels[chosen] = np.asarray(self.model.cameras[camera].img_from_cam(local[chosen])).reshape(-1, 2)
         return pixels
 
+    def inside(self, view: NDArray[np.int64], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(N,) whether pixels (N, 2), each of one photo, lie in it."""
+        inside: NDArray[np.bool_] = ((pixels > 0) & (pixels < self.sizes[view])).all(axis=1)
+        return inside
+
     def observations(self) -> Observations:
         """The points of the model, in id order, and where the views show them."""
         positions = {image.image_id: position for position, image in enumerate(self.images)}
@@ -147,6 +153,14 @@ class Observations:
             pixel=np.concatenate([each.pixel for each in parts]),
         )
 
+    def shared(self, views: int) -> NDArray[np.float64]:
+        """(views, views) the number of points that both of two views show; 0 on the diagonal."""
+        shape = views, len(self.xyz)
+        sees = csr_matrix((np.ones(len(self.point)), (self.view, self.point)), shape)
+        common: NDArray[np.float64] = (sees @ sees.T).toarray()
+        np.fill_diagonal(common, 0.0)
+        return common
+
     def select(self, points: NDArray[np.int64]) -> Observations:
         """These points with their observations."""
         number = np.full(len(self.xyz), -1)
@@ -166,6 +180,14 @@ class PlacedPhoto:
     camera: Any
     pose: Any
     pixels: NDArray[np.float64]
+
+
+def without(model: Any, photos: Iterable[int]) -> Any:
+    """A copy of the model that has no place for these photos."""
+    less = colmap_library().Reconstruction(model)
+    for image in photos:
+        less.deregister_frame(less.images[image].frame_id)
+    return less
 
 
 def model_of(photos: Iterable[PlacedPhoto]) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...alignment import Similarity
-from ..joining import with_photos_of
+from ..joining import merged
 
 _LEAST_COMMON = 8
 """Features of the photo that show a point in both models."""
@@ -30,7 +30,7 @@ def linked(model: Any, other: Any) -> Any:
     moved = Similarity(
         scale, rotation @ theirs.rotation.matrix(), rotation @ (scale * theirs.translation - own.translation)
     )
-    return with_photos_of(model, other, moved, set(other.reg_image_ids()) - set(shared))
+    return merged(model, other, moved, set(other.reg_image_ids()) - set(shared))
 
 
 def _depth_ratios(model: Any, other: Any, number: int) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence, Set
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,9 @@ from ....progress import Progress, part
 from ...pycolmap_import import colmap_library
 from ..features import Features, photo_ids
 from ..job import Job
-from ..pairs import LARGEST, planned_pairs
+from ..pairs import LARGEST, Pair, planned_pairs
 from ..placing import place_again
-from ..views import Pictures, read_pictures
+from ..views import Pictures, read_pictures, without
 from .adjustment import LEAST_POINTS, adjust, most_seen
 from .guided import Limits, has_pose, make_database, matched, matched_all
 from .linking import linked
@@ -41,7 +42,6 @@ _ATTEMPTS, _LEAST_KEPT, _LEAST_GAIN = 3, 0.99, 1.005
 other follows."""
 _NEAR = 2.0
 """Distance from points that three photos see, in their median spacing, up to which a point of two photos is kept."""
-
 _LEAST_MORE, _ENOUGH_SHARED = 4, 2
 """Missing photos that another model must have to be linked; photos of both models with which it need not grow more."""
 
@@ -76,12 +76,22 @@ class _Rounds:
         self.job, self.features = job, features
         self.large = [each.largest(LARGEST) for each in features]
         self.pictures = read_pictures(job)
+        self.photos = photo_ids(job)
         make_database(job)
+
+    @cached_property
+    def pairs(self) -> Sequence[Pair]:
+        """The pairs of photos that may show the same."""
+        return planned_pairs(self.job, self.features)
 
     def tracked(self, model: Any, report: Progress) -> Any:
         """The largest part of the model after one round."""
         seeds = matched(self.job, self.features, self.large, model, _CLOSE, part(report, 0.0, 0.3))
-        return largest_part(_with_long_tracks(self.job, seeds, self.pictures, _ROUND, part(report, 0.3, 1.0)))
+        return self._followed(seeds, _ROUND, part(report, 0.3, 1.0))
+
+    def _followed(self, seeds: Any, limits: tuple[int, int], report: Progress) -> Any:
+        """The largest part of a model with its points followed and its cameras adjusted. limits: as in `_ROUND`."""
+        return largest_part(self.job, _with_long_tracks(self.job, seeds, self.pictures, limits, report))
 
     def straightened(self, model: Any, report: Progress) -> Any:
         """The better of two models: after passes that bring its parts together and a round, or after a round only."""
@@ -127,27 +137,22 @@ class _Rounds:
         unsure = (_unsure(self.job, model) & set(model.reg_image_ids())) - before
         if not unsure:
             return model
-        again = colmap_library().Reconstruction(model)
-        for image in unsure:
-            again.deregister_frame(again.images[image].frame_id)
-        again = self._grown(again, part(report, 0.8, 1.0))
+        again = self._grown(without(model, unsure), part(report, 0.8, 1.0))
         return max(model, again, key=_agreement)
 
     def _grown(self, model: Any, report: Progress, reached: Set[int] = frozenset()) -> Any:
         """The model with the missing photos that its points determine, round after round until there are none, or until
         it has `_ENOUGH_SHARED` of the photos `reached`."""
-        photos = photo_ids(self.job)
-        placed, missing = model.num_reg_images(), len(photos) - model.num_reg_images()
-        pairs = planned_pairs(self.job, self.features) if missing else []
-        while model.num_reg_images() < len(photos):
+        placed, missing = model.num_reg_images(), len(self.photos) - model.num_reg_images()
+        while model.num_reg_images() < len(self.photos):
             if len(reached & set(model.reg_image_ids())) >= _ENOUGH_SHARED:
                 break
             done = (model.num_reg_images() - placed) / missing
             share = part(report, done, done)
-            absent = {position for position, image in enumerate(photos) if not has_pose(model, image)}
-            near = {position for pair in pairs if not absent.isdisjoint(pair) for position in pair}
+            absent = {position for position, image in enumerate(self.photos) if not has_pose(model, image)}
+            near = {position for pair in self.pairs if not absent.isdisjoint(pair) for position in pair}
             points = matched_all(self.job, self.features, model, share, near)
-            more = resected(self.job, self.features, pairs, points)
+            more = resected(self.job, self.features, self.pairs, points)
             if more is None:
                 break
             more = self.tracked(more, share)
@@ -171,7 +176,7 @@ class _Rounds:
     def last(self, model: Any, report: Progress) -> Any:
         """The largest part of the model after the last round, on all features."""
         seeds = on_surfaces(matched_all(self.job, self.features, model, part(report, 0.0, 0.5)))
-        return largest_part(_with_long_tracks(self.job, seeds, self.pictures, _LAST_ROUND, part(report, 0.5, 1.0)))
+        return self._followed(seeds, _LAST_ROUND, part(report, 0.5, 1.0))
 
 
 def _unsure(job: Job, model: Any) -> set[int]:

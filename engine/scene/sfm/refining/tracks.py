@@ -65,7 +65,7 @@ def _found(
     """Where points are found: (M,) the point, (M,) the view and (M, 2) the pixel."""
     point, other = _near(views, xyz, reference)
     start = views.projected(other, xyz[point])
-    inside = ((start > 0) & (start < views.sizes[other])).all(1)
+    inside = views.inside(other, start)
     point, other, start = point[inside], other[inside], start[inside]
     found, correlation = np.empty_like(start), np.empty(len(start))
     find_patches(

@@ -9,6 +9,7 @@ import pytest
 
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.joining import LEAST_SHARED, joined
+from fruitlangs.engine.scene.sfm.views import without
 
 
 def whole() -> Any:
@@ -16,13 +17,6 @@ def whole() -> Any:
     options = colmap_library().SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 12, 50
     return colmap_library().synthesize_dataset(options)
-
-
-def without(model: Any, images: set[int]) -> Any:
-    less = colmap_library().Reconstruction(model)
-    for image in images:
-        less.deregister_frame(less.images[image].frame_id)
-    return less
 
 
 def elsewhere(model: Any) -> Any:

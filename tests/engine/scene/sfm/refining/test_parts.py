@@ -7,9 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
+from fruitlangs.engine.scene.sfm.job import Copy, Job
 from fruitlangs.engine.scene.sfm.refining.parts import largest_part
 from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of
+
+from .test_refinement import with_points
+
+
+def job_of(model: Any) -> Job:
+    """A job with the photos of a model."""
+    size = {"width": 80, "height": 80, "copy_width": 80, "copy_height": 80}
+    photos = [Copy(name=image.name, copy=image.name, focal=0.0, **size) for image in model.images.values()]
+    return Job(folder="/x", photos=photos, config=PhotosConfig(), threads=1)
 
 
 def chain(shared: list[int]) -> Any:
@@ -41,10 +52,22 @@ def chain(shared: list[int]) -> Any:
 )
 def test_photos_that_show_few_of_the_predicted_points_are_taken_out(shared: list[int], kept: list[int]) -> None:
     model = chain(shared)
-    assert sorted(largest_part(model).reg_image_ids()) == kept
+    assert sorted(largest_part(job_of(model), model).reg_image_ids()) == kept
     assert model.num_reg_images() == len(shared) + 1
 
 
 @pytest.mark.parametrize("shared", [[0, 0, 0], [100, 0, 100]])
 def test_no_photo_is_taken_out_if_fewer_than_three_would_remain(shared: list[int]) -> None:
-    assert largest_part(chain(shared)).num_reg_images() == 4
+    model = chain(shared)
+    assert largest_part(job_of(model), model).num_reg_images() == 4
+
+
+def test_photos_that_hardly_any_point_holds_are_left_out_but_not_all() -> None:
+    model = with_points(np.zeros((0, 3)), [])
+    assert largest_part(job_of(model), model).num_reg_images() == 4  # too few would remain
+    model = with_points(np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3)), [4] * 50)
+    for number in sorted(model.points3D)[7:]:
+        loose = [each for each in model.points3D[number].track.elements if each.image_id == 2]
+        model.delete_observation(2, loose[0].point2D_idx)
+    assert model.images[2].num_points3D == 7
+    assert sorted(largest_part(job_of(model), model).reg_image_ids()) == [1, 3, 4]
