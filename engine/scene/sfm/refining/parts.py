@@ -1,14 +1,19 @@
-"""Parts of a model: photos that hold together. Chance joins parts in which few of the predicted points are found."""
+"""Parts of a model: photos that hold together. Where parts are misplaced, few of the predicted points are found."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
 
 from ..job import LEAST_PHOTOS, Job
+from ..pairs import Pair
 from ..views import Observations, Views, without
+from .guided import near_pairs
 
 _SURE = 0.3
 """Points that two photos share, relative to what a photo shares with its best partner (median), which need no check:
@@ -21,6 +26,16 @@ _LEAST_FOUND = 0.15
 _USUAL = 0.3
 """Observations, relative to the median of all photos, that one of two photos must have: two that were misplaced
 together agree."""
+_LARGEST_ANGLE, _LARGEST_RATIO = 15.0, 1.25
+"""Photos that must share points: the median angle in degrees between their rays to the points that both should show,
+beyond which less than .3 of these are found, and the median ratio of the distances."""
+_COMPARED = 31
+"""Pairs of the most similar angles whose median share is the usual one."""
+_LEAST_USUAL = 0.5
+"""Share of found points, relative to the usual one, below which two photos contradict each other: from .58 for
+right places, .29 to .45 at the open ends of a bent ring."""
+_LEAST_INSIDE = 80
+"""Points of one photo inside the frame of the other that are enough to judge a pair."""
 
 
 def largest_part(job: Job, model: Any) -> Any:
@@ -36,7 +51,7 @@ def largest_part(job: Job, model: Any) -> Any:
     _, labels = connected_components(linked, directed=False)
     for i, j in zip(*np.nonzero(np.triu(shared >= _LEAST_SHARED)), strict=True):
         if labels[i] != labels[j] and (usual[i] or usual[j]):
-            inside = max(_inside(views, seen, i, j), _inside(views, seen, j, i))
+            inside = max(len(_framed(views, seen, i, j)), len(_framed(views, seen, j, i)))
             linked[i, j] = shared[i, j] >= _LEAST_FOUND * inside
     _, labels = connected_components(linked, directed=False)
     outside = np.flatnonzero(labels != np.argmax(np.bincount(labels)))
@@ -45,8 +60,83 @@ def largest_part(job: Job, model: Any) -> Any:
     return without(model, [views.images[position].image_id for position in outside])
 
 
-def _inside(views: Views, seen: Observations, photo: int, other: int) -> int:
-    """How many points that a photo shows lie inside the frame of the other."""
+def _framed(views: Views, seen: Observations, photo: int, other: int) -> NDArray[np.float64]:
+    """(N, 3) the points that a photo shows and that lie inside the frame of the other."""
     points = seen.xyz[seen.point[seen.view == photo]]
     others = np.full(len(points), other)
-    return int(np.count_nonzero(views.inside(others, views.projected(others, points))))
+    framed: NDArray[np.float64] = points[views.inside(others, views.projected(others, points))]
+    return framed
+
+
+def consistent(job: Job, model: Any) -> Any:
+    """The model without the parts that contradict the others; as it is if less than half of it would remain.
+
+    A ring that only one link closes may bend until its other ends do not meet. Nothing there is found, but both ends
+    hold to their neighbours, so no part of it is outside. It is cut at its weakest link, and the smaller side is left
+    out, to be placed again.
+    """
+    rest = model
+    while 2 * rest.num_reg_images() >= max(model.num_reg_images(), 2 * LEAST_PHOTOS):
+        views = Views.of(job, rest)
+        seen = views.observations()
+        shared = seen.shared(len(views.images))
+        pair = _contradiction(views, seen, shared)
+        if pair is None:
+            return rest
+        side = _side(shared, pair)
+        smaller = side if 2 * np.count_nonzero(side) <= len(side) else ~side
+        rest = without(rest, [views.images[position].image_id for position in np.flatnonzero(smaller)])
+    return model
+
+
+def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]) -> Pair | None:
+    """The two photos of similar views that share the fewest points relative to what is usual for their angle and for
+    both; None if no two share too few."""
+    pairs = np.array(near_pairs(dict(enumerate(views.images)))).reshape(-1, 2)
+    both = [(_expected(views, seen, i, j), _expected(views, seen, j, i)) for i, j in pairs]
+    inside, angle, ratio = np.array(both).reshape(-1, 2, 3).max(axis=1).T
+    chosen = np.flatnonzero((angle <= _LARGEST_ANGLE) & (ratio <= _LARGEST_RATIO))
+    chosen = chosen[np.argsort(angle[chosen], kind="stable")]
+    one, other = pairs[chosen].T
+    share = shared[one, other] / np.maximum(inside[chosen], 1.0)
+    if not share.any():
+        return None
+    relative = share / np.maximum(median_filter(share, _COMPARED), 1e-12)
+    best = np.zeros(len(views.images))  # a blurred photo shares less with all others
+    np.maximum.at(best, one, relative)
+    np.maximum.at(best, other, relative)
+    relative /= np.clip(np.minimum(best[one], best[other]), 1e-12, 1.0)
+    relative[inside[chosen] < _LEAST_INSIDE] = np.inf
+    worst = int(np.argmin(relative))
+    return (int(one[worst]), int(other[worst])) if relative[worst] < _LEAST_USUAL else None
+
+
+def _expected(views: Views, seen: Observations, photo: int, other: int) -> tuple[float, float, float]:
+    """Of the points of a photo inside the frame of another: how many, and the medians of the angle in degrees between
+    the rays of both, and of the ratio of the distances, at least 1."""
+    points = _framed(views, seen, photo, other)
+    if not len(points):
+        return 0.0, np.inf, np.inf
+    rays = views.centers[[photo, other], None] - points
+    distances = np.linalg.norm(rays, axis=2)
+    cosines = np.einsum("nk,nk->n", *rays) / distances.prod(axis=0)
+    angle = np.median(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
+    return float(len(points)), float(angle), float(np.median(distances.max(axis=0) / distances.min(axis=0)))
+
+
+def _side(shared: NDArray[np.float64], pair: Pair) -> NDArray[np.bool_]:
+    """(V,) the side of the first of two photos, after the weakest of the strongest links between them is cut."""
+    one, other = pair
+    far = np.where(shared > 0, 1.0 / np.maximum(shared, 1.0), 0.0)
+    tree = minimum_spanning_tree(csr_matrix(far)).toarray()
+    tree = np.maximum(tree, tree.T)
+    _, before = shortest_path(csr_matrix(tree), directed=False, unweighted=True, indices=one, return_predecessors=True)
+    links, at = [], other
+    while at != one and before[at] >= 0:
+        links.append((at, before[at]))
+        at = before[at]
+    if links:
+        i, j = max(links, key=lambda link: tree[link])
+        tree[i, j] = tree[j, i] = 0.0
+    _, labels = connected_components(csr_matrix(tree), directed=False)
+    return labels == labels[one]

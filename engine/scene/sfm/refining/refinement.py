@@ -19,7 +19,7 @@ from ..views import Pictures, read_pictures, without
 from .adjustment import LEAST_POINTS, adjust, most_seen
 from .guided import Limits, has_pose, make_database, matched, matched_all
 from .linking import linked
-from .parts import largest_part
+from .parts import consistent, largest_part
 from .resection import resected
 from .tracks import longer_tracks
 
@@ -94,12 +94,13 @@ class _Rounds:
         return largest_part(self.job, _with_long_tracks(self.job, seeds, self.pictures, limits, report))
 
     def straightened(self, model: Any, report: Progress) -> Any:
-        """The better of two models: after passes that bring its parts together and a round, or after a round only."""
+        """The better of two models, without parts that contradict the others: after passes that bring parts together
+        and a round, or after a round only."""
         wide = model
         for number, limits in enumerate(_WIDE):
             wide = self._passed(wide, limits, part(report, 0.25 * number, 0.25 * (number + 1)))
         both = [self.tracked(wide, part(report, 0.5, 0.75)), self.tracked(model, part(report, 0.75, 1.0))]
-        return max(both, key=_agreement)
+        return max((consistent(self.job, each) for each in both), key=_agreement)
 
     def _passed(self, model: Any, limits: Limits, report: Progress) -> Any:
         """The model with cameras adjusted to matches along its epipolar lines."""

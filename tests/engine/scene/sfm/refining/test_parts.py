@@ -10,7 +10,7 @@ import pytest
 from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
-from fruitlangs.engine.scene.sfm.refining.parts import largest_part
+from fruitlangs.engine.scene.sfm.refining.parts import consistent, largest_part
 from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of
 
 from .test_refinement import with_points
@@ -25,15 +25,31 @@ def job_of(model: Any) -> Job:
 
 def chain(shared: list[int]) -> Any:
     """A model of photos of which each shares so many points with the next one."""
-    camera = colmap_library().Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
+    return photos([colmap_library().Rigid3d()] * (len(shared) + 1), shared)
+
+
+def ring(shared: list[int]) -> Any:
+    """A model of photos around a tree, each of which shares so many points with the next one."""
+    pycolmap = colmap_library()
+    turns = [np.array([0.0, 2.0 * np.pi * step / len(shared), 0.0]) for step in range(len(shared))]
+    before = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.0, 0.0, -5.0]))
+    return photos([pycolmap.Rigid3d(pycolmap.Rotation3d(turn), np.zeros(3)) * before for turn in turns], shared, 5.0)
+
+
+def photos(poses: list[Any], shared: list[int], distance: float = 0.0) -> Any:
+    """A model of photos; poses: before each is moved back by `distance`; shared: points with the next one."""
+    pycolmap = colmap_library()
+    camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
     pixels = np.random.default_rng(0).uniform(0.0, 80.0, (1000, 2))
-    pose = colmap_library().Rigid3d()
-    model = model_of(PlacedPhoto(number, f"{number}", camera, pose, pixels) for number in range(1, len(shared) + 2))
-    for first, count in enumerate(shared, start=1):
+    back = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.0, 0.0, distance]))
+    model = model_of(
+        PlacedPhoto(number, f"{number:02d}", camera, back * pose, pixels) for number, pose in enumerate(poses, start=1)
+    )
+    for first, count in enumerate(shared):
         for index in range(count):
-            track = colmap_library().Track()
-            track.add_element(first, 500 + index)
-            track.add_element(first + 1, index)
+            track = pycolmap.Track()
+            track.add_element(first + 1, 500 + index)
+            track.add_element((first + 1) % len(poses) + 1, index)
             model.add_point3D(np.array([0.0, 0.0, 5.0]), track)
     return model
 
@@ -71,3 +87,22 @@ def test_photos_that_hardly_any_point_holds_are_left_out_but_not_all() -> None:
         model.delete_observation(2, loose[0].point2D_idx)
     assert model.images[2].num_points3D == 7
     assert sorted(largest_part(job_of(model), model).reg_image_ids()) == [1, 3, 4]
+
+
+def test_a_ring_whose_ends_do_not_meet_is_cut_at_its_weakest_link() -> None:
+    shared = [100] * 36
+    shared[35], shared[7] = 30, 60  # its ends are photos 36 and 1; photos 1 to 8 hang on photo 9
+    model = ring(shared)
+    assert sorted(consistent(job_of(model), model).reg_image_ids()) == list(range(9, 37))
+    assert model.num_reg_images() == 36
+
+
+@pytest.mark.parametrize("changed", [{}, {35: 70}, {20: 30, 21: 30}])
+def test_a_ring_that_is_closed_stays_whole_and_so_does_a_blurred_photo(changed: dict[int, int]) -> None:
+    model = ring([changed.get(photo, 100) for photo in range(36)])
+    assert consistent(job_of(model), model).num_reg_images() == 36
+
+
+def test_a_ring_stays_whole_if_less_than_half_of_it_would_remain() -> None:
+    model = ring([100 if photo % 4 else 30 for photo in range(36)])
+    assert consistent(job_of(model), model).num_reg_images() == 36
