@@ -53,7 +53,7 @@ def refine(job: Job, features: Sequence[Features], models: Sequence[Any], report
     reaches are placed again, until that does not move them.
     """
     rounds = _Rounds(job, features)
-    best = rounds.straightened(models[0], part(report, 0.0, 0.4))
+    best = consistent(job, rounds.straightened(models[0], part(report, 0.0, 0.4)))
     before = set(best.reg_image_ids())
     best = rounds.completed(best, models[1:], part(report, 0.4, 0.5))
     settled = set(best.reg_image_ids()) - before
@@ -94,13 +94,12 @@ class _Rounds:
         return largest_part(self.job, _with_long_tracks(self.job, seeds, self.pictures, limits, report))
 
     def straightened(self, model: Any, report: Progress) -> Any:
-        """The better of two models, without parts that contradict the others: after passes that bring parts together
-        and a round, or after a round only."""
+        """The better of two models: after passes that bring its parts together and a round, or after a round only."""
         wide = model
         for number, limits in enumerate(_WIDE):
             wide = self._passed(wide, limits, part(report, 0.25 * number, 0.25 * (number + 1)))
         both = [self.tracked(wide, part(report, 0.5, 0.75)), self.tracked(model, part(report, 0.75, 1.0))]
-        return max((consistent(self.job, each) for each in both), key=_agreement)
+        return max(both, key=_agreement)
 
     def _passed(self, model: Any, limits: Limits, report: Progress) -> Any:
         """The model with cameras adjusted to matches along its epipolar lines."""
@@ -117,29 +116,43 @@ class _Rounds:
         """The model with the missing photos that its points determine, and with those of other models that it then
         shares a photo with."""
         before = set(model.reg_image_ids())
-        elsewhere = {image for other in others for image in other.reg_image_ids()} - before
-        model = self._grown(model, part(report, 0.0, 0.3), elsewhere)
-        for number, other in enumerate(others):
-            share = part(report, 0.3 + 0.3 * number / len(others), 0.3 + 0.3 * (number + 1) / len(others))
-            if len(set(other.reg_image_ids()) - set(model.reg_image_ids())) < _LEAST_MORE:
-                continue
-            other = self.straightened(other, part(share, 0.0, 0.3))
-            other = self._grown(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
-            seen = [matched_all(self.job, self.features, each, part(share, 0.5, 0.6)) for each in (model, other)]
-            both = linked(*seen)
-            if both is None:
-                continue
-            both = self.straightened(both, part(share, 0.6, 1.0))
-            if both.num_reg_images() > model.num_reg_images():
-                model = both
-        if others:
-            model = self._grown(model, part(report, 0.6, 0.8))
+        # A model that was linked may bring a photo that another one shares.
+        waiting, elsewhere, linked_any = [(other, False) for other in others], set[int](), True
+        while linked_any:
+            elsewhere = {image for other, _ in waiting for image in other.reg_image_ids()} - set(model.reg_image_ids())
+            done = 0.8 * (1.0 - len(waiting) / max(len(others), 1))
+            model = self._grown(model, part(report, done, done + 0.1), elsewhere)
+            linked_any, unlinked = False, []
+            for other, ready in waiting:
+                if len(set(other.reg_image_ids()) - set(model.reg_image_ids())) < _LEAST_MORE:
+                    continue
+                share = part(report, done + 0.1, min(done + 0.3, 0.8))
+                if not ready:
+                    other = consistent(self.job, self.straightened(other, part(share, 0.0, 0.3)))
+                    other = self._grown(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
+                both = self._both(model, other, part(share, 0.5, 1.0))
+                if both is None:
+                    unlinked.append((other, True))
+                else:
+                    model, linked_any = both, True
+            waiting = unlinked
+        if elsewhere & set(model.reg_image_ids()):  # the last growth ended early
+            model = self._grown(model, part(report, 0.8, 0.9))
         # Photos that were placed on few points get a better place on the points that came later.
         unsure = (_unsure(self.job, model) & set(model.reg_image_ids())) - before
         if not unsure:
             return model
-        again = self._grown(without(model, unsure), part(report, 0.8, 1.0))
+        again = self._grown(without(model, unsure), part(report, 0.9, 1.0))
         return max(model, again, key=_agreement)
+
+    def _both(self, model: Any, other: Any, report: Progress) -> Any:
+        """The model with the photos of the other one; None if no photo links them, or if they do not hold together."""
+        seen = (matched_all(self.job, self.features, each, part(report, 0.0, 0.2)) for each in (model, other))
+        both = linked(*seen)
+        if both is None:
+            return None
+        both = self.straightened(both, part(report, 0.2, 1.0))
+        return both if both.num_reg_images() > model.num_reg_images() else None
 
     def _grown(self, model: Any, report: Progress, reached: Set[int] = frozenset()) -> Any:
         """The model with the missing photos that its points determine, round after round until there are none, or until

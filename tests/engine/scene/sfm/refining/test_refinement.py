@@ -84,3 +84,47 @@ def test_photos_that_placing_again_does_not_move_are_not_placed_again_in_later_r
         assert refinement._Rounds.improved(rounds, model, settled, silent) is model
     assert calls == [True, False]
     assert settled == {3, 5}
+
+
+class Photos:
+    """What `completed` asks of a model."""
+
+    def __init__(self, *photos: int) -> None:
+        self.photos = set(photos)
+
+    def reg_image_ids(self) -> set[int]:
+        return self.photos
+
+    def num_reg_images(self) -> int:
+        return len(self.photos)
+
+
+@pytest.mark.parametrize(
+    ("others", "placed"),
+    [
+        ([], 5),
+        ([range(5, 11)], 10),
+        ([range(10, 17), range(5, 11)], 16),  # the second brings the photo that the first shares
+        ([range(11, 17), range(5, 11)], 10),
+        ([range(5, 8)], 5),
+    ],
+)
+def test_models_are_linked_in_any_order_and_each_is_straightened_once(
+    others: list[range], placed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def both(model: Photos, other: Photos, _: Any) -> Photos | None:
+        return Photos(*model.photos, *other.photos) if model.photos & other.photos else None
+
+    straightened: list[Photos] = []
+    rounds = types.SimpleNamespace(
+        job=None,
+        straightened=lambda model, _: straightened.append(model) or model,
+        _grown=lambda model, *_: model,
+        _both=both,
+    )
+    monkeypatch.setattr(refinement, "_unsure", lambda *_: set())
+    monkeypatch.setattr(refinement, "consistent", lambda _, model: model)
+    models = [Photos(*each) for each in others]
+    model = refinement._Rounds.completed(cast(Any, rounds), Photos(*range(1, 6)), models, silent)
+    assert model.num_reg_images() == placed
+    assert straightened == [each for each in models if len(each.photos) > 3]
