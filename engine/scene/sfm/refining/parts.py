@@ -18,8 +18,9 @@ from .guided import near_pairs
 _SURE = 0.3
 """Points that two photos share, relative to what a photo shares with its best partner (median), which need no check:
 wrong links have .07."""
-_LEAST_SHARED = 8
-"""Points that two photos must share to hold together."""
+_LEAST_SHARED, _LEAST_SURE = 8, 0.07
+"""Points that two photos must share to hold together, absolute and relative as in `_SURE`: chance finds .04 where few
+are predicted, right links have .1."""
 _LEAST_FOUND = 0.15
 """Share of the points of one photo inside the frame of the other that the other shows: .2 to .8 for right links, .05 to
 .09 for wrong ones. The lower share of both directions counts."""
@@ -45,11 +46,13 @@ def largest_part(job: Job, model: Any) -> Any:
     shared = seen.shared(len(views.images))
     if not shared.any():
         return model
-    linked = shared >= max(_SURE * float(np.median(shared.max(axis=1))), _LEAST_SHARED)
+    best = float(np.median(shared.max(axis=1)))
+    least = max(_LEAST_SURE * best, _LEAST_SHARED)
+    linked = shared >= max(_SURE * best, _LEAST_SHARED)
     counts = np.bincount(seen.view, minlength=len(views.images))
     usual = counts >= _USUAL * np.median(counts)
     _, labels = connected_components(linked, directed=False)
-    for i, j in zip(*np.nonzero(np.triu(shared >= _LEAST_SHARED)), strict=True):
+    for i, j in zip(*np.nonzero(np.triu(shared >= least)), strict=True):
         if labels[i] != labels[j] and (usual[i] or usual[j]):
             inside = max(len(_framed(views, seen, i, j)), len(_framed(views, seen, j, i)))
             linked[i, j] = shared[i, j] >= _LEAST_FOUND * inside

@@ -36,8 +36,9 @@ def ring(shared: list[int]) -> Any:
     return photos([pycolmap.Rigid3d(pycolmap.Rotation3d(turn), np.zeros(3)) * before for turn in turns], shared, 5.0)
 
 
-def photos(poses: list[Any], shared: list[int], distance: float = 0.0) -> Any:
-    """A model of photos; poses: before each is moved back by `distance`; shared: points with the next one."""
+def photos(poses: list[Any], shared: list[int], distance: float = 0.0, angles: list[float] | None = None) -> Any:
+    """A model of photos; poses: before each is moved back by `distance`; shared: points with the next one, and angles:
+    in degrees, where they are, seen from the middle."""
     pycolmap = colmap_library()
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
     pixels = np.random.default_rng(0).uniform(0.0, 80.0, (1000, 2))
@@ -50,7 +51,8 @@ def photos(poses: list[Any], shared: list[int], distance: float = 0.0) -> Any:
             track = pycolmap.Track()
             track.add_element(first + 1, 500 + index)
             track.add_element((first + 1) % len(poses) + 1, index)
-            model.add_point3D(np.array([0.0, 0.0, 5.0]), track)
+            angle = np.radians(angles[first] if angles else 0.0)
+            model.add_point3D(5.0 * np.array([np.sin(angle), 0.0, np.cos(angle)]), track)
     return model
 
 
@@ -70,6 +72,15 @@ def test_photos_that_show_few_of_the_predicted_points_are_taken_out(shared: list
     model = chain(shared)
     assert sorted(largest_part(job_of(model), model).reg_image_ids()) == kept
     assert model.num_reg_images() == len(shared) + 1
+
+
+@pytest.mark.parametrize(("between", "kept"), [(12, 4), (16, 8)])
+def test_photos_that_overlap_little_need_enough_points_to_hold_together(between: int, kept: int) -> None:
+    pycolmap = colmap_library()
+    turned = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.0, -np.radians(40.0), 0.0])), np.zeros(3))
+    poses = [pycolmap.Rigid3d()] * 4 + [turned] * 4
+    model = photos(poses, [200] * 3 + [between] + [200] * 3, angles=[0.0] * 3 + [20.0] + [40.0] * 3)
+    assert largest_part(job_of(model), model).num_reg_images() == kept
 
 
 @pytest.mark.parametrize("shared", [[0, 0, 0], [100, 0, 100]])
