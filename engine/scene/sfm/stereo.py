@@ -172,7 +172,7 @@ def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
     common = seen.shared(len(placed.images))
     near = []
     for number, center in enumerate(placed.centers):
-        own = seen.xyz[seen.point[seen.view == number]]
+        own = seen.shown(number)
         middle = np.median(own, axis=0) if len(own) else center
         rays = placed.centers - middle
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)

@@ -153,6 +153,10 @@ class Observations:
             pixel=np.concatenate([each.pixel for each in parts]),
         )
 
+    def shown(self, view: int) -> NDArray[np.float64]:
+        """(K, 3) the points that a view shows."""
+        return self.xyz[self.point[self.view == view]]
+
     def shared(self, views: int) -> NDArray[np.float64]:
         """(views, views) the number of points that both of two views show; 0 on the diagonal."""
         shape = views, len(self.xyz)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree, shortest_path
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from ..job import LEAST_PHOTOS, Job
 from ..pairs import Pair
@@ -49,12 +49,13 @@ def largest_part(job: Job, model: Any) -> Any:
     best = float(np.median(shared.max(axis=1)))
     least = max(_LEAST_SURE * best, _LEAST_SHARED)
     linked = shared >= max(_SURE * best, _LEAST_SHARED)
-    counts = np.bincount(seen.view, minlength=len(views.images))
+    shown = [seen.shown(view) for view in range(len(views.images))]
+    counts = np.array([len(points) for points in shown])
     usual = counts >= _USUAL * np.median(counts)
     _, labels = connected_components(linked, directed=False)
     for i, j in zip(*np.nonzero(np.triu(shared >= least)), strict=True):
         if labels[i] != labels[j] and (usual[i] or usual[j]):
-            inside = max(len(_framed(views, seen, i, j)), len(_framed(views, seen, j, i)))
+            inside = max(len(_framed(views, shown[i], j)), len(_framed(views, shown[j], i)))
             linked[i, j] = shared[i, j] >= _LEAST_FOUND * inside
     _, labels = connected_components(linked, directed=False)
     outside = np.flatnonzero(labels != np.argmax(np.bincount(labels)))
@@ -63,12 +64,10 @@ def largest_part(job: Job, model: Any) -> Any:
     return without(model, [views.images[position].image_id for position in outside])
 
 
-def _framed(views: Views, seen: Observations, photo: int, other: int) -> NDArray[np.float64]:
-    """(N, 3) the points that a photo shows and that lie inside the frame of the other."""
-    points = seen.xyz[seen.point[seen.view == photo]]
-    others = np.full(len(points), other)
-    framed: NDArray[np.float64] = points[views.inside(others, views.projected(others, points))]
-    return framed
+def _framed(views: Views, points: NDArray[np.float64], photo: int) -> NDArray[np.float64]:
+    """Those of the points (N, 3) that lie inside the frame of a photo."""
+    photos = np.full(len(points), photo)
+    return points[views.inside(photos, views.projected(photos, points))]
 
 
 def consistent(job: Job, model: Any) -> Any:
@@ -96,7 +95,8 @@ def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]
     """The two photos of similar views that share the fewest points relative to what is usual for their angle and for
     both; None if no two share too few."""
     pairs = np.array(near_pairs(dict(enumerate(views.images)))).reshape(-1, 2)
-    both = [(_expected(views, seen, i, j), _expected(views, seen, j, i)) for i, j in pairs]
+    shown = [seen.shown(view) for view in range(len(views.images))]
+    both = [(_expected(views, shown[i], i, j), _expected(views, shown[j], j, i)) for i, j in pairs]
     inside, angle, ratio = np.array(both).reshape(-1, 2, 3).max(axis=1).T
     chosen = np.flatnonzero((angle <= _LARGEST_ANGLE) & (ratio <= _LARGEST_RATIO))
     chosen = chosen[np.argsort(angle[chosen], kind="stable")]
@@ -114,10 +114,10 @@ def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]
     return (int(one[worst]), int(other[worst])) if relative[worst] < _LEAST_USUAL else None
 
 
-def _expected(views: Views, seen: Observations, photo: int, other: int) -> tuple[float, float, float]:
-    """Of the points of a photo inside the frame of another: how many, and the medians of the angle in degrees between
-    the rays of both, and of the ratio of the distances, at least 1."""
-    points = _framed(views, seen, photo, other)
+def _expected(views: Views, shown: NDArray[np.float64], photo: int, other: int) -> tuple[float, float, float]:
+    """Of the points that a photo shows inside the frame of another: how many, and the medians of the angle in degrees
+    between the rays of both, and of the ratio of the distances, at least 1."""
+    points = _framed(views, shown, other)
     if not len(points):
         return 0.0, np.inf, np.inf
     rays = views.centers[[photo, other], None] - points
@@ -133,9 +133,9 @@ def _side(shared: NDArray[np.float64], pair: Pair) -> NDArray[np.bool_]:
     far = np.where(shared > 0, 1.0 / np.maximum(shared, 1.0), 0.0)
     tree = minimum_spanning_tree(csr_matrix(far)).toarray()
     tree = np.maximum(tree, tree.T)
-    _, before = shortest_path(csr_matrix(tree), directed=False, unweighted=True, indices=one, return_predecessors=True)
+    _, before = breadth_first_order(csr_matrix(tree), one, directed=False)
     links, at = [], other
-    while at != one and before[at] >= 0:
+    while before[at] >= 0:
         links.append((at, before[at]))
         at = before[at]
     if links:

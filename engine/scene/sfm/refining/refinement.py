@@ -116,28 +116,7 @@ class _Rounds:
         """The model with the missing photos that its points determine, and with those of other models that it then
         shares a photo with."""
         before = set(model.reg_image_ids())
-        # A model that was linked may bring a photo that another one shares.
-        waiting, elsewhere, linked_any = [(other, False) for other in others], set[int](), True
-        while linked_any:
-            elsewhere = {image for other, _ in waiting for image in other.reg_image_ids()} - set(model.reg_image_ids())
-            done = 0.8 * (1.0 - len(waiting) / max(len(others), 1))
-            model = self._grown(model, part(report, done, done + 0.1), elsewhere)
-            linked_any, unlinked = False, []
-            for other, ready in waiting:
-                if len(set(other.reg_image_ids()) - set(model.reg_image_ids())) < _LEAST_MORE:
-                    continue
-                share = part(report, done + 0.1, min(done + 0.3, 0.8))
-                if not ready:
-                    other = consistent(self.job, self.straightened(other, part(share, 0.0, 0.3)))
-                    other = self._grown(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
-                both = self._both(model, other, part(share, 0.5, 1.0))
-                if both is None:
-                    unlinked.append((other, True))
-                else:
-                    model, linked_any = both, True
-            waiting = unlinked
-        if elsewhere & set(model.reg_image_ids()):  # the last growth ended early
-            model = self._grown(model, part(report, 0.8, 0.9))
+        model = self._with_others(model, others, part(report, 0.0, 0.9))
         # Photos that were placed on few points get a better place on the points that came later.
         unsure = (_unsure(self.job, model) & set(model.reg_image_ids())) - before
         if not unsure:
@@ -145,10 +124,38 @@ class _Rounds:
         again = self._grown(without(model, unsure), part(report, 0.9, 1.0))
         return max(model, again, key=_agreement)
 
+    def _with_others(self, model: Any, others: Sequence[Any], report: Progress) -> Any:
+        """The model, grown, with the photos of the other models that are linked by a photo, in any order: one that was
+        linked may bring a photo that another one shares."""
+        waiting, done = [(other, False) for other in others], 0.0
+        while True:
+            step = (0.9 - done) / 2  # how many rounds follow is not known
+            elsewhere = {image for other, _ in waiting for image in other.reg_image_ids()} - set(model.reg_image_ids())
+            model = grown = self._grown(model, part(report, done, done + 0.2 * step), elsewhere)
+            linking, unlinked = part(report, done + 0.2 * step, done + step), []
+            for number, (other, ready) in enumerate(waiting):
+                if len(set(other.reg_image_ids()) - set(model.reg_image_ids())) < _LEAST_MORE:
+                    continue
+                share = part(linking, number / len(waiting), (number + 1) / len(waiting))
+                if not ready:
+                    other = consistent(self.job, self.straightened(other, part(share, 0.0, 0.3)))
+                    other = self._grown(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
+                both = self._both(model, other, part(share, 0.5, 1.0))
+                if both is None:
+                    unlinked.append((other, True))
+                else:
+                    model = both
+            if model is grown:
+                break
+            waiting, done = unlinked, done + step
+        if elsewhere & set(model.reg_image_ids()):  # the last growth ended early
+            model = self._grown(model, part(report, 0.9, 1.0))
+        return model
+
     def _both(self, model: Any, other: Any, report: Progress) -> Any:
         """The model with the photos of the other one; None if no photo links them, or if they do not hold together."""
-        seen = (matched_all(self.job, self.features, each, part(report, 0.0, 0.2)) for each in (model, other))
-        both = linked(*seen)
+        own = matched_all(self.job, self.features, model, part(report, 0.0, 0.1))
+        both = linked(own, matched_all(self.job, self.features, other, part(report, 0.1, 0.2)))
         if both is None:
             return None
         both = self.straightened(both, part(report, 0.2, 1.0))

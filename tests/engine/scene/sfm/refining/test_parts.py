@@ -31,20 +31,19 @@ def chain(shared: list[int]) -> Any:
 def ring(shared: list[int]) -> Any:
     """A model of photos around a tree, each of which shares so many points with the next one."""
     pycolmap = colmap_library()
-    turns = [np.array([0.0, 2.0 * np.pi * step / len(shared), 0.0]) for step in range(len(shared))]
-    before = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.0, 0.0, -5.0]))
-    return photos([pycolmap.Rigid3d(pycolmap.Rotation3d(turn), np.zeros(3)) * before for turn in turns], shared, 5.0)
+    turns = [pycolmap.Rotation3d(np.array([0.0, 2.0 * np.pi * k / len(shared), 0.0])) for k in range(len(shared))]
+    tree = np.array([0.0, 0.0, 5.0])
+    return photos([pycolmap.Rigid3d(turn, tree - turn.matrix() @ tree) for turn in turns], shared)
 
 
-def photos(poses: list[Any], shared: list[int], distance: float = 0.0, angles: list[float] | None = None) -> Any:
-    """A model of photos; poses: before each is moved back by `distance`; shared: points with the next one, and angles:
-    in degrees, where they are, seen from the middle."""
+def photos(poses: list[Any], shared: list[int], angles: list[float] | None = None) -> Any:
+    """A model of photos; shared: points of each with the next one; angles: in degrees, where these are, seen from the
+    middle."""
     pycolmap = colmap_library()
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
     pixels = np.random.default_rng(0).uniform(0.0, 80.0, (1000, 2))
-    back = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.0, 0.0, distance]))
     model = model_of(
-        PlacedPhoto(number, f"{number:02d}", camera, back * pose, pixels) for number, pose in enumerate(poses, start=1)
+        PlacedPhoto(number, f"{number:02d}", camera, pose, pixels) for number, pose in enumerate(poses, start=1)
     )
     for first, count in enumerate(shared):
         for index in range(count):

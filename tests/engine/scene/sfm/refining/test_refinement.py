@@ -125,6 +125,7 @@ def test_models_are_linked_in_any_order_and_each_is_straightened_once(
     monkeypatch.setattr(refinement, "_unsure", lambda *_: set())
     monkeypatch.setattr(refinement, "consistent", lambda _, model: model)
     models = [Photos(*each) for each in others]
+    rounds._with_others = lambda *arguments: refinement._Rounds._with_others(cast(Any, rounds), *arguments)
     model = refinement._Rounds.completed(cast(Any, rounds), Photos(*range(1, 6)), models, silent)
     assert model.num_reg_images() == placed
     assert straightened == [each for each in models if len(each.photos) > 3]
