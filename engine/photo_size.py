@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .config import Config
+from .counting.accounts.zero import ENOUGH_PIXELS
 from .counting.evidence.picture_size import Regions, common_width
 from .language.encoders.encoder import DenseEncoder
 from .language.prompts.relevancy import answer
@@ -14,9 +15,8 @@ from .memory import available_bytes, stage_bytes
 from .scene.camera import Camera, Photo
 from .scene.photos.photo import FilePhoto
 
-WANTED, NARROW = 14.0, 12.0
-"""Median width of the fruit in pixels that counting needs (that of the ladder's scenes), and the width below which
-photos that were scaled down are read larger."""
+NARROW = 12.0
+"""Median width of the fruit in pixels below which photos that were scaled down are read larger, to `ENOUGH_PIXELS`."""
 MOST = 2.0
 """Largest factor by which photos are read larger without being asked."""
 MEASURED = 4
@@ -72,7 +72,7 @@ def side_to_read(
     if width is None or width >= NARROW:
         return side
     usable = FREE * (available_bytes() if free is None else free)
-    largest = min(WANTED / width, MOST, reduction(photos))
+    largest = min(ENOUGH_PIXELS / width, MOST, reduction(photos))
     for larger in range(int(largest * side) // STEP * STEP, side, -STEP):
         if needed_bytes(larger / side, cameras, config) <= usable:
             return larger
@@ -96,12 +96,12 @@ def width_notices(
     if pixel_width is None or pixel_width >= NARROW or possible <= 1.0:
         return []
     read = max(max(photo.width, photo.height) for photo in photos if isinstance(photo, FilePhoto))
-    side = min(-int(-read * WANTED / pixel_width // STEP) * STEP, round(read * possible))
+    side = min(-int(-read * ENOUGH_PIXELS / pixel_width // STEP) * STEP, round(read * possible))
     factor = side / read
     flags = f"--scene.max-side {side}" + (" --scene.downscale 1" if config.scene.downscale > 1.0 else "")
     needed = needed_bytes(factor, cameras, config)
     return [
-        f"the fruit are {pixel_width:.0f} pixels wide in the photos as read, and {WANTED:.0f} are needed. {flags} "
-        f"makes them {factor * pixel_width:.0f} pixels wide; it needs about {needed / 2**30:.1f} GB of memory and up "
-        f"to {factor**2:.1f} times the time"
+        f"the fruit are {pixel_width:.0f} pixels wide in the photos as read, and {ENOUGH_PIXELS:.0f} are needed. "
+        f"{flags} makes them {factor * pixel_width:.0f} pixels wide; it needs about {needed / 2**30:.1f} GB of memory "
+        f"and up to {factor**2:.1f} times the time"
     ]

@@ -128,7 +128,7 @@ def count_fruit(
     size = fruit_size(gaussians, probabilities, visibility, own, config, part(progress, 0.4, 0.5))
     pictures = draw(gaussians, probabilities, cameras, progress=part(progress, 0.5, 0.7))
     sized = size or size_from_pictures(pictures, config.threshold, region.contains)
-    if sized is None:
+    if sized is None or (size is None and matching.sharp(sized.diameter)):
         return nothing(_why_no_size(gaussians, probabilities, visibility, own, config, label), points=len(own))
     if size is None:
         notices = [

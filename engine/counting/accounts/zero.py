@@ -30,8 +30,9 @@ POOR = 0.4
 BLURRED_SSIM, BLURRED_PSNR = 0.5, 18.0
 """Held-out SSIM and PSNR (dB) below which fruit may be too blurred to have a shape. The ladder's scenes below either
 lost a third of their fruit."""
-LEAST_PIXELS = 8.0
-"""Width in pixels below which fruit are too small to have a shape in Gaussians."""
+LEAST_PIXELS, ENOUGH_PIXELS = 8.0, 14.0
+"""Width in pixels below which fruit are too small to have a shape in Gaussians, and from which sharp ones have one: on
+all 16 scenes of the ladder with fruit of 12 to 17 pixels, their surfaces gave the size."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,11 @@ class Matching:
                 f"The 0 for {self.label} is not a count: a fruit is only about {pixels:.0f} pixels wide, and {reason}. "
                 "Read the photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
             )
+
+    def sharp(self, diameter: float) -> bool:
+        """Whether fruit of this diameter would have a shape: Gaussians that have none are then not fruit."""
+        known = self.quality.ssim is not None and not self.quality.blurred
+        return known and (self.pixels(diameter) or 0.0) >= ENOUGH_PIXELS
 
     def with_bounds(self, counted: FruitCount, diameter: float | None = None, *, visible: bool = True) -> FruitCount:
         """A count of 0 with intervals up to the fruit that may be there, and a notice that says so; unchanged if no

@@ -120,6 +120,18 @@ def test_without_a_round_surface_the_size_comes_from_the_pictures(
     assert "estimated from the widths of its regions" in result.notices[0]
 
 
+def test_what_is_not_round_in_sharp_gaussians_is_no_fruit(
+    tree: sim.Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(count, "estimate_diameter", lambda *args, **kwargs: None)
+    assert counted(tree, quality=BLURRED).count > 0
+    result = counted(tree, quality=GOOD)
+    assert (result.count, result.fruits) == (0, [])
+    assert result.interval is not None
+    assert result.interval[1] > 0
+    assert "lie on anything round" in result.audit[0].reason
+
+
 @pytest.mark.parametrize("method", ["template", "fruitnerf"])
 def test_the_published_methods_use_a_size_from_the_pictures_too(
     tree: sim.Simulation, monkeypatch: pytest.MonkeyPatch, method: Any

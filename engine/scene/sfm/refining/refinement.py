@@ -53,14 +53,19 @@ def refine(job: Job, features: Sequence[Features], models: Sequence[Any], report
     reaches are placed again, until that does not move them.
     """
     rounds = _Rounds(job, features)
-    best = consistent(job, rounds.straightened(models[0], part(report, 0.0, 0.4)))
-    before = set(best.reg_image_ids())
-    best = rounds.completed(best, models[1:], part(report, 0.4, 0.5))
-    settled = set(best.reg_image_ids()) - before
+    start = consistent(job, rounds.straightened(models[0], part(report, 0.0, 0.4)))
+    best = rounds.completed(start, models[1:], part(report, 0.4, 0.5))
+    settled = set(best.reg_image_ids()) - set(start.reg_image_ids())
     for attempt in range(_ATTEMPTS):
-        better = rounds.improved(best, settled, part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt))
+        share = part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt)
+        better = rounds.improved(best, settled, part(share, 0.0, 0.5))
         if better is None:
             break
+        start = consistent(job, better)  # a round may sharpen a bent model until it contradicts itself
+        if start.num_reg_images() < better.num_reg_images():
+            best = rounds.completed(start, models[1:], part(share, 0.5, 1.0))
+            settled |= set(best.reg_image_ids()) - set(start.reg_image_ids())
+            continue
         gain = _agreement(better) / max(_agreement(best), 1)
         best = better
         if gain < _LEAST_GAIN:

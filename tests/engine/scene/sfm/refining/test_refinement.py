@@ -87,7 +87,7 @@ def test_photos_that_placing_again_does_not_move_are_not_placed_again_in_later_r
 
 
 class Photos:
-    """What `completed` asks of a model."""
+    """What `refine` and `completed` ask of a model."""
 
     def __init__(self, *photos: int) -> None:
         self.photos = set(photos)
@@ -97,6 +97,9 @@ class Photos:
 
     def num_reg_images(self) -> int:
         return len(self.photos)
+
+    def num_points3D(self) -> int:
+        return 1000 * len(self.photos)
 
 
 @pytest.mark.parametrize(
@@ -129,3 +132,26 @@ def test_models_are_linked_in_any_order_and_each_is_straightened_once(
     model = refinement._Rounds.completed(cast(Any, rounds), Photos(*range(1, 6)), models, silent)
     assert model.num_reg_images() == placed
     assert straightened == [each for each in models if len(each.photos) > 3]
+
+
+def test_a_model_that_contradicts_itself_after_a_round_is_cut_and_completed_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bent, sharp, right = Photos(*range(10)), Photos(*range(10)), Photos(*range(10))
+    starts: list[set[int]] = []
+
+    def completed(model: Photos, *_: Any) -> Photos:
+        starts.append(model.photos)
+        return bent if len(starts) == 1 else right
+
+    rounds = types.SimpleNamespace(
+        straightened=lambda model, _: model,
+        completed=completed,
+        improved=lambda model, *_: sharp if model is bent else model,
+        last=lambda model, _: model,
+    )
+    monkeypatch.setattr(refinement, "_Rounds", lambda *_: rounds)
+    monkeypatch.setattr(refinement, "_agreement", lambda _: 1)
+    monkeypatch.setattr(refinement, "consistent", lambda _, model: Photos(*range(6)) if model is sharp else model)
+    assert refinement.refine(cast(Job, None), [], [bent], silent) is right
+    assert starts == [set(range(10)), set(range(6))]
