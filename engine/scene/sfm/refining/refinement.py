@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ....errors import SceneError
 from ....progress import Progress, part
+from ...alignment import align
 from ...pycolmap_import import colmap_library
 from ..features import Features, photo_ids
 from ..job import Job
@@ -36,7 +38,7 @@ _LARGEST_ERROR = 4.0
 _UNCERTAIN = 0.5
 """Observations of a photo, relative to the median of all photos, below which it may be misplaced."""
 _SAME_PLACE = 0.05
-"""Distance, relative to that of most photos from their middle, up to which a photo was placed again where it was."""
+"""Distance, relative to that of most photos from their middle, up to which a photo is at the same place."""
 _ATTEMPTS, _LEAST_KEPT, _LEAST_GAIN = 3, 0.99, 1.005
 """Rounds that match again and follow the points; factor of the agreement that a round must keep, and below which no
 other follows."""
@@ -103,8 +105,10 @@ class _Rounds:
         wide = model
         for number, limits in enumerate(_WIDE):
             wide = self._passed(wide, limits, part(report, 0.25 * number, 0.25 * (number + 1)))
-        both = [self.tracked(wide, part(report, 0.5, 0.75)), self.tracked(model, part(report, 0.75, 1.0))]
-        return max(both, key=_agreement)
+        straight = self.tracked(wide, part(report, 0.5, 0.75))
+        if same_places(model, wide, model.reg_image_ids()):
+            return straight
+        return max(straight, self.tracked(model, part(report, 0.75, 1.0)), key=_agreement)
 
     def _passed(self, model: Any, limits: Limits, report: Progress) -> Any:
         """The model with cameras adjusted to matches along its epipolar lines."""
@@ -231,13 +235,18 @@ def starts(job: Job, model: Any, settled: Collection[int], unsure: Collection[in
 
 
 def same_places(before: Any, after: Any, images: Collection[int]) -> bool:
-    """Whether a model has as many photos as an earlier one, and these images where they were."""
+    """Whether a model has as many photos as an earlier one, and these images at the same places among the others."""
     if after.num_reg_images() != before.num_reg_images() or not all(after.images[i].has_pose for i in images):
         return False
-    centers = np.array([image.projection_center() for image in before.images.values() if image.has_pose])
+    common = sorted(set(before.reg_image_ids()) & set(after.reg_image_ids()))
+    now, centers = (np.array([model.images[i].projection_center() for i in common]) for model in (after, before))
+    try:
+        now = align(now, centers).apply(now)
+    except SceneError:  # all on one line
+        return False
     usual = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
-    moved = [after.images[i].projection_center() - before.images[i].projection_center() for i in sorted(images)]
-    return all(float(np.linalg.norm(each)) < _SAME_PLACE * usual for each in moved)
+    moved = np.linalg.norm(now - centers, axis=1)
+    return bool((moved[np.isin(common, list(images))] < _SAME_PLACE * usual).all())
 
 
 def _support(model: Any) -> dict[int, int]:
