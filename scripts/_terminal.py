@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -79,6 +80,9 @@ def run(main: Callable[[], None]) -> None:
         _leave(f"error: {' '.join(str(error).split())}", 1)
     except (Cancelled, KeyboardInterrupt):
         _leave("cancelled; earlier results are as they were", 130)
+    except BrokenPipeError:  # what reads the output has ended, such as head; Python would report it again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
 
 
 def _leave(line: str, code: int) -> NoReturn:

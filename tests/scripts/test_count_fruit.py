@@ -66,6 +66,15 @@ def test_help_fits_on_a_page_of_60_lines_and_shows_the_common_settings() -> None
     assert {"--prompt", "--out", "--negative", "--preset", "--gaussians", "--help-all"} <= flags(done.stdout)
 
 
+def test_help_into_a_reader_that_ends_early_is_no_traceback() -> None:
+    with subprocess.Popen(command("--help-all"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
 def test_help_all_shows_every_setting_and_the_experimental_ones_in_a_group_of_their_own() -> None:
     ordinary, experimental = count("--help-all").stdout.split("Experimental")
     assert {flag for flag in flags(ordinary) if "." in flag} == settings_of("common", "advanced")
