@@ -38,19 +38,26 @@ def joined(models: Sequence[Any]) -> list[Any]:
     return sorted(result, key=lambda model: -model.num_reg_images())
 
 
-def _similarity(other: Any, model: Any) -> Similarity | None:
-    """What maps `other` to the frame of `model`; None if they share too few photos, or these do not agree."""
-    shared = sorted(set(other.reg_image_ids()) & set(model.reg_image_ids()))
-    if len(shared) < LEAST_SHARED:
-        return None
+def aligned(other: Any, model: Any, shared: Sequence[int]) -> tuple[Similarity, NDArray[np.float64], float] | None:
+    """What maps `other` to the frame of `model` by the (N,) photos that they share; (N,) how far these are then from
+    their places; the median distance of these places from their middle. None if `align` refuses them."""
     source, target = (np.array([each.images[i].projection_center() for i in shared]) for each in (other, model))
     try:
         moved = align(source, target)
-    except SceneError:  # all on one line
+    except SceneError:  # too few, or all on one line
         return None
-    error = float(np.median(np.linalg.norm(moved.apply(source) - target, axis=1)))
-    spread = float(np.median(np.linalg.norm(target - np.median(target, axis=0), axis=1)))
-    return moved if error <= _LARGEST_ERROR * spread else None
+    errors = np.linalg.norm(moved.apply(source) - target, axis=1)
+    return moved, errors, float(np.median(np.linalg.norm(target - np.median(target, axis=0), axis=1)))
+
+
+def _similarity(other: Any, model: Any) -> Similarity | None:
+    """What maps `other` to the frame of `model`; None if they share too few photos, or these do not agree."""
+    shared = sorted(set(other.reg_image_ids()) & set(model.reg_image_ids()))
+    found = aligned(other, model, shared) if len(shared) >= LEAST_SHARED else None
+    if found is None:
+        return None
+    moved, errors, spread = found
+    return moved if float(np.median(errors)) <= _LARGEST_ERROR * spread else None
 
 
 def with_photos(model: Any, other: Any, photos: Collection[int]) -> Any:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ....errors import SceneError
 from ....progress import Progress, part
-from ...alignment import align
 from ...pycolmap_import import colmap_library
 from ..features import Features, photo_ids
 from ..job import Job
+from ..joining import aligned
 from ..pairs import LARGEST, Pair, planned_pairs
 from ..placing import place_again
 from ..views import Pictures, read_pictures, without
@@ -239,13 +238,10 @@ def same_places(before: Any, after: Any, images: Collection[int]) -> bool:
     if after.num_reg_images() != before.num_reg_images() or not all(after.images[i].has_pose for i in images):
         return False
     common = sorted(set(before.reg_image_ids()) & set(after.reg_image_ids()))
-    now, centers = (np.array([model.images[i].projection_center() for i in common]) for model in (after, before))
-    try:
-        now = align(now, centers).apply(now)
-    except SceneError:  # all on one line
+    found = aligned(after, before, common)
+    if found is None:
         return False
-    usual = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
-    moved = np.linalg.norm(now - centers, axis=1)
+    _, moved, usual = found
     return bool((moved[np.isin(common, list(images))] < _SAME_PLACE * usual).all())
 
 
