@@ -31,6 +31,7 @@ from .evidence.surface_points import LARGEST_SCALE, SURFACE, SurfacePoints, samp
 from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from .fruit import NO_TREE, AuditEntry, FruitCount
 from .geometry.sphere import Spheres
+from .photos.join import with_photos
 from .published.fruitnerf import cluster_as_fruitnerf
 from .published.template import split_by_template
 from .published.template_shape import read_template
@@ -73,6 +74,7 @@ def count_fruit(
     visibility: Visibility | None = None,
     known: KnownFruit = NO_FRUIT,
     quality: Quality = UNKNOWN,
+    photos: Sequence[NDArray[np.float32]] | None = None,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit formed by the Gaussians with a probability (N,) near or above `config.threshold`.
@@ -85,7 +87,8 @@ def count_fruit(
     up: (3,) away from the ground; estimated from the cameras if not given. visibility: of the Gaussians in the cameras,
     if known; rendered otherwise. known: fruit that an earlier count of the scene numbered, whose ids stay; new fruit
     are numbered from top to bottom, from 1 or after the last id. quality: of the Gaussians, which may be the cause of a
-    0.
+    0. photos: (H, W) of each camera's photo, the probability of its pixels, of any size; fruit that Gaussians leave out
+    are found in them.
 
     Raises:
         ConfigError: the region is invalid, two trees stand above one another, or the file that `config.template`
@@ -142,7 +145,12 @@ def count_fruit(
         _require_fine(gaussians, own, sized.diameter, config, reason, label)
         none = nothing(reason, sized.diameter, points=len(own))
         return replace(none, notices=[*notices, *none.notices])
-    found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 1.0))
+    found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 0.8))
+    if photos is not None and searched is not None:
+        searched = with_photos(
+            searched, gaussians, probabilities, pictures, photos, config.threshold, progress=part(progress, 0.8, 1.0)
+        )
+        found = find_fruit(searched)
     clusters = keep_inside(found, region)
     spheres = clusters.spheres
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None

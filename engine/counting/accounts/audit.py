@@ -32,23 +32,35 @@ def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Ac
     region.
     """
     own = members(clusters.owners, len(numbers))
-    homes = np.array([commonest(clusters.components[each]) for each in own], np.int64)
+    homes = np.array([commonest(clusters.components[each]) if len(each) else -1 for each in own], np.int64)
     sizes = np.bincount(clusters.components)
+    pointless = np.flatnonzero(homes < 0)
     points, spheres = members(clusters.components, len(sizes)), members(homes, len(sizes))
-    kept = (sizes >= DUST) | (np.bincount(homes, minlength=len(sizes)) > 0)
+    kept = (sizes >= DUST) | (np.bincount(homes[homes >= 0], minlength=len(sizes)) > 0)
     entries = [
         _entry(clusters, component, points[component], spheres[component], numbers)
         for component in np.argsort(-sizes, kind="stable").tolist()
         if kept[component]
     ]
+    entries += [
+        _of_photos(clusters, len(sizes) + place, index, numbers) for place, index in enumerate(pointless.tolist())
+    ]
     dust = sizes[~kept]
     if len(dust):
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
-        entries.append(_of_many(len(sizes), reason, int(dust.sum())))
+        entries.append(_of_many(len(sizes) + len(pointless), reason, int(dust.sum())))
     if beyond:
         reason = f"{beyond} fruit near the region's border have their centres outside and are not counted"
-        entries.append(_of_many(len(sizes) + 1, reason, 0))
-    return Account(entries, np.array([len(spheres[home]) > 1 for home in homes], bool))
+        entries.append(_of_many(len(sizes) + len(pointless) + 1, reason, 0))
+    return Account(entries, np.array([home >= 0 and len(spheres[home]) > 1 for home in homes], bool))
+
+
+def _of_photos(clusters: Clusters, cluster: int, sphere: int, numbers: IntArray) -> AuditEntry:
+    """The entry of a fruit that photos show and no surface of Gaussians."""
+    x, y, z = clusters.spheres.centers[sphere].tolist()
+    reason = "seen in the photos only: no surface of the Gaussians is on it"
+    diameter = float(2.0 * clusters.spheres.radii[sphere])
+    return AuditEntry(cluster, "kept", reason, (x, y, z), 0, (int(numbers[sphere]),), diameter)
 
 
 def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:

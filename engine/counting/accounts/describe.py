@@ -46,6 +46,8 @@ def describe(
     means = gaussians.means.detach().double().cpu().numpy()[seen]
     near = members(nearest_sphere(means, spheres.centers, spheres.radii), len(spheres))
     own = members(clusters.owners, len(spheres))
+    base_colors = 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[seen]
+    nearest = cKDTree(means).query(spheres.centers)[1] if len(spheres) else []
     fruits = []
     for index in np.argsort(numbers):
         diameter, shown = float(2.0 * spheres.radii[index]), float(view_evidence.visible_fractions[index])
@@ -62,12 +64,18 @@ def describe(
                 probability=float(clusters.probabilities[index]),
                 visible_fraction=None if np.isnan(shown) else shown,
                 views=int(view_evidence.views[index]),
-                color=colors[own[index]].mean(axis=0).round().astype(np.uint8),
+                color=_color(colors[own[index]], base_colors[near[index]], base_colors[nearest[index]]),
                 kind="small" if index in clusters.small or diameter < SMALL * mean else kind,
                 members=seen[near[index]],
             )
         )
     return fruits
+
+
+def _color(points: FloatArray, gaussians: FloatArray, nearest: FloatArray) -> NDArray[np.uint8]:
+    """Mean colour of a fruit's points, else of its Gaussians, else the colour of the nearest Gaussian."""
+    colors = points if len(points) else gaussians if len(gaussians) else nearest[None]
+    return np.clip(colors.mean(axis=0).round(), 0.0, 255.0).astype(np.uint8)
 
 
 def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | None) -> FruitCount:

@@ -210,7 +210,7 @@ def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> 
     """By cluster, why the most probable of its rejected candidates was refused."""
     gate, reasons, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
     for index in np.argsort(-result.probabilities, kind="stable"):
-        if not kept[index]:
+        if not kept[index] and len(own[index]):
             home = commonest(components[own[index]])
             reason = gate.reason(result.features, int(index))
             reasons.setdefault(home, f"the best sphere is {result.probabilities[index]:.0%} likely a fruit: {reason}")

@@ -145,8 +145,8 @@ def features_of(found: Candidates, surface: SurfaceIndex, size: FruitSize, thres
         "shell": spheres.shell,
         "spread": np.full(len(found), size.spread),
         "curvature": _relative(curvatures(found, surface), well),
-        "mean": np.array([each.mean() for each in owned]),
-        "surest": np.array([np.quantile(each, 0.9) for each in owned]),
+        "mean": np.array([each.mean() if len(each) else 0.0 for each in owned]),
+        "surest": np.array([np.quantile(each, 0.9) if len(each) else 0.0 for each in owned]),
     }
 
 

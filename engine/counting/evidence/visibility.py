@@ -163,7 +163,7 @@ def _measure_discs(
 ) -> tuple[FloatArray, FloatArray]:
     """Largest visible share (C,), -1 for none, and sums (C, 4) over all pictures; see
     `visibility_kernels.measure_discs`."""
-    disc = np.stack(_disc(SPOTS), axis=1)
+    disc = spiral(SPOTS)
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
     best, sums = np.full(len(centers), -1.0), np.zeros((len(centers), 4))
     for picture in pictures:
@@ -175,11 +175,11 @@ def _measure_discs(
     return best, sums
 
 
-def _disc(count: int) -> tuple[FloatArray, FloatArray]:
-    """(count,) and (count,) coordinates of spots spread evenly over the unit disc (Vogel's spiral)."""
+def spiral(count: int) -> FloatArray:
+    """(count, 2) spots spread evenly over the unit disc (Vogel's spiral)."""
     index = np.arange(count) + 0.5
     radius, turn = np.sqrt(index / count), np.pi * (3.0 - 5.0**0.5) * index
-    return radius * np.cos(turn), radius * np.sin(turn)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
 def _at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:

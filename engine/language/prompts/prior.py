@@ -42,7 +42,12 @@ def in_scene(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> 
 
     See `kind_shares`.
     """
+    return weighed_by(vectors, kinds, kind_shares(vectors, weights, kinds, asked))
+
+
+def weighed_by(vectors: Tensor, kinds: Tensor, shares: Tensor) -> Tensor:
+    """(N, D) unit features whose kinds (K, D) are weighted by shares (K,); the probability of fruit is unchanged."""
     cosines = vectors @ kinds.T
-    weighed = cosines * kind_shares(vectors, weights, kinds, asked).sqrt()
+    weighed = cosines * shares.sqrt()
     length = cosines.norm(dim=1, keepdim=True) / weighed.norm(dim=1, keepdim=True).clamp_min(1e-12)
     return vectors + (weighed * length - cosines) @ kinds

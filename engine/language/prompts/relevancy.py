@@ -54,9 +54,16 @@ def any_of(features: Features, encoder: Encoder, words: Sequence[str], *, sought
     named = understood(encoder, words, sought=sought)
     answers = answers_by_level(features, named) * (features.weights.T >= MIN_WEIGHT)[:, None]
     best = [answers[best_level(answers[:, place], features.weights.T), place] for place in range(answers.shape[1])]
-    greatest = torch.zeros(len(features), dtype=torch.float64)
-    for together in exclusive_sets(named.texts, encoder):
-        greatest = greatest.maximum(sum((best[place].double() for place in together), start=torch.zeros_like(greatest)))
+    return union(best, named.texts, encoder)
+
+
+def union(answers: Sequence[Tensor], words: Sequence[str], encoder: Encoder) -> Tensor:
+    """(N,) float32 probability of any of P words, each with its answers (N,); see `any_of`."""
+    greatest = torch.zeros(len(answers[0]), dtype=torch.float64)
+    for together in exclusive_sets(words, encoder):
+        greatest = greatest.maximum(
+            sum((answers[place].double() for place in together), start=torch.zeros_like(greatest))
+        )
     return greatest.clamp_max(1.0).float()
 
 
@@ -106,11 +113,11 @@ def understood(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -
     meanings = {encoder.meaning(word): word for word in words}
     texts, kinds = [meanings[meaning] for meaning in sorted(meanings)], encoder.kinds()
     named = encoder.encode_text(texts) @ kinds.T > 0.0
-    believed = named[_telling(named)].any(0) if sought else torch.zeros(len(kinds), dtype=torch.bool)
+    believed = named[telling_words(named)].any(0) if sought else torch.zeros(len(kinds), dtype=torch.bool)
     return Words(texts, [encoder.questions(word) for word in texts], kinds, named, believed)
 
 
-def _telling(named: Tensor) -> Tensor:
+def telling_words(named: Tensor) -> Tensor:
     """(P,) whether each word names some kinds of fruit, and not all; named: (P, K)."""
     return named.any(1) & ~named.all(1)
 
@@ -120,10 +127,15 @@ def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
 
     Kinds of fruit are weighted by their share of the scene and by what is believed to be there (see `prior`).
     """
-    telling = _telling(words.named)
+    telling = telling_words(words.named)
     weighed = in_scene(vectors, weights, words.kinds, words.believed) if telling.any() else vectors
-    pairs = zip(words.questions, telling, strict=True)
-    return torch.stack([answer(weighed if tells else vectors, questions) for questions, tells in pairs])
+    return torch.stack(answers_of(vectors, weighed, words))
+
+
+def answers_of(vectors: Tensor, weighed: Tensor, words: Words) -> list[Tensor]:
+    """The probability of each word for unit features (N, D), given also with their kinds weighted by the scene."""
+    pairs = zip(words.questions, telling_words(words.named), strict=True)
+    return [answer(weighed if tells else vectors, questions) for questions, tells in pairs]
 
 
 def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:

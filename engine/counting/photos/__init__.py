@@ -1,0 +1,1 @@
+"""Fruit that the photos show, whether Gaussians represent them or not."""

@@ -1,0 +1,76 @@
+"""Fruit that surfaces of Gaussians show and fruit that photos show, as candidates of one search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...progress import Progress, silent
+from ...splatting.gaussians import Gaussians
+from ..evidence.candidates import Candidates, support_shares
+from ..evidence.claims import claim
+from ..evidence.cluster import LIKELY, Search
+from ..evidence.gate import features_of
+from ..evidence.visibility import Picture, frame_of, gather_view_evidence
+from ..geometry.sphere import weighed
+from .search import FoundInPhotos, search_photos
+from .surroundings import Surroundings
+from .verifier import Verifier, stored_network
+from .views import PhotoViews
+
+FloatArray = NDArray[np.float64]
+
+SAME = 0.35
+"""Diameters within which a sphere of the surfaces is the same fruit: its radius is used."""
+LEAST = 0.01
+"""Probability below which a place is no candidate."""
+
+
+def with_photos(
+    found: Search,
+    gaussians: Gaussians,
+    probabilities: FloatArray,
+    pictures: Sequence[Picture],
+    maps: Sequence[NDArray[np.float32]],
+    threshold: float,
+    *,
+    progress: Progress = silent,
+) -> Search:
+    """The search with the fruit that photos show. found: on surfaces of Gaussians, with probabilities (N,); pictures:
+    the views of the Gaussians; maps: the probability of the prompt in the photo of each; threshold: of the
+    probabilities."""
+    centers, diameter = found.found.spheres.centers, found.size.diameter
+    likely = centers[found.probabilities > LIKELY]
+    surroundings = Surroundings.of(gaussians, probabilities, likely, diameter, threshold)
+    verifier = Verifier(stored_network(), PhotoViews.of(pictures, maps), surroundings)
+    cameras = [picture.camera for picture in pictures]
+    return joined(found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold)
+
+
+def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:
+    """The places of the photos as candidates, with the points of the surfaces that lie on them."""
+    probabilities = 1.0 / (1.0 + np.exp(-photos.log_odds))
+    order = np.argsort(-probabilities, kind="stable")
+    order = order[probabilities[order] >= LEAST]
+    centers, probabilities = np.ascontiguousarray(photos.centers[order]), probabilities[order]
+    radii = np.full(len(centers), found.size.diameter / 2.0)
+    if len(found.found) and len(centers):
+        distances, nearest = cKDTree(found.found.spheres.centers).query(centers)
+        radii = np.where(distances < SAME * found.size.diameter, found.found.spheres.radii[nearest], radii)
+    surface = found.surface
+    spheres = weighed(surface.cells, surface.normals, centers, radii, found.size.spread * radii)
+    claims = claim(surface.cells, surface.normals, centers, radii)
+    owners, free = np.full(len(surface.points), -1, np.int64), np.ones(len(centers))
+    nobody = owners.copy()
+    for index in range(len(centers)):
+        own, left = claims.value(index, nobody)[0], claims.value(index, owners)[0]
+        free[index] = left / own if own > 0.0 else 1.0
+        claims.take(index, index, owners)
+    evidence = gather_view_evidence(pictures, centers, radii, threshold)
+    candidates = Candidates(spheres, evidence, support_shares(spheres), free, owners)
+    features = features_of(candidates, surface, found.size, threshold)
+    return replace(found, found=candidates, features=features, probabilities=probabilities)

@@ -1,0 +1,118 @@
+"""The search for fruit in the photos: places behind pixels that show fruit, moved and verified until all are explained.
+
+Fruit that are certain are drawn into the crops of the others, so that what the photos show of a clump is explained by
+one fruit after the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...progress import Progress, silent
+from .verifier import Verifier
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+PUSHES, STEP = (0.0, 0.5, 1.0, 2.0), 0.25
+"""Diameters behind the depth of a pixel at which fruit are searched, and the distance between such places."""
+PEAK, LEAST_SCORE, MOST_PEAKS = 0.25, 0.15, 3000
+"""Diameters between the best places, the least score of one, and how many are verified."""
+GIVEN_UP, UNLIKELY, LIKELY = -2.5, -3.0, 1.0
+"""Log odds below which a place is given up at once, below which it is after fruit are known, and from which a fruit is
+known to the others."""
+SAME, TOUCHING, APART = 0.25, 0.55, 0.7
+"""Diameters within which moved places are one, that a new fruit keeps from known ones, and from other new ones."""
+KEPT_APART = 0.65
+"""Diameters that known fruit keep from each other."""
+ROUNDS, MOVES, STEADY = 2, 2, 0.7
+"""Rounds of the search, moves in each, and the share of a move that a known fruit makes."""
+NO_PLACES = np.zeros((0, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class FoundInPhotos:
+    """C places where fruit may be, centers (C, 3), and the log odds (C,) that they are; the first `known` of them were
+    drawn into the crops of the others."""
+
+    centers: FloatArray
+    log_odds: FloatArray
+    known: int
+
+
+def search_photos(
+    verifier: Verifier, diameter: float, frame: FloatArray, *, progress: Progress = silent
+) -> FoundInPhotos:
+    """Look for fruit of a diameter, scene units. frame: (3, 4) of the cameras, see `visibility.frame_of`."""
+    radius = diameter / 2.0
+    places = verifier.views.places([push * diameter for push in PUSHES], STEP * diameter, frame)
+    scores = verifier.views.score(places, radius)
+    best = strongest(places, scores, PEAK * diameter, LEAST_SCORE)[:MOST_PEAKS]
+    starts = np.concatenate([places[best], verifier.surroundings.fruit])
+    odds, moves = verifier.verify(starts, radius, NO_PLACES)
+    pool, moves, odds = (each[odds > GIVEN_UP] for each in (starts, moves, odds))
+    progress(0.3, "Looking for fruit in the photos")
+    centers = pool
+    for _ in range(MOVES):
+        centers = centers + moves
+        centers = centers[strongest(centers, odds, SAME * diameter)]
+        odds, moves = verifier.verify(centers, radius, NO_PLACES)
+    certain = np.flatnonzero(odds > LIKELY)
+    known = centers[certain][strongest(centers[certain], odds[certain], KEPT_APART * diameter)]
+    fresh, fresh_odds = NO_PLACES, np.zeros(0)
+    for number in range(ROUNDS):
+        progress(0.3 + 0.7 * number / ROUNDS, f"Looking for fruit in the photos, round {number + 1} of {ROUNDS}")
+        known = _settled(verifier, np.concatenate([known, fresh[fresh_odds > LIKELY]]), diameter)
+        fresh, fresh_odds = _beyond(verifier, pool, known, diameter)
+    known_odds, _ = verifier.verify(known, radius, known, np.arange(len(known)))
+    return FoundInPhotos(np.concatenate([known, fresh]), np.concatenate([known_odds, fresh_odds]), len(known))
+
+
+def _settled(verifier: Verifier, known: FloatArray, diameter: float) -> FloatArray:
+    """Known fruit (F, 3), moved to where the others leave them; those that are unlikely then are left out."""
+    for _ in range(MOVES):
+        _, moves = verifier.verify(known, diameter / 2.0, known, np.arange(len(known)))
+        known = known + STEADY * moves
+    odds, _ = verifier.verify(known, diameter / 2.0, known, np.arange(len(known)))
+    kept = np.flatnonzero(odds > LIKELY - 1.0)
+    return known[kept][strongest(known[kept], odds[kept], KEPT_APART * diameter)]
+
+
+def _beyond(verifier: Verifier, pool: FloatArray, known: FloatArray, diameter: float) -> tuple[FloatArray, FloatArray]:
+    """The places of the pool (S, 3), moved, that may be fruit besides the known ones (F, 3), and their log odds."""
+    centers = pool[_distances(pool, known) > TOUCHING * diameter]
+    odds, moves = verifier.verify(centers, diameter / 2.0, known)
+    centers, odds, moves = (each[odds > UNLIKELY] for each in (centers, odds, moves))
+    for _ in range(MOVES):
+        centers = centers + moves
+        centers = centers[strongest(centers, odds, SAME * diameter)]
+        centers = centers[_distances(centers, known) > TOUCHING * diameter]
+        odds, moves = verifier.verify(centers, diameter / 2.0, known)
+    best = strongest(centers, odds, APART * diameter)
+    return centers[best], odds[best]
+
+
+def _distances(places: FloatArray, others: FloatArray) -> FloatArray:
+    """(S,) distance of each place to the nearest of the others; infinite without any."""
+    if len(others) == 0 or len(places) == 0:
+        return np.full(len(places), np.inf)
+    distances: FloatArray = cKDTree(others).query(places)[0]
+    return distances
+
+
+def strongest(places: FloatArray, strengths: FloatArray, reach: float, least: float = -np.inf) -> IntArray:
+    """Which places (S, 3) to keep, strongest first, so that none lies within `reach` of a stronger one."""
+    if len(places) == 0:
+        return np.zeros(0, np.int64)
+    tree, alive, kept = cKDTree(places), np.ones(len(places), bool), list[int]()
+    for index in np.argsort(-strengths, kind="stable").tolist():
+        if strengths[index] <= least:
+            break
+        if alive[index]:
+            kept.append(index)
+            alive[tree.query_ball_point(places[index], reach)] = False
+    return np.array(kept, np.int64)

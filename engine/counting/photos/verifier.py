@@ -1,0 +1,195 @@
+"""A small network that says whether a sphere is a fruit, and where the fruit is, from what several photos show.
+
+Each chosen view gives a crop of the probability of the prompt, of the depth, and of the fruit that are already known. A
+convolutional network turns every crop into a shift of the centre with its error, a weight and a few numbers; the
+shifts of all views together move the centre in space, and the numbers together give the probability. It sees neither
+colours nor words, so it serves every prompt. Trained by `scripts/developer/fit_verifier.py` on rendered trees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ...storage.files import read_tensors
+from .surroundings import Surroundings
+from .view_kernels import CHANNELS
+from .views import PhotoViews
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+STORED = Path(__file__).with_name("verifier.safetensors")
+FORMAT = "fruitlangs-verifier-1"
+CELLS, SPAN = 16, 2.0
+"""Cells along each side of a crop, and radii to each side that it covers."""
+VIEWS = 16
+"""Most views of a sphere that are used."""
+FEWEST_VIEWS = 2
+"""A sphere that fewer views show is no fruit."""
+KNOWN = 24
+"""Most known fruit in the surroundings of a sphere."""
+KNOWN_REACH = 2.6
+"""Diameters within which known fruit are drawn into the crops."""
+NUMBERS = 24
+"""Numbers that a view gives besides shift, error and weight."""
+SCENE = 10
+"""Numbers about a sphere that do not come from crops: of all views, and of the Gaussians."""
+STIFF = 0.1
+"""Weight, as an error of a pixel's square over a radius' square, that keeps a centre which no view locates."""
+FARTHEST = 1.0
+"""Radii that a centre moves at most."""
+AT_ONCE = 1000
+"""Spheres whose crops are in memory together."""
+UNSEEN = -9.0
+"""Log odds of a sphere that too few views show."""
+
+
+class Network(nn.Module):
+    """Crops (n, K, CHANNELS, CELLS, CELLS), which of them exist (n, K), and numbers of the scene (n, SCENE) → log odds
+    (n,), shifts of the centre (n, K, 2) in radii, and the logarithm of the error of each (n, K)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.crop = nn.Sequential(
+            nn.Conv2d(CHANNELS, 16, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(16, 32, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(32, 32, 3, padding=1), nn.ReLU(), nn.Flatten(),
+            nn.Linear(32 * (CELLS // 4) ** 2, 48), nn.ReLU(), nn.Linear(48, 4 + NUMBERS),
+        )  # fmt: skip
+        self.together = nn.Sequential(
+            nn.Linear(2 * NUMBERS + 1 + SCENE, 48), nn.ReLU(), nn.Dropout(0.1), nn.Linear(48, 1)
+        )
+
+    def forward(self, crops: Tensor, exists: Tensor, scene: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        n, k = exists.shape
+        index = exists.reshape(-1).nonzero()[:, 0]
+        said = self.crop(crops.reshape(n * k, *crops.shape[2:])[index])
+        views = said.new_zeros(n * k, said.shape[1]).index_copy(0, index, said).reshape(n, k, -1)
+        weights = torch.sigmoid(views[..., 3]) * exists
+        numbers = torch.relu(views[..., 4:]) * exists[..., None]
+        total = weights.sum(1, keepdim=True)
+        mean = (numbers * weights[..., None]).sum(1) / (total + 1e-3)
+        joined = torch.cat([mean, numbers.amax(1), torch.log1p(total), scene], dim=1)
+        return self.together(joined)[:, 0], views[..., :2], views[..., 2].clamp(-4.0, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What the network is given of C spheres: crops, chosen views (C, K), numbers of the scene (C, SCENE)."""
+
+    crops: NDArray[np.float32]
+    chosen: IntArray
+    scene: NDArray[np.float32]
+
+
+def look(
+    views: PhotoViews,
+    surroundings: Surroundings,
+    centers: FloatArray,
+    radii: FloatArray,
+    others: FloatArray,
+    other_radii: FloatArray,
+    near: IntArray,
+) -> Looked:
+    """Cut out what the network needs of C spheres, centers (C, 3) and radii (C,); near: (C, M) which of the known fruit
+    `others` (O, 3) are near each, -1 after the last."""
+    centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
+    chosen, sums = views.choose(centers, radii, VIEWS)
+    crops = views.crops(centers, radii, chosen, others, other_radii, near, cells=CELLS, span=SPAN)
+    scene = np.concatenate([np.log1p(sums), surroundings.numbers(centers, radii)], axis=1).astype(np.float32)
+    return Looked(crops, chosen, scene)
+
+
+@dataclass(frozen=True, eq=False)
+class Verifier:
+    """The network with what it looks at. views: of the scene; surroundings: its Gaussians."""
+
+    network: Network
+    views: PhotoViews
+    surroundings: Surroundings
+
+    @torch.inference_mode()
+    def verify(
+        self, centers: FloatArray, radius: float, others: FloatArray, own: IntArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """(C,) log odds that spheres of a radius are fruit that `others` (O, 3), known fruit of that radius, leave
+        unexplained, and (C, 3) the moves to where that fruit is; own: (C,) which of the others each sphere is itself,
+        -1 for none."""
+        odds, moves = np.full(len(centers), UNSEEN), np.zeros((len(centers), 3))
+        near = known_near(centers, others, KNOWN_REACH * 2.0 * radius, own)
+        for start in range(0, len(centers), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            radii, other_radii = np.full(len(centers[part]), radius), np.full(len(others), radius)
+            looked = look(self.views, self.surroundings, centers[part], radii, others, other_radii, near[part])
+            exists = torch.from_numpy(looked.chosen >= 0)
+            said, shifts, errors = self.network(torch.from_numpy(looked.crops), exists, torch.from_numpy(looked.scene))
+            odds[part] = torch.where(exists.sum(1) >= FEWEST_VIEWS, said, UNSEEN).double().numpy()
+            moves[part] = self._moves(centers[part], radius, looked.chosen, shifts, errors)
+        return odds, moves
+
+    def _moves(
+        self, centers: FloatArray, radius: float, chosen: IntArray, shifts: Tensor, errors: Tensor
+    ) -> FloatArray:
+        """(C, 3) the moves that fit the shifts of all views best, weighted by their errors."""
+        _, depths = self.views.project(centers, chosen)
+        pixels = self.views.lenses[np.maximum(chosen, 0), 0] * radius / depths
+        weights = np.exp(-2.0 * errors.double().numpy()) * (chosen >= 0) / pixels**2
+        slopes, wanted = self.views.slopes(centers, chosen), shifts.double().numpy() * pixels[..., None]
+        normal = np.einsum("ck,ckxi,ckxj->cij", weights, slopes, slopes) + np.eye(3) * STIFF / radius**2
+        moves = np.linalg.solve(normal, np.einsum("ck,ckxi,ckx->ci", weights, slopes, wanted)[..., None])[..., 0]
+        lengths = np.linalg.norm(moves, axis=1, keepdims=True)
+        return moves * np.minimum(1.0, FARTHEST * radius / np.maximum(lengths, 1e-12))
+
+
+def known_near(centers: FloatArray, others: FloatArray, reach: float, own: IntArray | None = None) -> IntArray:
+    """(C, KNOWN) the nearest of the others (O, 3) within `reach` of each centre (C, 3), without its own (C,), -1 after
+    the last."""
+    near = np.full((len(centers), KNOWN), -1, np.int64)
+    if len(others) == 0:
+        return near
+    from scipy.spatial import cKDTree
+
+    distances, found = cKDTree(others).query(centers, k=KNOWN + 1, distance_upper_bound=reach)
+    usable = np.isfinite(distances)
+    if own is not None:
+        usable &= found != own[:, None]
+    order = np.argsort(~usable, axis=1, kind="stable")[:, :KNOWN]
+    kept = np.take_along_axis(usable, order, 1)
+    near[:, : order.shape[1]] = np.where(kept, np.take_along_axis(found, order, 1), -1)
+    return near
+
+
+def read_network(path: Path) -> Network:
+    """The network that `scripts/developer/fit_verifier.py` wrote.
+
+    Raises:
+        ValueError: the file is missing, damaged or of another version.
+    """
+    tensors, header = read_tensors(path)
+    if header["format"] != FORMAT:
+        raise ValueError(f"{path} holds {header['format']}")
+    network = Network()
+    network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+    return network.eval()
+
+
+@cache
+def stored_network() -> Network:
+    """The network that comes with the package."""
+    return read_network(STORED)
+
+
+def tensors_of(network: Network) -> dict[str, Tensor]:
+    """What is stored of a network, in half precision."""
+    return {name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}
+
+
+__all__: Sequence[str] = ("Network", "Verifier", "look", "read_network", "stored_network", "tensors_of")

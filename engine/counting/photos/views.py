@@ -1,0 +1,151 @@
+"""The views in which fruit are searched: what the photos show of the prompt, and how far the Gaussians are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.nn import functional
+
+from ...splatting.kernels.surface import NOTHING
+from ..evidence.visibility import Picture, spiral
+from . import view_kernels
+from .view_kernels import CHANNELS, LIKELY, Views
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+DISC = 0.9 * spiral(40)
+"""(S, 2) spots tested on the disc of a sphere, in radii."""
+_TURNS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+RIM = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
+"""(R, 2) directions in which the outline of a sphere is tested."""
+FRUIT, OUTLINE, THROUGH, GOES_ON = 0.5, 1.0, 1.5, 0.5
+"""Weights of what a view shows of a sphere: fruit on its disc and the end of fruit at its outline count for it, what is
+seen through it and fruit that goes on beyond its outline against it."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoViews:
+    """V views of any sizes, their pixels one view after the other.
+
+    probabilities: (n,) of the prompt in the photo; depths: (n,) of the surface of the Gaussians along the viewing
+    direction, scene units; starts: (V,) first pixel of each view; sizes: (V, 2) height and width; poses: (V, 3, 4)
+    world to camera; lenses: (V, 4) fx, fy, cx, cy in pixels.
+    """
+
+    probabilities: NDArray[np.float32]
+    depths: NDArray[np.float32]
+    starts: IntArray
+    sizes: IntArray
+    poses: FloatArray
+    lenses: FloatArray
+
+    @classmethod
+    def of(cls, pictures: Sequence[Picture], maps: Sequence[NDArray[np.float32]]) -> PhotoViews:
+        """The views of rendered pictures; maps: the probability of the prompt in the photo of each, of any size."""
+        shown = [_resized(each, picture.depth.shape) for each, picture in zip(maps, pictures, strict=True)]
+        lengths = [picture.depth.size for picture in pictures]
+        cameras = [picture.camera for picture in pictures]
+        return cls(
+            np.concatenate([each.reshape(-1) for each in shown]),
+            np.concatenate([picture.depth.reshape(-1) for picture in pictures]),
+            np.cumsum([0, *lengths[:-1]]),
+            np.array([picture.depth.shape for picture in pictures], np.int64),
+            np.stack([camera.world_to_camera[:3] for camera in cameras]),
+            np.array([[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]),
+        )
+
+    @property
+    def arrays(self) -> Views:
+        """The arrays as kernels take them."""
+        return (self.probabilities, self.depths, self.starts, self.sizes, self.poses, self.lenses)
+
+    def places(self, pushes: Sequence[float], step: float, frame: FloatArray) -> FloatArray:
+        """(S, 3) places behind the pixels that show fruit, `pushes` behind their depth, at least `step` apart, all in
+        scene units. frame: (3, 4) from the world to the axes along which places are separated."""
+        found = []
+        for start, (height, width), pose, lens in zip(self.starts, self.sizes, self.poses, self.lenses, strict=True):
+            part = slice(start, start + height * width)
+            depths = self.depths[part]
+            shown = np.flatnonzero((self.probabilities[part] >= LIKELY) & (depths < NOTHING))
+            rays = np.stack(
+                [
+                    (shown % width + 0.5 - lens[2]) / lens[0],
+                    (shown // width + 0.5 - lens[3]) / lens[1],
+                    np.ones(len(shown)),
+                ],
+                axis=1,
+            )
+            near = depths[shown].astype(np.float64)
+            found += [(rays * (near + push)[:, None] - pose[:, 3]) @ pose[:, :3] for push in pushes]
+        return distinct(np.concatenate(found), step, frame)
+
+    def score(self, centers: FloatArray, radius: float) -> FloatArray:
+        """(C,) how well spheres of a radius explain what the views show; a first guess."""
+        scores = np.empty(len(centers))
+        weights = np.array([FRUIT, OUTLINE, THROUGH, GOES_ON])
+        view_kernels.score_spheres(self.arrays, np.ascontiguousarray(centers), radius, DISC, RIM, weights, scores)
+        return scores
+
+    def choose(self, centers: FloatArray, radii: FloatArray, most: int) -> tuple[IntArray, FloatArray]:
+        """The views that show most of each sphere, (C, most), and what all views show of it, (C, 5); see
+        `view_kernels.choose_views`."""
+        chosen, sums = np.empty((len(centers), most), np.int64), np.zeros((len(centers), 5))
+        view_kernels.choose_views(self.arrays, centers, radii, DISC, RIM, chosen, sums)
+        return chosen, sums
+
+    def crops(
+        self,
+        centers: FloatArray,
+        radii: FloatArray,
+        chosen: IntArray,
+        others: FloatArray,
+        other_radii: FloatArray,
+        near: IntArray,
+        *,
+        cells: int,
+        span: float,
+    ) -> NDArray[np.float32]:
+        """(C, K, CHANNELS, cells, cells) surroundings of the spheres in the chosen views; see
+        `view_kernels.cut_crops`."""
+        crops = np.zeros((*chosen.shape, CHANNELS, cells, cells), np.float32)
+        view_kernels.cut_crops(self.arrays, centers, radii, chosen, others, other_radii, near, span, crops)
+        return crops
+
+    def project(self, centers: FloatArray, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (C, K, 2) and depths (C, K) of centres in the chosen views; those of view 0 where there is none."""
+        index = np.maximum(chosen, 0)
+        camera = np.einsum("ckij,cj->cki", self.poses[index, :, :3], centers) + self.poses[index, :, 3]
+        lens, depths = self.lenses[index], np.maximum(camera[..., 2], 1e-12)
+        return lens[..., :2] * camera[..., :2] / depths[..., None] + lens[..., 2:], depths
+
+    def slopes(self, centers: FloatArray, chosen: IntArray) -> FloatArray:
+        """(C, K, 2, 3) change of the pixel of a centre in each chosen view per scene unit."""
+        index = np.maximum(chosen, 0)
+        pixels, depths = self.project(centers, chosen)
+        lens, turned = self.lenses[index], self.poses[index, :, :3]
+        off = (pixels - lens[..., 2:]) / lens[..., :2]
+        return (lens[..., :2] / depths[..., None])[..., None] * (
+            turned[..., :2, :] - off[..., None] * turned[..., 2:, :]
+        )
+
+
+def distinct(places: FloatArray, step: float, frame: FloatArray) -> FloatArray:
+    """The centres of the cubes of side `step` that places (S, 3) lie in, cut along the axes of `frame` (3, 4)."""
+    scale = float(np.linalg.norm(frame[0, :3]))
+    side = step * scale
+    cubes = np.unique(np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64), axis=0)
+    centers: FloatArray = ((cubes + 0.5) * side - frame[:, 3]) @ frame[:, :3] / scale**2
+    return centers
+
+
+def _resized(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:
+    if values.shape == size:
+        return values
+    image = torch.from_numpy(values)[None, None]
+    resized = functional.interpolate(image, size, mode="bilinear", antialias=True, align_corners=False)
+    return np.ascontiguousarray(resized[0, 0].numpy())

@@ -1,0 +1,128 @@
+"""What an encoder of whole photos says about every pixel that may be fruit, kept for later prompts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ...errors import FormatError
+from ...storage.files import read_tensors, write_tensors
+
+FORMAT = "fruitlangs-photo-features-1"
+MOST_SIDE = 480
+"""Longest side of what is kept of a photo, pixels: the encoder does not distinguish more."""
+LEAST_FRUIT = 0.15
+"""Probability of any fruit below which a pixel is not kept."""
+STEPS = 255.0
+"""Numbers are kept in steps of one of this."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoFeatures:
+    """The features of the pixels of V photos that may be fruit, one photo after the other.
+
+    shapes: (V, 2) int64 height and width of what was kept of each photo; counts: (V,) int64 kept pixels of each;
+    places: (n,) int32 row · width + column of each; values: (n, D) uint8, unit features in steps of 1 / STEPS;
+    encoder_id: identity of the encoder.
+    """
+
+    shapes: Tensor
+    counts: Tensor
+    places: Tensor
+    values: Tensor
+    encoder_id: str
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor]]:
+        """Of each photo its height and width, the places (k,) of its kept pixels, and their unit features (k, D)."""
+        counts = self.counts.tolist()
+        parts = zip(self.shapes.tolist(), self.places.split(counts), self.values.split(counts), strict=True)
+        for (height, width), places, values in parts:
+            yield (height, width), places.long(), functional.normalize(values.float(), dim=-1)
+
+
+class PhotoFeaturesRecorder:
+    """Passes features of photos on, one photo at a time, and keeps what `PhotoFeatures` needs."""
+
+    def __init__(self, kinds: Tensor, encoder_id: str) -> None:
+        """kinds: (K, D) orthonormal text vectors of the kinds of fruit."""
+        self._kinds, self._encoder_id = kinds, encoder_id
+        self._shapes: list[tuple[int, int]] = []
+        self._places: list[Tensor] = []
+        self._values: list[Tensor] = []
+
+    def passing(self, photos: Iterable[Tensor]) -> Iterator[Tensor]:
+        """The features (H, W, D) of each photo, unchanged."""
+        for photo in photos:
+            self._keep(photo)
+            yield photo
+
+    def kept(self) -> PhotoFeatures:
+        """What was kept of all photos that were passed on."""
+        width = self._kinds.shape[1]
+        return PhotoFeatures(
+            torch.tensor(self._shapes, dtype=torch.int64).reshape(-1, 2),
+            torch.tensor([len(each) for each in self._places], dtype=torch.int64),
+            torch.cat([*self._places, torch.zeros(0, dtype=torch.int32)]),
+            torch.cat([*self._values, torch.zeros(0, width, dtype=torch.uint8)]),
+            self._encoder_id,
+        )
+
+    def _keep(self, photo: Tensor) -> None:
+        shrink = min(1.0, MOST_SIDE / max(photo.shape[:2]))
+        if shrink < 1.0:
+            size = [max(1, round(side * shrink)) for side in photo.shape[:2]]
+            moved = photo.permute(2, 0, 1)[None]
+            photo = functional.interpolate(moved, size, mode="bilinear", antialias=True)[0].permute(1, 2, 0)
+        fruit = fruit_share(photo, self._kinds)
+        places = (fruit.reshape(-1) >= LEAST_FRUIT).nonzero()[:, 0]
+        values = functional.normalize(photo.reshape(-1, photo.shape[-1])[places], dim=-1)
+        self._shapes.append((photo.shape[0], photo.shape[1]))
+        self._places.append(places.int())
+        self._values.append((values.clamp(0.0, 1.0) * STEPS).round().to(torch.uint8))
+
+
+def fruit_share(vectors: Tensor, kinds: Tensor) -> Tensor:
+    """(…) share of each feature (…, D) that is fruit of any of the kinds (K, D): 2 Σ cos², as in `prior`."""
+    return 2.0 * (vectors @ kinds.T).square().sum(-1)
+
+
+def save_photo_features(path: Path, kept: PhotoFeatures) -> None:
+    """Write the file atomically.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    tensors = {name: getattr(kept, name).contiguous() for name in ("shapes", "counts", "places", "values")}
+    write_tensors(path, tensors, {"format": FORMAT, "encoder_id": kept.encoder_id})
+
+
+def load_photo_features(path: Path) -> PhotoFeatures:
+    """Read the file that `save_photo_features` wrote.
+
+    Raises:
+        FormatError: it is missing, damaged, of an earlier version or something else.
+    """
+    try:
+        tensors, header = read_tensors(path)
+        if header["format"] != FORMAT:
+            raise ValueError(f"it holds {header['format']}")
+        kept = PhotoFeatures(**tensors, encoder_id=str(header["encoder_id"]))
+        pixels = int(kept.counts.sum())
+        fits = kept.shapes.shape == (len(kept), 2) and len(kept.places) == len(kept.values) == pixels
+        if not fits or kept.values.dtype != torch.uint8 or kept.values.ndim != 2:
+            raise ValueError("its tensors do not fit")
+        ends = kept.shapes.prod(1).repeat_interleave(kept.counts)
+        if bool(((kept.places < 0) | (kept.places >= ends)).any()):
+            raise ValueError("a pixel lies outside its photo")
+        return kept
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise FormatError(f"{path} holds no features of photos ({reason}). Count again from the photos") from error

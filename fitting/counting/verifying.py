@@ -1,0 +1,275 @@
+"""Training of the network that verifies fruit in photos: examples from rendered trees, and mistakes of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+from torch.nn import functional
+
+from _terminal import terminal_progress
+
+from ...benchmarks.counting.baselines import surface_of
+from ...benchmarks.orchards import TRUTH, read_origin
+from ...engine.config import CountConfig, SceneConfig
+from ...engine.counting.evidence.cluster import LIKELY, search
+from ...engine.counting.evidence.visibility import draw, frame_of
+from ...engine.counting.photos.search import LEAST_SCORE, PEAK, PUSHES, STEP, search_photos, strongest
+from ...engine.counting.photos.surroundings import Surroundings
+from ...engine.counting.photos.verifier import KNOWN_REACH, Looked, Network, Verifier, known_near, look
+from ...engine.counting.photos.views import PhotoViews
+from ...engine.evaluation.truth import Truth, read_truth, true_labels
+from ...engine.language.encoders.embedded import EmbeddedEncoder
+from ...engine.language.features.lift import encode_photos, lift_features
+from ...engine.language.features.photo_features import PhotoFeaturesRecorder
+from ...engine.language.prompts.photo_probability import photo_probabilities
+from ...engine.language.prompts.relevancy import relevancy
+from ...engine.scene.read import read_scene
+from ..encoder.lifted import rendered_scenes, trained
+from ..encoder.pictures import training_seeds
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BEST, OTHERS = 500, 400
+"""Places of a tree that are learnt from: the best ones by their score, and random ones of the rest."""
+JITTERS = (0.08, 0.2, 0.35, 0.5)
+"""Standard deviations, in diameters, of places around every true fruit."""
+RADIUS_SD = 0.06
+"""Standard deviation of the logarithm of the radius of a place."""
+ON, OFF = 0.45, 0.52
+"""Diameters from a fruit within which a place is on it, and from which it is not; between them places weigh less."""
+BETWEEN, BETWEEN_WEIGHT = 0.38, 0.3
+SHOULDER = 1.0
+"""Diameters from a fruit within which shifts to it are learnt."""
+KNOWN_SHARE, KNOWN_SD, NOTHING_KNOWN = 0.85, 0.07, 0.25
+"""Share of the true fruit that are known to a place, the deviation of their centres in diameters, and the share of
+places to which nothing is known."""
+STILL_FREE = 0.35
+"""Share of the places near a fruit to which this fruit is not known."""
+MINED_SD = 0.06
+"""Deviation in diameters by which found places are moved in their second copy."""
+BATCH, RATE, DECAY, SHIFT_WEIGHT, DROPPED = 128, 2e-3, 1e-3, 0.3, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """A rendered tree ready to be searched. visible, hidden: centres of its true fruit (F, 3) and (H, 3); radii: (F,);
+    frame: (3, 4) of the cameras."""
+
+    name: str
+    species: str
+    views: PhotoViews
+    surroundings: Surroundings
+    truth: Truth
+    frame: FloatArray
+
+    @property
+    def diameter(self) -> float:
+        return self.surroundings.diameter
+
+    def verifier(self, network: Network) -> Verifier:
+        return Verifier(network, self.views, self.surroundings)
+
+
+def prepared(renders: Path) -> Iterator[Tree]:
+    """Every rendered tree with Gaussians trained on it, which are kept in its folder.
+
+    Raises:
+        FormatError: a walk's seed is not recorded, or is kept for tests.
+    """
+    encoder, progress, folders = EmbeddedEncoder.open(), terminal_progress(), rendered_scenes(renders)
+    training_seeds(folders)
+    for place, folder in enumerate(folders):
+        progress(place / len(folders), f"preparing {folder.name}")
+        tree = prepare(folder, encoder)
+        if tree is not None:
+            yield tree
+    progress(1.0, "trees prepared")
+
+
+def prepare(folder: Path, encoder: EmbeddedEncoder) -> Tree | None:
+    """One tree; None if no part of it is round."""
+    species, scene, gaussians = read_origin(folder).species, read_scene(folder, SceneConfig()), trained(folder)
+    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
+    photos = recorder.passing(encode_photos(scene, encoder))
+    features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
+    probability = relevancy(features, encoder, [species])
+    maps = photo_probabilities(recorder.kept(), features, encoder, [species])
+    surface = surface_of(gaussians, probability, scene.cameras)
+    if surface.sample is None or maps is None:
+        return None
+    points, size = surface.sample
+    pictures, threshold = draw(gaussians, probability.double().numpy(), scene.cameras), CountConfig().threshold
+    found = search(points, size, pictures, threshold)
+    fruit = found.found.spheres.centers[found.probabilities > LIKELY]
+    return Tree(
+        folder.name,
+        species,
+        PhotoViews.of(pictures, maps),
+        Surroundings.of(gaussians, probability.double().numpy(), fruit, found.size.diameter, threshold),
+        read_truth(folder / TRUTH, true_labels([species])),
+        frame_of(scene.cameras),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """S places. crops: (S, K, C, n, n) float16; exists: (S, K); scene: (S, D); fruit: (S,) whether a fruit that is not
+    known is there; shifts: (S, K, 2) to the nearest such fruit, in radii; near: (S, K) where shifts are learnt;
+    weights: (S,)."""
+
+    crops: Tensor
+    exists: Tensor
+    scene: Tensor
+    fruit: Tensor
+    shifts: Tensor
+    near: Tensor
+    weights: Tensor
+
+    def __len__(self) -> int:
+        return len(self.fruit)
+
+    @staticmethod
+    def join(parts: Sequence[Samples]) -> Samples:
+        return Samples(
+            **{each.name: torch.cat([getattr(part, each.name) for part in parts]) for each in fields(Samples)}
+        )
+
+
+def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
+    """Places behind pixels that show fruit, around true fruit and on fruit that were found, each with most of the
+    other true fruit known."""
+    truth, diameter = tree.truth, tree.diameter
+    places = tree.views.places([push * diameter for push in PUSHES], STEP * diameter, tree.frame)
+    scores = tree.views.score(places, diameter / 2.0)
+    order = strongest(places, scores, PEAK * diameter, LEAST_SCORE)
+    rest = rng.permutation(order[BEST:])[:OTHERS]
+    visible = truth.centers[truth.visible]
+    jittered = [visible + rng.normal(size=visible.shape) * diameter * sd for sd in JITTERS]
+    centers = np.concatenate([places[order[:BEST]], places[rest], *jittered, tree.surroundings.fruit])
+    distances, nearest = cKDTree(visible).query(centers)
+    free = (distances < 0.5 * truth.mean_diameter) | (rng.random(len(centers)) < STILL_FREE)
+    known = visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD
+    near = known_near(centers, known, KNOWN_REACH * diameter, np.where(free, nearest, -1))
+    some = rng.random(near.shape) < KNOWN_SHARE
+    some &= (rng.random(len(centers)) >= NOTHING_KNOWN)[:, None]
+    near = _packed(np.where(some, near, -1))
+    explained = np.zeros((len(centers), len(visible)), bool)
+    rows, columns = np.nonzero(near >= 0)
+    explained[rows, near[rows, columns]] = True
+    return _samples(tree, centers, known, truth.diameters[truth.visible] / 2.0, near, explained, rng)
+
+
+def mined(tree: Tree, network: Network, rng: np.random.Generator) -> Samples:
+    """Where the network looks for fruit, right or wrong, each with the fruit that are known to it."""
+    truth, diameter = tree.truth, tree.diameter
+    found = search_photos(tree.verifier(network), diameter, tree.frame)
+    known, visible = found.centers[: found.known], truth.centers[truth.visible]
+    taken = np.full(len(visible), -1)
+    if len(known):
+        distances, owners = cKDTree(known).query(visible)
+        taken = np.where(distances < 0.5 * truth.mean_diameter, owners, -1)
+    own = np.where(np.arange(len(found.centers)) < found.known, np.arange(len(found.centers)), -1)
+    explained = (taken[None] >= 0) & (taken[None] != own[:, None])
+    parts = []
+    for sd in (0.0, MINED_SD):
+        centers = found.centers + rng.normal(size=found.centers.shape) * diameter * sd
+        near = known_near(centers, known, KNOWN_REACH * diameter, own)
+        parts.append(_samples(tree, centers, known, np.full(len(known), diameter / 2.0), near, explained, rng))
+    return Samples.join(parts)
+
+
+def _packed(near: IntArray) -> IntArray:
+    """Each row with its numbers first and -1 after them."""
+    return np.take_along_axis(near, np.argsort(near < 0, axis=1, kind="stable"), 1)
+
+
+def _samples(
+    tree: Tree,
+    centers: FloatArray,
+    known: FloatArray,
+    known_radii: FloatArray,
+    near: IntArray,
+    explained: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> Samples:
+    """explained: (S, F) which visible fruit are known to each place."""
+    truth, radius = tree.truth, tree.diameter / 2.0
+    visible, hidden = truth.centers[truth.visible], truth.centers[~truth.visible]
+    radii = radius * np.exp(rng.normal(size=len(centers)) * RADIUS_SD)
+    looked = look(tree.views, tree.surroundings, centers, radii, known, known_radii, near)
+    distances = np.linalg.norm(visible[None] - centers[:, None], axis=2) / truth.mean_diameter
+    distances[explained] = np.inf
+    target = distances.argmin(axis=1)
+    distance = distances[np.arange(len(centers)), target]
+    to_hidden = (
+        cKDTree(hidden).query(centers)[0] / truth.mean_diameter if len(hidden) else np.full(len(centers), np.inf)
+    )
+    exists = looked.chosen >= 0
+    kept = ((to_hidden > 0.5) | (distance < 0.5)) & (exists.sum(axis=1) >= 2)
+    own, depths = tree.views.project(centers, looked.chosen)
+    there, _ = tree.views.project(visible[target], looked.chosen)
+    pixels = tree.views.lenses[np.maximum(looked.chosen, 0), 0] * radii[:, None] / depths
+    shifts = (there - own) / pixels[..., None]
+    near_one = (distance < SHOULDER)[:, None] & exists
+    weights = np.where((distance > BETWEEN) & (distance < OFF), BETWEEN_WEIGHT, 1.0)
+    return Samples(
+        torch.from_numpy(looked.crops[kept]).half(),
+        torch.from_numpy(exists[kept]),
+        torch.from_numpy(looked.scene[kept]),
+        torch.from_numpy((distance < ON)[kept].astype(np.float32)),
+        torch.from_numpy(np.where(near_one[..., None], shifts, 0.0)[kept].astype(np.float32)),
+        torch.from_numpy(near_one[kept]),
+        torch.from_numpy(weights[kept].astype(np.float32)),
+    )
+
+
+def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], None] = lambda _: None) -> Network:
+    """Train a network from scratch. Crops are turned and mirrored at random, and some views are left out."""
+    torch.manual_seed(seed)
+    network, generator = Network(), torch.Generator().manual_seed(seed)
+    batches = len(samples) // BATCH
+    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=epochs * batches)
+    for epoch in range(epochs):
+        order, losses = torch.randperm(len(samples), generator=generator), [0.0, 0.0]
+        for number in range(batches):
+            rows = order[number * BATCH : (number + 1) * BATCH]
+            crops, shifts = _turned(samples.crops[rows].float(), samples.shifts[rows], generator)
+            exists = samples.exists[rows] & (torch.rand(samples.exists[rows].shape, generator=generator) >= DROPPED)
+            odds, guesses, errors = network(crops, exists, samples.scene[rows])
+            verdict = functional.binary_cross_entropy_with_logits(
+                odds, samples.fruit[rows], weight=samples.weights[rows]
+            )
+            learnt = (samples.near[rows] & exists).float()
+            off = (guesses - shifts).abs().sum(-1)
+            shift = ((off * torch.exp(-errors) + 2.0 * errors) * learnt).sum() / learnt.sum().clamp_min(1.0)
+            optimiser.zero_grad()
+            (verdict + SHIFT_WEIGHT * shift).backward()
+            optimiser.step()
+            schedule.step()
+            losses = [losses[0] + float(verdict.detach()) / batches, losses[1] + float(shift.detach()) / batches]
+        report(f"epoch {epoch + 1} of {epochs}: verdict {losses[0]:.3f}, shift {losses[1]:.3f}")
+    return network.eval()
+
+
+def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Crops and shifts, mirrored and turned alike."""
+    way = int(torch.randint(0, 8, (1,), generator=generator))
+    if way & 1:
+        crops, shifts = crops.flip(-1), shifts * torch.tensor([-1.0, 1.0])
+    if way & 2:
+        crops, shifts = crops.flip(-2), shifts * torch.tensor([1.0, -1.0])
+    if way & 4:
+        crops, shifts = crops.transpose(-1, -2), shifts.flip(-1)
+    return crops, shifts
+
+
+__all__ = ["Looked", "Samples", "Tree", "around_truth", "fit", "mined", "prepare", "prepared"]

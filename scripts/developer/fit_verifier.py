@@ -1,0 +1,99 @@
+"""Train the network that verifies fruit in photos, and write engine/counting/photos/verifier.safetensors.
+
+    python scripts/developer/fit_verifier.py --renders RENDERS
+
+Learns from places in rendered trees, with Gaussians that are trained on each once and kept in its folder, and with the
+package's encoder. After a first training the network searches every tree itself, and what it found, right or wrong, is
+learnt too. Trees whose seed ends in the digit --check are left out and measured: F1 of surfaces alone, and of the
+photos at several log odds.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import _checkout  # noqa: F401  puts the checkout on the path
+
+import numpy as np
+
+from _terminal import import_tyro, run
+from fruitlangs.benchmarks.markdown import markdown
+from fruitlangs.engine.counting.photos.search import search_photos
+from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network, tensors_of
+from fruitlangs.engine.evaluation.judgement import judge
+from fruitlangs.engine.storage.files import write_tensors
+from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, fit, mined, prepared
+
+tyro = import_tyro()
+
+ODDS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Log odds from which a place is measured as a fruit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to learn from, and how long."""
+
+    renders: Path
+    """Folder of rendered trees, written by `make_orchard.py`."""
+    out: Path = STORED
+    """File to write."""
+    check: int | None = None
+    """Last digit of the seeds of trees that are measured and not learnt from."""
+    rounds: int = 2
+    """Times that mistakes are added and the network is trained again."""
+    epochs: int = 8
+    """Passes over all places in each training."""
+    seed: int = 0
+    """Seed of all random numbers."""
+
+
+def main(options: Options) -> None:
+    rng, trees = np.random.default_rng(options.seed), list(prepared(options.renders))
+    checked = [tree for tree in trees if options.check is not None and tree.name.endswith(str(options.check))]
+    learnt = [tree for tree in trees if tree not in checked]
+    samples = [around_truth(tree, rng) for tree in learnt]
+    network = Network()
+    for number in range(options.rounds + 1):
+        if number:
+            samples += [mined(tree, network, rng) for tree in learnt]
+        together = Samples.join(samples)
+        print(
+            f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees", flush=True
+        )
+        network = fit(together, epochs=options.epochs, seed=options.seed, report=lambda line: print(line, flush=True))
+        write_tensors(options.out, tensors_of(network), {"format": FORMAT, "trees": [tree.name for tree in learnt]})
+        if checked:
+            say(table(checked, network))
+
+
+def say(text: str) -> None:
+    """Print at once: a training takes minutes."""
+    print(text, flush=True)
+
+
+def table(trees: list[Tree], network: Network) -> str:
+    """Markdown: F1 of each tree, of the fruit on surfaces and of the places in photos."""
+    lines = [["tree", "surfaces", *(f"log odds > {odds:g}" for odds in ODDS)]]
+    rows = []
+    for tree in trees:
+        found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
+        chosen = [found.centers[found.log_odds > odds] for odds in ODDS]
+        rows.append([f1(tree, tree.surroundings.fruit), *(f1(tree, centers) for centers in chosen)])
+        lines.append([tree.name, *(f"{value:.3f}" for value in rows[-1])])
+    return markdown([*lines, ["mean", *(f"{value:.3f}" for value in np.mean(rows, axis=0))]])
+
+
+def f1(tree: Tree, centers: np.ndarray) -> float:
+    """F1 at half a diameter of fruit at these centres (C, 3)."""
+    judged = judge(centers, np.full(len(centers), tree.diameter), tree.truth)
+    visible = int(tree.truth.visible.sum())
+    return 2.0 * len(judged.pairs) / max(len(centers) - len(judged.ignored) + visible, 1)
+
+
+if __name__ == "__main__":
+    run(lambda: main(tyro.cli(Options, description=__doc__)))

@@ -1,0 +1,111 @@
+"""What views show of spheres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fruitlangs.engine.counting.evidence.visibility import Picture
+from fruitlangs.engine.counting.photos.verifier import known_near
+from fruitlangs.engine.counting.photos.view_kernels import DEPTH, INSIDE, OTHERS, PROBABILITY
+from fruitlangs.engine.counting.photos.views import PhotoViews, distinct
+from fruitlangs.engine.scene.camera import Camera, looking
+
+BALL, RADIUS, FOCAL = np.zeros(3), 0.1, 200.0
+WIDTH, HEIGHT = 80, 60
+NOWHERE = np.zeros((0, 3))
+
+
+def camera_at(turn: float) -> Camera:
+    eye = 2.0 * np.array([np.cos(turn), np.sin(turn), 0.0])
+    K = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    return Camera(width=WIDTH, height=HEIGHT, K=K, world_to_camera=looking(eye, -eye, np.array([0.0, 0.0, 1.0])))
+
+
+def picture_of(camera: Camera) -> tuple[Picture, np.ndarray]:
+    """The rendered depth of a ball before a wall, and the map of a photo that shows it."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    rays = np.stack([(u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL, np.ones_like(u)], axis=-1)
+    a, b, c = (rays**2).sum(-1), -4.0 * rays[..., 2], 4.0 - RADIUS**2
+    root = b * b - 4.0 * a * c
+    hit = root > 0.0
+    depth = np.where(hit, (-b - np.sqrt(np.maximum(root, 0.0))) / (2.0 * a), 5.0)
+    shown = hit.astype(np.float32)
+    return Picture(camera, depth.astype(np.float32), shown), shown
+
+
+@pytest.fixture(scope="module")
+def views() -> PhotoViews:
+    pictures, maps = zip(*(picture_of(camera_at(turn)) for turn in np.linspace(0.0, 2.0, 6)), strict=True)
+    return PhotoViews.of(pictures, maps)
+
+
+def crops_of(views: PhotoViews, others: np.ndarray, near: np.ndarray) -> np.ndarray:
+    chosen = np.arange(2)[None]
+    radii = np.full(len(others), RADIUS)
+    return views.crops(BALL[None], np.array([RADIUS]), chosen, others, radii, near, cells=16, span=2.0)[0]
+
+
+def test_a_sphere_at_the_ball_scores_highest(views: PhotoViews) -> None:
+    places = np.array([BALL, [0.0, 0.0, 0.08], [0.0, 0.1, 0.0], [0.0, 0.0, 0.3], [0.4, 0.0, 0.0]])
+    scores = views.score(places, RADIUS)
+    assert scores.argmax() == 0
+    assert scores[3] < 0.0 < scores[0]  # the views see through the place above the ball
+
+
+def test_places_behind_pixels_of_fruit_lie_on_the_ball(views: PhotoViews) -> None:
+    places = views.places((0.0,), 0.02, np.eye(3, 4))
+    distances = np.linalg.norm(places, axis=1)
+    assert len(places) > 50
+    assert (np.abs(distances - RADIUS) < 0.04).all()
+
+
+def test_places_move_with_the_scene() -> None:
+    places = np.random.default_rng(0).normal(size=(500, 3))
+    moved = places + [3.0, -2.0, 1.0]
+    frame = np.concatenate([np.eye(3), [[-3.0], [2.0], [-1.0]]], axis=1)
+    expected = distinct(places, 0.3, np.eye(3, 4)) + [3.0, -2.0, 1.0]
+    assert np.allclose(distinct(moved, 0.3, frame), expected)
+
+
+def test_views_that_frame_the_ball_are_chosen(views: PhotoViews) -> None:
+    chosen, sums = views.choose(np.array([BALL, [50.0, 0.0, 0.0]]), np.full(2, RADIUS), 4)
+    assert (chosen[0] >= 0).all()
+    assert sums[0, 4] == 6
+    assert (chosen[1] == -1).all()
+    assert (sums[1] == 0).all()
+
+
+def test_a_crop_shows_the_ball_in_its_middle(views: PhotoViews) -> None:
+    crop = crops_of(views, NOWHERE, np.full((1, 1), -1))[0]
+    assert crop[PROBABILITY, 7:9, 7:9].min() == 1.0
+    assert crop[PROBABILITY, 0].max() == 0.0
+    assert crop[DEPTH, 8, 8] == pytest.approx(-0.25, abs=0.02)  # one radius nearer, in four radii
+    assert (crop[INSIDE] == 1.0).all()
+
+
+def test_known_fruit_in_front_and_behind_are_told_apart(views: PhotoViews) -> None:
+    towards = views.poses[0, :, :3].T @ np.array([0.0, 0.0, 1.0])
+    others = np.stack([-2.0 * RADIUS * towards, 2.0 * RADIUS * towards])
+    front, behind = (crops_of(views, others, np.array([[index, -1]]))[0, OTHERS] for index in range(2))
+    assert front.max() == 1.0
+    assert behind.min() == -1.0
+    both = crops_of(views, others, np.array([[1, 0]]))[0, OTHERS]
+    assert (both[front > 0] == 1.0).all()  # what is in front covers what is behind
+
+
+def test_slopes_are_the_change_of_pixels(views: PhotoViews) -> None:
+    center, chosen, step = np.array([[0.1, -0.05, 0.03]]), np.arange(6)[None], 1e-5
+    slopes = views.slopes(center, chosen)
+    for axis in range(3):
+        moved = center + step * np.eye(3)[axis]
+        change = (views.project(moved, chosen)[0] - views.project(center, chosen)[0]) / step
+        assert np.allclose(slopes[..., axis], change, rtol=1e-3, atol=1e-2)
+
+
+def test_known_near_leaves_out_far_fruit_and_the_own_one() -> None:
+    others = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]])
+    near = known_near(np.array([[0.1, 0, 0], [1.0, 0, 0]]), others, 2.0, np.array([-1, 1]))
+    assert near[0, :3].tolist() == [0, 1, -1]
+    assert near[1, :2].tolist() == [0, -1]
+    assert (known_near(np.zeros((2, 3)), NOWHERE, 1.0) == -1).all()
