@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -157,6 +158,22 @@ def test_engine_never_imports_blender(path: Path) -> None:
 def test_every_module_has_a_layer() -> None:
     modules = [path.relative_to(ROOT).with_suffix("").parts for path in SOURCES if path.name != "__init__.py"]
     assert ["/".join(module) for module in modules if place(module) is None] == []
+
+
+def test_an_installed_package_has_every_folder_and_its_files() -> None:
+    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    folders = {path.parent.relative_to(ROOT) for path in SOURCES}
+    assert set(tools["packages"]) == {"fruitlangs"} | {".".join(("fruitlangs", *folder.parts)) for folder in folders}
+    for package, patterns in tools["package-data"].items():
+        folder = ROOT.joinpath(*package.split(".")[1:])
+        assert all(list(folder.glob(pattern)) for pattern in patterns), package
+    stored = {path.parent.relative_to(ROOT) for path in (ROOT / "engine").rglob("*.safetensors")}
+    listed = {
+        Path(*package.split(".")[1:], *Path(each).parts[:-1])
+        for package, patterns in tools["package-data"].items()
+        for each in patterns
+    }
+    assert stored <= listed
 
 
 def test_the_whole_engine_imports_where_importing_bpy_raises() -> None:
