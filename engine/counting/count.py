@@ -31,7 +31,7 @@ from .evidence.surface_points import LARGEST_SCALE, SURFACE, SurfacePoints, samp
 from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from .fruit import NO_TREE, AuditEntry, FruitCount
 from .geometry.sphere import Spheres
-from .photos.join import with_photos
+from .photos.join import PhotoEvidence, with_photos
 from .published.fruitnerf import cluster_as_fruitnerf
 from .published.template import split_by_template
 from .published.template_shape import read_template
@@ -145,12 +145,8 @@ def count_fruit(
         _require_fine(gaussians, own, sized.diameter, config, reason, label)
         none = nothing(reason, sized.diameter, points=len(own))
         return replace(none, notices=[*notices, *none.notices])
-    found, searched = _find(points, sized, pictures, config, part(progress, 0.7, 0.8))
-    if photos is not None and searched is not None:
-        searched = with_photos(
-            searched, gaussians, probabilities, pictures, photos, config.threshold, progress=part(progress, 0.8, 1.0)
-        )
-        found = find_fruit(searched)
+    evidence = None if photos is None else PhotoEvidence(gaussians, probabilities, photos)
+    found, searched = _find(points, sized, pictures, evidence, config, part(progress, 0.7, 1.0))
     clusters = keep_inside(found, region)
     spheres = clusters.spheres
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
@@ -447,16 +443,21 @@ def _find(
     points: SurfacePoints,
     size: FruitSize,
     pictures: Sequence[Picture],
+    photos: PhotoEvidence | None,
     config: CountConfig,
     progress: Progress,
 ) -> tuple[Clusters, Search | None]:
-    """What the points became, and the candidates with their probabilities, which the published methods do not have."""
+    """What the points became, and the candidates with their probabilities, which the published methods do not have;
+    those use no photos."""
     if config.method != "voting":
         template = read_template(Path(config.template), seed=config.seed) if config.template else None
         road = split_by_template if config.method == "template" else cluster_as_fruitnerf
         return road(points, size.diameter, template, progress=progress), None
     given = config.diameter is not None
-    found = search(points, size, pictures, config.threshold, given=given, progress=progress)
+    alone = progress if photos is None else part(progress, 0.0, 0.3)
+    found = search(points, size, pictures, config.threshold, given=given, progress=alone)
+    if photos is not None:
+        found = with_photos(found, photos, pictures, config.threshold, progress=part(progress, 0.3, 1.0))
     return find_fruit(found), found
 
 

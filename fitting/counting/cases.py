@@ -70,7 +70,7 @@ def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterat
 def rendered_cases(renders: Path) -> Iterator[Case]:
     """Gaussians trained on rendered trees, with true masks and with the package's encoder."""
     encoder = EmbeddedEncoder.open()
-    for folder, scene, species, truth in _rendered_scenes(renders):
+    for folder, scene, species, truth in rendered_trees(renders):
         gaussians = trained(folder)
         features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
         by_kind = {
@@ -83,14 +83,14 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
 
 def surface_cases(renders: Path) -> Iterator[Case]:
     """The true surfaces of rendered trees as their views show them, with true masks."""
-    for folder, scene, _, truth in _rendered_scenes(renders):
+    for folder, scene, _, truth in rendered_trees(renders):
         surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
         probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
         kind = "walk, true surfaces"
         yield Case(kind, f"walk {folder.name}", surface.gaussians, probability, scene.cameras, truth, truth.visible)
 
 
-def _rendered_scenes(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
+def rendered_trees(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
     """Folder, scene, species and truth of each rendered tree.
 
     Raises:

@@ -13,26 +13,21 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional
 
-from _terminal import terminal_progress
-
-from ...benchmarks.counting.baselines import surface_of
-from ...benchmarks.orchards import TRUTH, read_origin
-from ...engine.config import CountConfig, SceneConfig
-from ...engine.counting.evidence.cluster import LIKELY, search
-from ...engine.counting.evidence.visibility import draw, frame_of
-from ...engine.counting.photos.search import LEAST_SCORE, PEAK, PUSHES, STEP, search_photos, strongest
+from ...engine.config import CountConfig
+from ...engine.counting.evidence.cluster import LIKELY
+from ...engine.counting.evidence.visibility import frame_of
+from ...engine.counting.photos.search import likely_places, search_photos
 from ...engine.counting.photos.surroundings import Surroundings
-from ...engine.counting.photos.verifier import KNOWN_REACH, Looked, Network, Verifier, known_near, look
+from ...engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, known_near, look
 from ...engine.counting.photos.views import PhotoViews
-from ...engine.evaluation.truth import Truth, read_truth, true_labels
+from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.features.lift import encode_photos, lift_features
 from ...engine.language.features.photo_features import PhotoFeaturesRecorder
 from ...engine.language.prompts.photo_probability import photo_probabilities
 from ...engine.language.prompts.relevancy import relevancy
-from ...engine.scene.read import read_scene
-from ..encoder.lifted import rendered_scenes, trained
-from ..encoder.pictures import training_seeds
+from ..encoder.lifted import trained
+from .cases import Case, rendered_trees, searched
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -60,11 +55,9 @@ BATCH, RATE, DECAY, SHIFT_WEIGHT, DROPPED = 128, 2e-3, 1e-3, 0.3, 0.15
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A rendered tree ready to be searched. visible, hidden: centres of its true fruit (F, 3) and (H, 3); radii: (F,);
-    frame: (3, 4) of the cameras."""
+    """A rendered tree ready to be searched. frame: (3, 4) of its cameras, see `visibility.frame_of`."""
 
     name: str
-    species: str
     views: PhotoViews
     surroundings: Surroundings
     truth: Truth
@@ -79,44 +72,26 @@ class Tree:
 
 
 def prepared(renders: Path) -> Iterator[Tree]:
-    """Every rendered tree with Gaussians trained on it, which are kept in its folder.
+    """Every rendered tree that is round in some part, with Gaussians trained on it, which are kept in its folder.
 
     Raises:
         FormatError: a walk's seed is not recorded, or is kept for tests.
     """
-    encoder, progress, folders = EmbeddedEncoder.open(), terminal_progress(), rendered_scenes(renders)
-    training_seeds(folders)
-    for place, folder in enumerate(folders):
-        progress(place / len(folders), f"preparing {folder.name}")
-        tree = prepare(folder, encoder)
-        if tree is not None:
-            yield tree
-    progress(1.0, "trees prepared")
-
-
-def prepare(folder: Path, encoder: EmbeddedEncoder) -> Tree | None:
-    """One tree; None if no part of it is round."""
-    species, scene, gaussians = read_origin(folder).species, read_scene(folder, SceneConfig()), trained(folder)
-    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
-    photos = recorder.passing(encode_photos(scene, encoder))
-    features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
-    probability = relevancy(features, encoder, [species])
-    maps = photo_probabilities(recorder.kept(), features, encoder, [species])
-    surface = surface_of(gaussians, probability, scene.cameras)
-    if surface.sample is None or maps is None:
-        return None
-    points, size = surface.sample
-    pictures, threshold = draw(gaussians, probability.double().numpy(), scene.cameras), CountConfig().threshold
-    found = search(points, size, pictures, threshold)
-    fruit = found.found.spheres.centers[found.probabilities > LIKELY]
-    return Tree(
-        folder.name,
-        species,
-        PhotoViews.of(pictures, maps),
-        Surroundings.of(gaussians, probability.double().numpy(), fruit, found.size.diameter, threshold),
-        read_truth(folder / TRUTH, true_labels([species])),
-        frame_of(scene.cameras),
-    )
+    encoder, threshold = EmbeddedEncoder.open(), CountConfig().threshold
+    for folder, scene, species, truth in rendered_trees(renders):
+        gaussians, recorder = trained(folder), PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
+        photos = recorder.passing(encode_photos(scene, encoder))
+        features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
+        probability = relevancy(features, encoder, [species])
+        maps = photo_probabilities(recorder.kept(), features, encoder, [species])
+        family = f"walk {folder.name}"
+        result = searched(Case("photos", family, gaussians, probability, scene.cameras, truth, truth.visible))
+        if result is None or maps is None:
+            continue
+        found, pictures = result
+        fruit = found.found.spheres.centers[found.probabilities > LIKELY]
+        surroundings = Surroundings.of(gaussians, probability.double().numpy(), fruit, found.size.diameter, threshold)
+        yield Tree(folder.name, PhotoViews.of(pictures, maps), surroundings, truth, frame_of(scene.cameras))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +122,11 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     """Places behind pixels that show fruit, around true fruit and on fruit that were found, each with most of the
     other true fruit known."""
     truth, diameter = tree.truth, tree.diameter
-    places = tree.views.places([push * diameter for push in PUSHES], STEP * diameter, tree.frame)
-    scores = tree.views.score(places, diameter / 2.0)
-    order = strongest(places, scores, PEAK * diameter, LEAST_SCORE)
-    rest = rng.permutation(order[BEST:])[:OTHERS]
+    places = likely_places(tree.views, diameter, tree.frame)
+    rest = rng.permutation(places[BEST:])[:OTHERS]
     visible = truth.centers[truth.visible]
     jittered = [visible + rng.normal(size=visible.shape) * diameter * sd for sd in JITTERS]
-    centers = np.concatenate([places[order[:BEST]], places[rest], *jittered, tree.surroundings.fruit])
+    centers = np.concatenate([places[:BEST], rest, *jittered, tree.surroundings.fruit])
     distances, nearest = cKDTree(visible).query(centers)
     free = (distances < 0.5 * truth.mean_diameter) | (rng.random(len(centers)) < STILL_FREE)
     known = visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD
@@ -270,6 +243,3 @@ def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[
     if way & 4:
         crops, shifts = crops.transpose(-1, -2), shifts.flip(-1)
     return crops, shifts
-
-
-__all__ = ["Looked", "Samples", "Tree", "around_truth", "fit", "mined", "prepare", "prepared"]

@@ -24,7 +24,7 @@ from _terminal import import_tyro, run
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.photos.search import search_photos
 from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network, tensors_of
-from fruitlangs.engine.evaluation.judgement import judge
+from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.storage.files import write_tensors
 from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, fit, mined, prepared
 
@@ -62,10 +62,8 @@ def main(options: Options) -> None:
         if number:
             samples += [mined(tree, network, rng) for tree in learnt]
         together = Samples.join(samples)
-        print(
-            f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees", flush=True
-        )
-        network = fit(together, epochs=options.epochs, seed=options.seed, report=lambda line: print(line, flush=True))
+        say(f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees")
+        network = fit(together, epochs=options.epochs, seed=options.seed, report=say)
         write_tensors(options.out, tensors_of(network), {"format": FORMAT, "trees": [tree.name for tree in learnt]})
         if checked:
             say(table(checked, network))
@@ -90,9 +88,7 @@ def table(trees: list[Tree], network: Network) -> str:
 
 def f1(tree: Tree, centers: np.ndarray) -> float:
     """F1 at half a diameter of fruit at these centres (C, 3)."""
-    judged = judge(centers, np.full(len(centers), tree.diameter), tree.truth)
-    visible = int(tree.truth.visible.sum())
-    return 2.0 * len(judged.pairs) / max(len(centers) - len(judged.ignored) + visible, 1)
+    return count_metrics(centers, np.full(len(centers), tree.diameter), tree.truth).f1
 
 
 if __name__ == "__main__":

@@ -46,8 +46,10 @@ def describe(
     means = gaussians.means.detach().double().cpu().numpy()[seen]
     near = members(nearest_sphere(means, spheres.centers, spheres.radii), len(spheres))
     own = members(clusters.owners, len(spheres))
-    base_colors = 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[seen]
-    nearest = cKDTree(means).query(spheres.centers)[1] if len(spheres) else []
+    shades = [colors[each] for each in own]
+    for index in (index for index, each in enumerate(own) if len(each) == 0):
+        around = _around(near[index], means, spheres.centers[index])
+        shades[index] = colors_of(gaussians, seen[around])
     fruits = []
     for index in np.argsort(numbers):
         diameter, shown = float(2.0 * spheres.radii[index]), float(view_evidence.visible_fractions[index])
@@ -64,7 +66,7 @@ def describe(
                 probability=float(clusters.probabilities[index]),
                 visible_fraction=None if np.isnan(shown) else shown,
                 views=int(view_evidence.views[index]),
-                color=_color(colors[own[index]], base_colors[near[index]], base_colors[nearest[index]]),
+                color=shades[index].mean(axis=0).round().astype(np.uint8),
                 kind="small" if index in clusters.small or diameter < SMALL * mean else kind,
                 members=seen[near[index]],
             )
@@ -72,10 +74,9 @@ def describe(
     return fruits
 
 
-def _color(points: FloatArray, gaussians: FloatArray, nearest: FloatArray) -> NDArray[np.uint8]:
-    """Mean colour of a fruit's points, else of its Gaussians, else the colour of the nearest Gaussian."""
-    colors = points if len(points) else gaussians if len(gaussians) else nearest[None]
-    return np.clip(colors.mean(axis=0).round(), 0.0, 255.0).astype(np.uint8)
+def _around(near: IntArray, means: FloatArray, center: FloatArray) -> IntArray:
+    """The Gaussians of a fruit, `near` (M,) among means (N, 3); the one nearest to its centre if it has none."""
+    return near if len(near) else np.linalg.norm(means - center, axis=1).argmin(keepdims=True)
 
 
 def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | None) -> FruitCount:
@@ -92,7 +93,13 @@ def place_fruit(counted: FruitCount, lying: Sequence[bool | None], row: Row | No
 
 def point_colors(gaussians: Gaussians, clusters: Clusters) -> FloatArray:
     """(P, 3) sRGB in 0…255 of the points of the clusters: the base colours of their Gaussians."""
-    return 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[clusters.points.gaussians]
+    return colors_of(gaussians, clusters.points.gaussians)
+
+
+def colors_of(gaussians: Gaussians, index: IntArray) -> FloatArray:
+    """(K, 3) sRGB in 0…255 of the Gaussians at `index` (K,): their base colours."""
+    colors: FloatArray = 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[index]
+    return colors
 
 
 def nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:

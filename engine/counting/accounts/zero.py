@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ...errors import CountingError
 from ...scene.camera import Camera
@@ -20,7 +19,7 @@ from ..evidence.cluster import LINKS
 from ..evidence.pixel_width import focal_length
 from ..evidence.surface_points import SURFACE
 from ..fruit import FruitCount
-from ..geometry.cells import Cells, linked
+from ..geometry.cells import Cells, linked, separated
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -159,12 +158,7 @@ class Matching:
 def most_fruit(positions: FloatArray, diameter: float) -> int:
     """The number of positions (M, 3), taken in their order, that are at least a diameter from those taken before: about
     one for each fruit of that size."""
-    tree, free, number = cKDTree(positions), np.ones(len(positions), bool), 0
-    for index in range(len(positions)):
-        if free[index]:
-            free[tree.query_ball_point(positions[index], diameter)] = False
-            number += 1
-    return number
+    return len(separated(positions, np.arange(len(positions)), diameter))
 
 
 def separate_groups(positions: FloatArray, link: float) -> int:

@@ -66,6 +66,14 @@ class Cells:
         return found
 
 
+def separated(positions: FloatArray, order: IntArray, reach: float) -> IntArray:
+    """Which of positions (P, 3) to keep, in this order (K,), so that none lies within `reach` of one kept before."""
+    cells = Cells.of(positions, reach)
+    places = np.argsort(cells.index, kind="stable")
+    chosen: IntArray = cells.index[apart(cells.table, np.full(len(positions), reach), places[order], 1.0)]
+    return chosen
+
+
 def least_near(cells: Cells, numbers: IntArray, centers: FloatArray, reach: float, most: int) -> IntArray:
     """(C,) the least of the numbers (P,), from 0, in the order of the cells, of the points within `reach` of each
     center (C, 3), if there are fewer than `most` of them; -1 if there is none."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,23 +30,32 @@ LEAST = 0.01
 """Probability below which a place is no candidate."""
 
 
+@dataclass(frozen=True, eq=False)
+class PhotoEvidence:
+    """What photos show of the prompt, and the Gaussians that they were trained into.
+
+    probabilities: (N,) of the Gaussians; maps: (H, W) of the pixels of each photo, of any size.
+    """
+
+    gaussians: Gaussians
+    probabilities: FloatArray
+    maps: Sequence[NDArray[np.float32]]
+
+
 def with_photos(
     found: Search,
-    gaussians: Gaussians,
-    probabilities: FloatArray,
+    photos: PhotoEvidence,
     pictures: Sequence[Picture],
-    maps: Sequence[NDArray[np.float32]],
     threshold: float,
     *,
     progress: Progress = silent,
 ) -> Search:
-    """The search with the fruit that photos show. found: on surfaces of Gaussians, with probabilities (N,); pictures:
-    the views of the Gaussians; maps: the probability of the prompt in the photo of each; threshold: of the
-    probabilities."""
+    """The search with the fruit that photos show. found: on surfaces of the Gaussians; pictures: their views, one for
+    each map; threshold: of the probabilities."""
     centers, diameter = found.found.spheres.centers, found.size.diameter
     likely = centers[found.probabilities > LIKELY]
-    surroundings = Surroundings.of(gaussians, probabilities, likely, diameter, threshold)
-    verifier = Verifier(stored_network(), PhotoViews.of(pictures, maps), surroundings)
+    surroundings = Surroundings.of(photos.gaussians, photos.probabilities, likely, diameter, threshold)
+    verifier = Verifier(stored_network(), PhotoViews.of(pictures, photos.maps), surroundings)
     cameras = [picture.camera for picture in pictures]
     return joined(found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold)
 

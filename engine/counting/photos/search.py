@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...progress import Progress, silent
+from ..geometry.cells import separated
 from .verifier import Verifier
+from .views import PhotoViews
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -49,10 +51,8 @@ def search_photos(
 ) -> FoundInPhotos:
     """Look for fruit of a diameter, scene units. frame: (3, 4) of the cameras, see `visibility.frame_of`."""
     radius = diameter / 2.0
-    places = verifier.views.places([push * diameter for push in PUSHES], STEP * diameter, frame)
-    scores = verifier.views.score(places, radius)
-    best = strongest(places, scores, PEAK * diameter, LEAST_SCORE)[:MOST_PEAKS]
-    starts = np.concatenate([places[best], verifier.surroundings.fruit])
+    places = likely_places(verifier.views, diameter, frame)
+    starts = np.concatenate([places[:MOST_PEAKS], verifier.surroundings.fruit])
     odds, moves = verifier.verify(starts, radius, NO_PLACES)
     pool, moves, odds = (each[odds > GIVEN_UP] for each in (starts, moves, odds))
     progress(0.3, "Looking for fruit in the photos")
@@ -70,6 +70,12 @@ def search_photos(
         fresh, fresh_odds = _beyond(verifier, pool, known, diameter)
     known_odds, _ = verifier.verify(known, radius, known, np.arange(len(known)))
     return FoundInPhotos(np.concatenate([known, fresh]), np.concatenate([known_odds, fresh_odds]), len(known))
+
+
+def likely_places(views: PhotoViews, diameter: float, frame: FloatArray) -> FloatArray:
+    """(S, 3) places where photos may show fruit of a diameter, the likeliest first; frame: as of `search_photos`."""
+    places = views.places([push * diameter for push in PUSHES], STEP * diameter, frame)
+    return places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
 
 
 def _settled(verifier: Verifier, known: FloatArray, diameter: float) -> FloatArray:
@@ -106,13 +112,5 @@ def _distances(places: FloatArray, others: FloatArray) -> FloatArray:
 
 def strongest(places: FloatArray, strengths: FloatArray, reach: float, least: float = -np.inf) -> IntArray:
     """Which places (S, 3) to keep, strongest first, so that none lies within `reach` of a stronger one."""
-    if len(places) == 0:
-        return np.zeros(0, np.int64)
-    tree, alive, kept = cKDTree(places), np.ones(len(places), bool), list[int]()
-    for index in np.argsort(-strengths, kind="stable").tolist():
-        if strengths[index] <= least:
-            break
-        if alive[index]:
-            kept.append(index)
-            alive[tree.query_ball_point(places[index], reach)] = False
-    return np.array(kept, np.int64)
+    order = np.argsort(-strengths, kind="stable")
+    return separated(places, order[strengths[order] > least], reach)

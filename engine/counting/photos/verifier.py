@@ -8,7 +8,6 @@ colours nor words, so it serves every prompt. Trained by `scripts/developer/fit_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from ...storage.files import read_tensors
@@ -155,8 +155,6 @@ def known_near(centers: FloatArray, others: FloatArray, reach: float, own: IntAr
     near = np.full((len(centers), KNOWN), -1, np.int64)
     if len(others) == 0:
         return near
-    from scipy.spatial import cKDTree
-
     distances, found = cKDTree(others).query(centers, k=KNOWN + 1, distance_upper_bound=reach)
     usable = np.isfinite(distances)
     if own is not None:
@@ -190,6 +188,3 @@ def stored_network() -> Network:
 def tensors_of(network: Network) -> dict[str, Tensor]:
     """What is stored of a network, in half precision."""
     return {name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}
-
-
-__all__: Sequence[str] = ("Network", "Verifier", "look", "read_network", "stored_network", "tensors_of")

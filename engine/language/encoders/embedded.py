@@ -25,7 +25,7 @@ from ...storage.files import read_tensors, write_tensors
 from ..colours import colour_words
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import Question
-from .network import Network, logits_at
+from .network import Network, logits_at, resized
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-2"
@@ -92,7 +92,7 @@ class EmbeddedEncoder:
         pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255.0
         shrink = min(1.0, MAX_SIDE / max(pixels.shape[-2:]))
         if shrink < 1.0:
-            pixels = _resized(pixels, shrink)
+            pixels = resized(pixels, shrink)
         concepts = self.concept_logits(pixels).softmax(0)
         colours = colour_words(_blurred(pixels).permute(1, 2, 0))
         return torch.cat([concepts.permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
@@ -245,11 +245,6 @@ def _basis(words: Sequence[str], block: tuple[str, ...]) -> Tensor:
     for row, word in enumerate(words):
         vectors[row, offset + block.index(word)] = 1.0
     return vectors
-
-
-def _resized(pixels: Tensor, factor: float) -> Tensor:
-    size = [max(1, round(side * factor)) for side in pixels.shape[-2:]]
-    return functional.interpolate(pixels[None], size, mode="bilinear", antialias=True, align_corners=False)[0]
 
 
 def _blurred(pixels: Tensor) -> Tensor:

@@ -103,3 +103,9 @@ def logits_at(network: Network, image: Tensor, height: int, width: int) -> Tenso
     logits = network(normalise(batch).contiguous(memory_format=torch.channels_last)).float()
     logits = functional.interpolate(logits, scale_factor=2.0, mode="bilinear", align_corners=False)
     return logits[0, :, :height, :width]
+
+
+def resized(pixels: Tensor, factor: float) -> Tensor:
+    """(C, H, W) → the same picture with sides `factor` as long, averaged when it shrinks."""
+    size = [max(1, round(side * factor)) for side in pixels.shape[-2:]]
+    return functional.interpolate(pixels[None], size, mode="bilinear", antialias=True, align_corners=False)[0]

@@ -21,7 +21,6 @@ from .features import Features
 from .joint import Semantics, prepare_joint
 from .lift import encode_photos, lift_features
 from .lift_segments import lift_segments
-from .photo_features import PhotoFeaturesRecorder
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +61,8 @@ class Embedder:
             return self.encoder.identity
         return f"{self.encoder.identity} {self.segmenter.identity} {decisive(self.config)}"
 
-    def lift(
-        self,
-        gaussians: Gaussians,
-        scene: Scene,
-        cache: Path,
-        *,
-        recorder: PhotoFeaturesRecorder | None = None,
-        progress: Progress = silent,
-    ) -> Features:
-        """Average features of the photos into the Gaussians; features of masks are cached in `cache`. recorder: gets
-        the features of whole photos.
+    def lift(self, gaussians: Gaussians, scene: Scene, cache: Path, *, progress: Progress = silent) -> Features:
+        """Average features of the photos into the Gaussians; features of masks are cached in `cache`.
 
         Raises:
             SceneError: a photo cannot be read, or no photo has a mask.
@@ -81,11 +71,10 @@ class Embedder:
         """
         identity = self.encoder.identity
         if sees_whole(self.encoder):
-            photos = encode_photos(scene, self.encoder)
             return lift_features(
                 gaussians,
                 scene.cameras,
-                photos if recorder is None else recorder.passing(photos),
+                encode_photos(scene, self.encoder),
                 encoder_id=identity,
                 progress=progress,
             )

@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from ...errors import FormatError
 from ...storage.files import read_tensors, write_tensors
+from ..encoders.network import resized
 
 FORMAT = "fruitlangs-photo-features-1"
 MOST_SIDE = 480
@@ -78,9 +79,7 @@ class PhotoFeaturesRecorder:
     def _keep(self, photo: Tensor) -> None:
         shrink = min(1.0, MOST_SIDE / max(photo.shape[:2]))
         if shrink < 1.0:
-            size = [max(1, round(side * shrink)) for side in photo.shape[:2]]
-            moved = photo.permute(2, 0, 1)[None]
-            photo = functional.interpolate(moved, size, mode="bilinear", antialias=True)[0].permute(1, 2, 0)
+            photo = resized(photo.permute(2, 0, 1), shrink).permute(1, 2, 0)
         fruit = fruit_share(photo, self._kinds)
         places = (fruit.reshape(-1) >= LEAST_FRUIT).nonzero()[:, 0]
         values = functional.normalize(photo.reshape(-1, photo.shape[-1])[places], dim=-1)

@@ -13,7 +13,7 @@ from ..encoders.encoder import Encoder
 from ..features.features import Features
 from ..features.photo_features import PhotoFeatures
 from .prior import kind_shares, weighed_by
-from .relevancy import Words, answers_of, check_encoder, understood, union
+from .relevancy import answers_of, check_encoder, telling_words, understood, union
 
 Map = NDArray[np.float32]
 """(H, W) probability of each pixel of a photo."""
@@ -32,16 +32,15 @@ def photo_probabilities(
         VocabularyError: an unknown word, or no prompt.
     """
     check_encoder(features, encoder)
-    sought, excluded = _asked(encoder, prompts, features, sought=True), None
+    sought = _Asked(encoder, prompts, features, sought=True)
     if not bool(sought.words.named.any(1).all()):
         return None
-    if negatives:
-        excluded = _asked(encoder, negatives, features, sought=False)
+    excluded = _Asked(encoder, negatives, features, sought=False) if negatives else None
     maps = []
     for (height, width), places, vectors in photos.photos():
-        found = sought.probability(vectors, encoder)
+        found = sought.probability(vectors)
         if excluded is not None:
-            found = found * (1.0 - excluded.probability(vectors, encoder))
+            found = found * (1.0 - excluded.probability(vectors))
         drawn = torch.zeros(height * width)
         drawn[places] = found
         maps.append(drawn.reshape(height, width).numpy())
@@ -49,18 +48,15 @@ def photo_probabilities(
 
 
 class _Asked:
-    """Words as a scene understands them."""
+    """Words as the encoder and the Gaussians of a scene understand them."""
 
-    def __init__(self, words: Words, shares: Tensor) -> None:
-        self.words, self._shares = words, shares
+    def __init__(self, encoder: Encoder, words: Sequence[str], features: Features, *, sought: bool) -> None:
+        self.words, self._encoder = understood(encoder, words, sought=sought), encoder
+        self._shares: Tensor | None = None
+        if telling_words(self.words.named).any():
+            self._shares = kind_shares(features.unit(0), features.weights[:, 0], self.words.kinds, self.words.believed)
 
-    def probability(self, vectors: Tensor, encoder: Encoder) -> Tensor:
+    def probability(self, vectors: Tensor) -> Tensor:
         """(n,) of any of the words for unit features (n, D)."""
-        weighed = weighed_by(vectors, self.words.kinds, self._shares)
-        return union(answers_of(vectors, weighed, self.words), self.words.texts, encoder)
-
-
-def _asked(encoder: Encoder, words: Sequence[str], features: Features, *, sought: bool) -> _Asked:
-    understood_words = understood(encoder, words, sought=sought)
-    shares = kind_shares(features.unit(0), features.weights[:, 0], understood_words.kinds, understood_words.believed)
-    return _Asked(understood_words, shares)
+        weighed = vectors if self._shares is None else weighed_by(vectors, self.words.kinds, self._shares)
+        return union(answers_of(vectors, weighed, self.words), self.words.texts, self._encoder)
