@@ -23,6 +23,7 @@ from .config import CountConfig, TrainConfig
 from .counting.count import count_fruit
 from .errors import Cancelled
 from .language.features.lift import lift_features
+from .language.prompts.photo_probability import PhotoMap
 from .progress import Progress
 from .scene.camera import ArrayPhoto, Camera, Scene, looking
 from .splatting.gaussians import Gaussians
@@ -104,7 +105,8 @@ def main(arguments: Sequence[str]) -> None:
     end_with_parent()
     gaussians, probability, cameras = _scene()
     _compile_backward(cameras[0])
-    count_fruit(gaussians, probability, cameras, CountConfig(threshold=0.3), label="fruit")
+    maps = [PhotoMap(np.ones((HEIGHT, WIDTH), np.float32), np.zeros((HEIGHT, WIDTH, 2), np.float32)) for _ in cameras]
+    count_fruit(gaussians, probability, cameras, CountConfig(threshold=0.3), label="fruit", photos=maps)
     lift_features(gaussians, cameras, (torch.ones(HEIGHT, WIDTH, 4) for _ in cameras), encoder_id="none")
     tell(COUNTING, "training")
     photo = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)

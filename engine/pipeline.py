@@ -20,6 +20,7 @@ from .counting.fruit import FruitCount
 from .counting.published.template_shape import read_template
 from .errors import ConfigError, FruitLangsError, OutputError, VocabularyError
 from .language.features.embedder import Embedder
+from .language.prompts.photo_probability import photo_probabilities
 from .language.prompts.relevancy import check_prompts
 from .language.prompts.selection import select
 from .language.vocabulary import parse
@@ -84,6 +85,9 @@ def count_scene(
         known = _known(made, source, out)
         with run.log.timed("count"):
             probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
+            maps = None
+            if made.photos is not None and config.count.select != "dual":
+                maps = photo_probabilities(made.photos, made.features, encoder, prompts, negatives)
             fruit_count = count_fruit(
                 made.gaussians,
                 probability,
@@ -93,6 +97,7 @@ def count_scene(
                 known=known,
                 up=made.scene.up,
                 quality=Quality.of(made.origin["training"]),
+                photos=maps,
                 progress=part(progress, 0.9, 0.97),
             )
         result = Result(

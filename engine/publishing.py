@@ -16,7 +16,7 @@ from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.fruit import FruitCount
 from .errors import OutputError
 from .language.features.features import Features
-from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, Reconstruction, RunLog
+from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, PHOTOS, Reconstruction, RunLog
 from .report.audit import audit_text
 from .report.framing import framing
 from .report.meshes import write_glb, write_points_ply
@@ -127,6 +127,8 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     """Write the files that depend on the inputs only; returns their names."""
     shutil.copyfile(made.files.gaussians, folder / GAUSSIANS)
     shutil.copyfile(made.files.features, folder / FEATURES)
+    if made.files.photos is not None:
+        shutil.copyfile(made.files.photos, folder / PHOTOS)
     write_text(folder / CAMERAS, with_scene_facts(made.files.cameras, result.scene))
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
@@ -141,6 +143,7 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     )
     _write_page(folder, result)
     names = [GAUSSIANS, FEATURES, CAMERAS, "fruits.csv", "audit.txt", "fruits.glb", "fruits.ply"]
+    names += [] if made.files.photos is None else [PHOTOS]
     return names + [SELECTION, STILL, PAGE] + [f"{PICTURES}/{path.name}" for path in pictures]
 
 

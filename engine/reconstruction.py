@@ -16,10 +16,16 @@ import numpy as np
 from .config import Config, decisive, without_effect
 from .counting.accounts.zero import Quality
 from .errors import ConfigError, FruitLangsError, SceneError
-from .language.encoders.encoder import sees_whole
+from .language.encoders.encoder import sees_fruit, sees_whole
 from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
 from .language.features.joint import judged
+from .language.features.photo_features import (
+    PhotoFeatures,
+    PhotoFeaturesRecorder,
+    load_photo_features,
+    save_photo_features,
+)
 from .memory import camera_search_threads, require_memory
 from .photo_size import needed_bytes, reduction, seen_width, side_to_read
 from .progress import Progress, part, silent
@@ -39,6 +45,7 @@ from .storage.files import write_text
 from .storage.keys import stage_key
 
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
+PHOTOS = "photos.safetensors"
 RECORD = "training.json"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
@@ -53,13 +60,16 @@ class Files:
     gaussians: Path
     cameras: Path
     features: Path
+    photos: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
     """Everything about a scene that does not depend on the prompt, with its files.
 
-    origin: inputs (source path, hash, encoder) and training results, for the provenance.
+    origin: inputs (source path, hash, encoder) and training results, for the provenance; photos: features of the
+    photos' pixels, None if there are no photos, if the encoder does not distinguish fruit, or in a result of an
+    earlier version.
     """
 
     scene: Scene
@@ -68,6 +78,7 @@ class Reconstruction:
     files: Files
     config: Config
     origin: Mapping[str, Any]
+    photos: PhotoFeatures | None = None
 
 
 class RunLog:
@@ -236,14 +247,17 @@ def _made(
     """What is in the folder of a stage, with features, and with the photos of the scene or else renders."""
     # Read back even when just made: the first prompt must use the same bytes as later ones.
     gaussians, stored = read_ply(folder / GAUSSIANS), read_cameras(folder / CAMERAS)
+    kept = scene is not None and sees_fruit(run.embedder.encoder)  # renders show nothing that Gaussians leave out
     scene = dataclasses.replace(scene, cameras=stored.cameras) if scene else rendered_again(gaussians, stored)
     if "training" not in origin:
         require_memory(len(gaussians), run.config, scene.cameras, trained=False)
     files = Files(
         gaussians=folder / GAUSSIANS,
         cameras=folder / CAMERAS,
-        features=folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress),
+        features=folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress, kept),
     )
+    if kept:
+        files = dataclasses.replace(files, photos=files.features.with_name(PHOTOS))
     untrained: dict[str, Any] = {"steps": 0, "gaussians": len(gaussians), "psnr": None, "ssim": None, "held_out": []}
     origin = {
         "source": origin["source"],
@@ -252,18 +266,27 @@ def _made(
         "training": untrained,
         **origin,
     }
-    return Reconstruction(scene, gaussians, load_features(files.features), files, run.config, origin)
+    return Reconstruction(scene, gaussians, load_features(files.features), files, run.config, origin, _photos(files))
 
 
-def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress) -> Path:
-    """The file of the features for these Gaussians, named by `key`; computed if it does not exist."""
+def _photos(files: Files) -> PhotoFeatures | None:
+    return None if files.photos is None else load_photo_features(files.photos)
+
+
+def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress, kept: bool) -> Path:
+    """The file of the features for these Gaussians, named by `key`; computed if it does not exist. kept: with features
+    of the photos' pixels, in a file next to it."""
     embed_key = stage_key(("language", "splatting"), key, run.embedder.key)
     features_file = run.cache / f"embed-{embed_key}" / FEATURES
     with run.log.timed("embed"):
         if features_file.is_file():
             run.log.reused.append("embed")
         else:
-            lifted = run.embedder.lift(gaussians, scene, run.cache, progress=progress)
+            encoder = run.embedder.encoder
+            recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity) if kept else None
+            lifted = run.embedder.lift(gaussians, scene, run.cache, recorder=recorder, progress=progress)
+            if recorder is not None:
+                save_photo_features(features_file.with_name(PHOTOS), recorder.kept())
             save_features(features_file, lifted.of(gaussians.means))
     return features_file
 
@@ -325,6 +348,8 @@ def reopen(
         stored = Config.from_document(document["config"])
         _require_same(folder.path, stored, config, given)
         files = Files(*(folder.path / name for name in (GAUSSIANS, CAMERAS, FEATURES)))
+        if PHOTOS in document["files"]:
+            files = dataclasses.replace(files, photos=folder.path / PHOTOS)
         features = load_features(files.features)
         if encoder_id is not None and features.encoder_id != encoder_id:
             raise ConfigError(
@@ -349,7 +374,7 @@ def reopen(
         count=config.count,
         scene=dataclasses.replace(stored.scene, up=config.scene.up or stored.scene.up),
     )
-    return Reconstruction(scene, gaussians, features, files, settings, origin)
+    return Reconstruction(scene, gaussians, features, files, settings, origin, _photos(files))
 
 
 def _with_photos(

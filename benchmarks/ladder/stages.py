@@ -24,7 +24,9 @@ from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
 from ...engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ...engine.evaluation.true_surface import TrueSurface, true_surface
 from ...engine.evaluation.truth import TrueView, Truth
+from ...engine.language.encoders.encoder import sees_fruit
 from ...engine.language.features.embedder import Embedder
+from ...engine.language.prompts.photo_probability import PhotoMap
 from ...engine.language.prompts.relevancy import MIN_WEIGHT
 from ...engine.language.prompts.selection import select
 from ...engine.pipeline import Result, count_scene
@@ -35,7 +37,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...engine.splatting.rendering.rasterize import accumulate
 from ...engine.storage.files import write_text
-from .frames import by_cameras, by_fruit, cameras_by_file
+from .frames import as_seen, by_cameras, by_fruit, cameras_by_file
 
 FloatArray = NDArray[np.float64]
 
@@ -171,8 +173,9 @@ class LadderStages:
 
     def _true_masks(self, progress: Progress) -> Counted:
         given = self.given(TRUE_MASKS, part(progress, 0.0, 0.7))
-        counted = self._count(given.gaussians, given.probability, part(progress, 0.7, 1.0), given.cameras)
-        trained = self._trained(silent)
+        trained, rest = self._trained(silent), part(progress, 0.7, 1.0)
+        maps = self._true_maps(trained.scene)
+        counted = self._count(given.gaussians, given.probability, rest, given.cameras, maps)
         quality = _counted_by(trained)
         counted = dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
         return self._moved(trained, counted) if self.config.train.refine_poses else counted
@@ -216,13 +219,25 @@ class LadderStages:
         probability: torch.Tensor,
         progress: Progress,
         cameras: Sequence[Camera] | None = None,
+        maps: Sequence[PhotoMap] | None = None,
     ) -> Counted:
         """Count with the true cameras, or with `cameras` if training moved them."""
         cameras = self.scene.cameras if cameras is None else cameras
         found = count_fruit(
-            gaussians, probability, cameras, self.config.count, label=self.prompts[0], progress=progress
+            gaussians, probability, cameras, self.config.count, label=self.prompts[0], photos=maps, progress=progress
         )
         return _counted(found, len(cameras))
+
+    def _true_maps(self, scene: Scene) -> list[PhotoMap] | None:
+        """The true masks of the photos of a scene as maps, with the encoder's offsets; None if it gives none."""
+        encoder = Embedder.open(self.config.embed).encoder
+        if not sees_fruit(encoder):
+            return None
+        maps = []
+        for photo, ids in zip(scene.images, self.instances, strict=True):
+            shown = as_seen(photo, np.isin(ids, self._ids())[..., None].astype(np.float32))
+            maps.append(PhotoMap(np.ascontiguousarray(shown[..., 0]), encoder.encode_fruit(photo.pixels())[1].numpy()))
+        return maps
 
     def _true_surface(self, progress: Progress) -> TrueSurface:
         if self._surface is None:

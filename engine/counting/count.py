@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..config import CountConfig
 from ..errors import CountingError
+from ..language.prompts.photo_probability import PhotoMap
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import PARAMETERS, Gaussians
@@ -74,7 +75,7 @@ def count_fruit(
     visibility: Visibility | None = None,
     known: KnownFruit = NO_FRUIT,
     quality: Quality = UNKNOWN,
-    photos: Sequence[NDArray[np.float32]] | None = None,
+    photos: Sequence[PhotoMap] | None = None,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit formed by the Gaussians with a probability (N,) near or above `config.threshold`.
@@ -87,8 +88,7 @@ def count_fruit(
     up: (3,) away from the ground; estimated from the cameras if not given. visibility: of the Gaussians in the cameras,
     if known; rendered otherwise. known: fruit that an earlier count of the scene numbered, whose ids stay; new fruit
     are numbered from top to bottom, from 1 or after the last id. quality: of the Gaussians, which may be the cause of a
-    0. photos: (H, W) of each camera's photo, the probability of its pixels, of any size; fruit that Gaussians leave out
-    are found in them.
+    0. photos: what each camera's photo shows of the prompt; fruit that Gaussians leave out are found in them.
 
     Raises:
         ConfigError: the region is invalid, two trees stand above one another, or the file that `config.template`

@@ -16,8 +16,10 @@ _ENGINE = Path(__file__).resolve().parents[1]
 
 @cache
 def _code_hash(room: str) -> str:
-    """Hash of the sources and fitted numbers of a package, so that changed code never uses an older output."""
-    return files_hash(sorted(path for kind in ("*.py", "*.json") for path in (_ENGINE / room).rglob(kind)), _ENGINE)
+    """Hash of the sources, fitted numbers and weights of a package, so that changed code never uses an older output."""
+    return files_hash(
+        sorted(path for kind in ("*.py", "*.json", "*.safetensors") for path in (_ENGINE / room).rglob(kind)), _ENGINE
+    )
 
 
 def stage_key(rooms: tuple[str, ...], *inputs: Any) -> str:

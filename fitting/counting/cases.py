@@ -19,12 +19,15 @@ from ...benchmarks.orchards import TRUTH, read_origin
 from ...engine.config import CountConfig, SceneConfig
 from ...engine.counting.evidence.cluster import Search, search
 from ...engine.counting.evidence.visibility import Picture, draw
+from ...engine.counting.photos.join import PhotoEvidence, with_photos
 from ...engine.errors import ConfigError
 from ...engine.evaluation.renders import read_depths, read_instances
 from ...engine.evaluation.true_surface import true_surface
 from ...engine.evaluation.truth import Truth, read_truth, true_labels
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.features.lift import encode_photos, lift_features
+from ...engine.language.features.photo_features import PhotoFeaturesRecorder
+from ...engine.language.prompts.photo_probability import PhotoMap, photo_probabilities
 from ...engine.language.prompts.relevancy import relevancy
 from ...engine.scene.camera import Camera, Scene
 from ...engine.scene.read import read_scene
@@ -39,7 +42,7 @@ class Case:
     """Gaussians with a probability (N,) of being fruit, the cameras, and the truth.
 
     kind: of scene; family: cases that are never judged by what was fitted to another of them; shown: (M,) the true
-    fruit of which three views show a tenth.
+    fruit of which three views show a tenth; maps: what the photos show, if fruit are searched in them too.
     """
 
     kind: str
@@ -49,6 +52,7 @@ class Case:
     cameras: Sequence[Camera]
     truth: Truth
     shown: NDArray[np.bool_]
+    maps: Sequence[PhotoMap] | None = None
 
 
 def check_seed(first: int) -> None:
@@ -71,14 +75,19 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
     """Gaussians trained on rendered trees, with true masks and with the package's encoder."""
     encoder = EmbeddedEncoder.open()
     for folder, scene, species, truth in rendered_trees(renders):
-        gaussians = trained(folder)
-        features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
-        by_kind = {
-            "walk, true masks": true_fruit(folder, scene, gaussians),
-            "walk, encoder": relevancy(features, encoder, [species]),
-        }
-        for kind, probability in by_kind.items():
-            yield Case(kind, f"walk {folder.name}", gaussians, probability, scene.cameras, truth, truth.visible)
+        gaussians, recorder = trained(folder), PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
+        photos = encode_photos(scene, encoder, recorder)
+        features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
+        said = relevancy(features, encoder, [species])
+        maps = photo_probabilities(recorder.kept(), features, encoder, [species])
+        kinds = [
+            ("walk, true masks", true_fruit(folder, scene, gaussians), None),
+            ("walk, encoder", said, None),
+            ("walk, encoder and photos", said, maps),
+        ]
+        for kind, probability, shown in kinds:
+            family = f"walk {folder.name}"
+            yield Case(kind, family, gaussians, probability, scene.cameras, truth, truth.visible, shown)
 
 
 def surface_cases(renders: Path) -> Iterator[Case]:
@@ -112,4 +121,9 @@ def searched(case: Case) -> tuple[Search, list[Picture]] | None:
         return None
     points, size = surface.sample
     pictures = draw(case.gaussians, case.probability.double().numpy(), case.cameras)
-    return search(points, size, pictures, CountConfig().threshold), pictures
+    threshold = CountConfig().threshold
+    found = search(points, size, pictures, threshold)
+    if case.maps is None:
+        return found, pictures
+    evidence = PhotoEvidence(case.gaussians, case.probability.double().numpy(), case.maps)
+    return with_photos(found, evidence, pictures, threshold), pictures

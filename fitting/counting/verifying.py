@@ -19,6 +19,7 @@ from ...engine.counting.evidence.visibility import frame_of
 from ...engine.counting.photos.search import likely_places, search_photos
 from ...engine.counting.photos.surroundings import Surroundings
 from ...engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, known_near, look
+from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
 from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
@@ -80,7 +81,7 @@ def prepared(renders: Path) -> Iterator[Tree]:
     encoder, threshold = EmbeddedEncoder.open(), CountConfig().threshold
     for folder, scene, species, truth in rendered_trees(renders):
         gaussians, recorder = trained(folder), PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
-        photos = recorder.passing(encode_photos(scene, encoder))
+        photos = encode_photos(scene, encoder, recorder)
         features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
         probability = relevancy(features, encoder, [species])
         maps = photo_probabilities(recorder.kept(), features, encoder, [species])
@@ -236,10 +237,13 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
 def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Crops and shifts, mirrored and turned alike."""
     way = int(torch.randint(0, 8, (1,), generator=generator))
+    channels, signs = list(range(CHANNELS)), torch.ones(CHANNELS, 1, 1)
     if way & 1:
-        crops, shifts = crops.flip(-1), shifts * torch.tensor([-1.0, 1.0])
+        crops, shifts, signs[RIGHT] = crops.flip(-1), shifts * torch.tensor([-1.0, 1.0]), -1.0
     if way & 2:
-        crops, shifts = crops.flip(-2), shifts * torch.tensor([1.0, -1.0])
+        crops, shifts, signs[DOWN] = crops.flip(-2), shifts * torch.tensor([1.0, -1.0]), -1.0
+    crops = crops * signs
     if way & 4:
-        crops, shifts = crops.transpose(-1, -2), shifts.flip(-1)
+        channels[RIGHT], channels[DOWN] = DOWN, RIGHT
+        crops, shifts = crops.transpose(-1, -2)[..., channels, :, :], shifts.flip(-1)
     return crops, shifts

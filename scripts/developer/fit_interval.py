@@ -29,10 +29,12 @@ from _terminal import import_tyro, run
 from fruitlangs.benchmarks.counting.simulated import SETTINGS, any_setting
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.accounts.interval import (
+    ALONE,
     COVARIATES,
     QUANTILE,
     STORED,
     TRAINED,
+    WITH_PHOTOS,
     Evidence,
     Ratio,
     evidence_of,
@@ -49,6 +51,8 @@ FloatArray = NDArray[np.float64]
 HELD = 0.5
 """Weight of the squares of a ratio's weights and slopes relative to the likelihood."""
 COVERAGE = 0.9
+FEWEST = 10
+"""Fewer scenes than this have no stretch of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,16 +95,20 @@ def main(options: Options) -> None:
     drawn = drawn_cases(options.first + 1000, options.drawn)
     cases = itertools.chain(named, drawn, rendered_cases(options.renders) if options.renders else ())
     examples = [found for case in cases for found in example(case)]
-    fitted = {name: fit(examples, truth) for name, truth in TRUTHS.items()}
-    ratios = {name: ratio for name, (ratio, _) in fitted.items()}
-    print(table(examples, {name: without for name, (_, without) in fitted.items()}))
-    document = {name: ratio.document() for name, ratio in ratios.items()}
-    families = sorted({example.family for example in examples})
-    write_text(options.out, json.dumps({**document, "fitted on": families}, indent=1) + "\n")
+    document = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
+    for part, own in ((ALONE, False), (WITH_PHOTOS, True)):
+        if chosen := [each for each in examples if each.evidence.photos == own]:
+            fitted = {name: fit(chosen, truth) for name, truth in TRUTHS.items()}
+            print(table(chosen, {name: without for name, (_, without) in fitted.items()}))
+            families = sorted({each.family for each in chosen})
+            ratios = {name: ratio.document() for name, (ratio, _) in fitted.items()}
+            document[part] = {**ratios, "fitted on": families}
+    write_text(options.out, json.dumps(document, indent=1) + "\n")
     unseen = [found for case in drawn_cases(0, options.test_seeds) for found in example(case)]
     for name, truth in TRUTHS.items():
         if unseen:
-            held = np.mean([holds(ratios[name], each, truth(each)) for each in unseen])
+            ratio = Ratio.read(document[ALONE][name])
+            held = np.mean([holds(ratio, each, truth(each)) for each in unseen])
             print(f"{name}: the interval holds the truth in {held:.0%} of {len(unseen)} crowns of unseen settings")
 
 
@@ -135,7 +143,7 @@ def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Rat
     without = {family: _fit([e for e in examples if e.family != family], truth) for family in families}
     needed = np.array([_needed(without[e.family], e, truth(e)) for e in examples])
     trained = np.array([e.evidence.faint > TRAINED / 2.0 for e in examples])
-    parts = [needed[part] if part.any() else needed for part in (~trained, trained)]
+    parts = [needed[part] if part.sum() >= FEWEST else needed for part in (~trained, trained)]
     stretches = np.array([np.quantile(part, COVERAGE, method="higher") for part in parts])
     stretched = {family: replace(ratio, stretches=stretches) for family, ratio in without.items()}
     return replace(_fit(examples, truth), stretches=stretches), stretched

@@ -23,6 +23,8 @@ from ..evidence.visibility import Picture, open_views
 FloatArray = NDArray[np.float64]
 
 STORED = Path(__file__).with_name("interval.json")
+ALONE, WITH_PHOTOS = "gaussians", "photos"
+"""Names of the ratios for scenes whose fruit were searched on Gaussians only, and in photos too."""
 COVARIATES = ("doubt", "faint", "hidden")
 """Names of the covariates that predict the ratio and its error; all 0 if every fruit is certain and fully visible."""
 PLACES = 2000
@@ -39,11 +41,12 @@ QUANTILE = 1.645
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What a scene shows about its count. expected, variance: sum and variance of the number of fruit by the candidate
-    probabilities; covariates: (3,) in the order of COVARIATES."""
+    probabilities; covariates: (3,) in the order of COVARIATES; photos: whether fruit were searched in photos too."""
 
     expected: float
     variance: float
     covariates: FloatArray
+    photos: bool = False
 
     @property
     def faint(self) -> float:
@@ -111,7 +114,7 @@ class Estimate:
 def estimate(evidence: Evidence, count: int) -> Estimate:
     """The intervals of a count. Both contain the count or start above it; `likely` and `total` lie in their
     intervals."""
-    of_visible, of_all = stored_ratios()
+    of_visible, of_all = stored_ratios(evidence.photos)
     low, high = of_visible.interval(evidence)
     # The visible fruit are part of all fruit, so the interval of all fruit is not the narrower one.
     least, most = of_all.interval(evidence, of_visible.deviation(evidence))
@@ -127,13 +130,14 @@ def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Pic
     probabilities = np.where(inside, found.probabilities, 0.0)
     expected = float(probabilities.sum())
     if expected <= 0.0:
-        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)))
+        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos)
     variance = float((probabilities * (1.0 - probabilities)).sum())
     faint = 1.0 - float(probabilities @ found.features["mean"]) / expected
     kept = probabilities > LIKELY
     amid = _within(found.found.spheres.centers[kept], np.random.default_rng(seed))
     unseen = hull_share(int(kept.sum())) * (1.0 - _shown(pictures, amid, found.size.diameter / 2.0))
-    return Evidence(expected, variance, np.array([variance / expected, faint, -np.log(1.0 - unseen)]))
+    covariates = np.array([variance / expected, faint, -np.log(1.0 - unseen)])
+    return Evidence(expected, variance, covariates, found.photos)
 
 
 def hull_share(count: int) -> float:
@@ -158,7 +162,7 @@ def _shown(pictures: Sequence[Picture], places: FloatArray, radius: float) -> fl
 
 
 @cache
-def stored_ratios() -> tuple[Ratio, Ratio]:
-    """The ratios for visible fruit and for all fruit that come with the package."""
-    document = json.loads(STORED.read_text(encoding="utf-8"))
+def stored_ratios(photos: bool) -> tuple[Ratio, Ratio]:
+    """The ratios for visible fruit and for all fruit that come with the package; photos: as in `Evidence`."""
+    document = json.loads(STORED.read_text(encoding="utf-8"))[WITH_PHOTOS if photos else ALONE]
     return Ratio.read(document["visible"]), Ratio.read(document["total"])

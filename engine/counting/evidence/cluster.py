@@ -83,13 +83,15 @@ class Clusters:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit."""
+    """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit;
+    photos: whether fruit were searched in photos too."""
 
     surface: SurfaceIndex
     size: FruitSize
     found: Candidates
     features: Features
     probabilities: FloatArray
+    photos: bool = False
 
 
 def search(

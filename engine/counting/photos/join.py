@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ...language.prompts.photo_probability import PhotoMap
 from ...progress import Progress, silent
 from ...splatting.gaussians import Gaussians
 from ..evidence.candidates import Candidates, support_shares
@@ -34,12 +35,12 @@ LEAST = 0.01
 class PhotoEvidence:
     """What photos show of the prompt, and the Gaussians that they were trained into.
 
-    probabilities: (N,) of the Gaussians; maps: (H, W) of the pixels of each photo, of any size.
+    probabilities: (N,) of the Gaussians; maps: what each photo shows, of any size.
     """
 
     gaussians: Gaussians
     probabilities: FloatArray
-    maps: Sequence[NDArray[np.float32]]
+    maps: Sequence[PhotoMap]
 
 
 def with_photos(
@@ -82,4 +83,4 @@ def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], th
     evidence = gather_view_evidence(pictures, centers, radii, threshold)
     candidates = Candidates(spheres, evidence, support_shares(spheres), free, owners)
     features = features_of(candidates, surface, found.size, threshold)
-    return replace(found, found=candidates, features=features, probabilities=probabilities)
+    return replace(found, found=candidates, features=features, probabilities=probabilities, photos=True)

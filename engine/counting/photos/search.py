@@ -20,10 +20,12 @@ from .views import PhotoViews
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-PUSHES, STEP = (0.0, 0.5, 1.0, 2.0), 0.25
-"""Diameters behind the depth of a pixel at which fruit are searched, and the distance between such places."""
-PEAK, LEAST_SCORE, MOST_PEAKS = 0.25, 0.15, 3000
-"""Diameters between the best places, the least score of one, and how many are verified."""
+PUSHES, STEP = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0), 0.25
+"""Diameters behind the place of a pixel's fruit at which it is also searched, and the distance between such places."""
+PEAK, LEAST_SCORE = 0.25, 0.15
+"""Diameters between the best places, and the least score of one."""
+PEAKS, PEAKS_OF_FRUIT = 1500, 15
+"""How many places are verified, at least, and for each fruit that was found on surfaces."""
 GIVEN_UP, UNLIKELY, LIKELY = -2.5, -3.0, 1.0
 """Log odds below which a place is given up at once, below which it is after fruit are known, and from which a fruit is
 known to the others."""
@@ -52,7 +54,8 @@ def search_photos(
     """Look for fruit of a diameter, scene units. frame: (3, 4) of the cameras, see `visibility.frame_of`."""
     radius = diameter / 2.0
     places = likely_places(verifier.views, diameter, frame)
-    starts = np.concatenate([places[:MOST_PEAKS], verifier.surroundings.fruit])
+    on_surfaces = verifier.surroundings.fruit
+    starts = np.concatenate([places[: max(PEAKS, PEAKS_OF_FRUIT * len(on_surfaces))], on_surfaces])
     odds, moves = verifier.verify(starts, radius, NO_PLACES)
     pool, moves, odds = (each[odds > GIVEN_UP] for each in (starts, moves, odds))
     progress(0.3, "Looking for fruit in the photos")
@@ -74,7 +77,7 @@ def search_photos(
 
 def likely_places(views: PhotoViews, diameter: float, frame: FloatArray) -> FloatArray:
     """(S, 3) places where photos may show fruit of a diameter, the likeliest first; frame: as of `search_photos`."""
-    places = views.places([push * diameter for push in PUSHES], STEP * diameter, frame)
+    places = views.places(diameter / 2.0, [push * diameter for push in PUSHES], STEP * diameter, frame)
     return places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
 
 

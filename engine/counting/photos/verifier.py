@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STORED = Path(__file__).with_name("verifier.safetensors")
-FORMAT = "fruitlangs-verifier-1"
+FORMAT = "fruitlangs-verifier-2"
 CELLS, SPAN = 16, 2.0
 """Cells along each side of a crop, and radii to each side that it covers."""
 VIEWS = 16
@@ -59,10 +59,10 @@ class Network(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.crop = nn.Sequential(
-            nn.Conv2d(CHANNELS, 16, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2),
-            nn.Conv2d(16, 32, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2),
-            nn.Conv2d(32, 32, 3, padding=1), nn.ReLU(), nn.Flatten(),
-            nn.Linear(32 * (CELLS // 4) ** 2, 48), nn.ReLU(), nn.Linear(48, 4 + NUMBERS),
+            nn.Conv2d(CHANNELS, 24, 4, stride=2, padding=1), nn.ReLU(),
+            nn.Conv2d(24, 32, 3, padding=1), nn.ReLU(),
+            nn.Conv2d(32, 48, 4, stride=2, padding=1), nn.ReLU(), nn.Flatten(),
+            nn.Linear(48 * (CELLS // 4) ** 2, 48), nn.ReLU(), nn.Linear(48, 4 + NUMBERS),
         )  # fmt: skip
         self.together = nn.Sequential(
             nn.Linear(2 * NUMBERS + 1 + SCENE, 48), nn.ReLU(), nn.Dropout(0.1), nn.Linear(48, 1)

@@ -11,24 +11,24 @@ from ...compiled.jit import kernel, njit, prange
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Views = tuple[NDArray[np.float32], NDArray[np.float32], IntArray, IntArray, FloatArray, FloatArray]
+Views = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], IntArray, IntArray, FloatArray, FloatArray]
 """The arrays of `views.PhotoViews`, in their order."""
 
 NEAREST = 4.0
 """Radii in front of a camera from which a view is used."""
 LIKELY = 0.5
 """Probability of the prompt from which a pixel shows fruit."""
-FRONT, BEHIND = 2.0, 3.0
-"""Radii in front of the surface and behind the centre of a sphere within which a pixel that shows fruit belongs to it:
-where fruit is half hidden, the depth of trained Gaussians is off by this much."""
+BEHIND = 4.0
+"""Radii behind the centre of a sphere from which a pixel that shows fruit counts half: where fruit is half hidden, the
+depth of trained Gaussians is off by this much, and in front of a fruit it may be off by any amount."""
 THROUGH = 0.5
 """Radii behind the centre of a sphere from which a pixel without fruit shows what is behind the sphere."""
-INNER, OUTER = 0.75, 1.3
-"""Radii inside and outside of the outline between which fruit must end."""
+AGREEING = 0.4
+"""Radii by which the centre of a pixel's fruit may be off: half of the width of a Gaussian weight."""
 FRAMED = 0.5
 """Share of the disc that a view must frame to be chosen."""
-SHOWS = 0.15
-"""Share of the disc with fruit from which a view shows the sphere."""
+SHOWS = 0.12
+"""Share of the disc with this fruit from which a view shows the sphere."""
 SPECK = 0.075
 """Share of the disc with fruit below which a view shows nothing of the sphere, but may show what is behind."""
 LEAST_RANK = 0.08
@@ -37,10 +37,16 @@ CLOSEST_STEPS = 4
 """Most samples along each side of a cell of a crop."""
 DEPTH_RANGE = 4.0
 """Depths in a crop are cut off at this many radii from the centre of the sphere."""
-PROBABILITY, DEPTH, INSIDE, OTHERS = range(4)
-CHANNELS = 4
+LEAST_SHOWN = 0.05
+"""Probability below which the offset of a pixel means nothing."""
+FARTHEST_OFF = 2.0
+"""Offsets in a crop are cut off at this many radii."""
+PROBABILITY, DEPTH, INSIDE, OTHERS, OWN, RIGHT, DOWN = range(7)
+CHANNELS = 7
 """Channels of a crop: probability of the prompt; depth relative to the sphere, in DEPTH_RANGE radii; 1 where the view
-has pixels; 1 on known fruit in front of the centre of the sphere, -1 on known fruit behind it."""
+has pixels; 1 on known fruit in front of the centre of the sphere, -1 on known fruit behind it; the part of the
+probability whose fruit has its centre where the sphere has it, and no known fruit has it; how far right and down of the
+sphere's centre the centre of the pixel's fruit is, in FARTHEST_OFF radii, times the probability."""
 
 
 @njit
@@ -70,50 +76,45 @@ def between(values: NDArray[np.float32], start: int, height: int, width: int, u:
 
 
 @njit
+def agreement(square: float) -> float:
+    """1 where the centre of a pixel's fruit is that of the sphere, less where it is off; square: of radii."""
+    return math.exp(-0.5 * square / AGREEING**2)
+
+
+@njit
 def look(
-    views: Views, view: int, u: float, v: float, z: float, radius: float, disc: FloatArray, rim: FloatArray
-) -> tuple[float, float, float, float, float]:
-    """What a view shows at a sphere: shares of its disc that the view frames, of these spots that show fruit, and that
-    show what is behind; shares of the outline where fruit ends before something farther away, and where it goes on."""
-    probabilities, depths, starts, sizes, _, lenses = views
+    views: Views, view: int, u: float, v: float, z: float, radius: float, disc: FloatArray
+) -> tuple[float, float, float, float]:
+    """What a view shows at a sphere: the share of its disc that the view frames, and the shares of these spots that
+    show fruit, fruit with this centre, and what is behind."""
+    probabilities, offsets, depths, starts, sizes, _, lenses = views
     start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
     pixels = lenses[view, 0] * radius / z
-    framed, fruit, through, ends, goes_on = 0.0, 0.0, 0.0, 0.0, 0.0
+    framed, fruit, own, through = 0.0, 0.0, 0.0, 0.0
     for s in range(len(disc)):
         x, y = u + pixels * disc[s, 0], v + pixels * disc[s, 1]
         shown = between(probabilities, start, height, width, x, y)
         if shown < 0.0:
             continue
         framed += 1.0
-        depth = depths[start + int(y) * width + int(x)]
+        at = start + int(y) * width + int(x)
+        depth = depths[at]
         if shown >= LIKELY:
-            surface = z - radius * math.sqrt(max(1.0 - disc[s, 0] ** 2 - disc[s, 1] ** 2, 0.0))
-            if depth > surface - FRONT * radius:
-                fruit += 1.0 if depth < z + BEHIND * radius else 0.5
+            weight = 1.0 if depth < z + BEHIND * radius else 0.5
+            fruit += weight
+            right, down = (int(x) + 0.5 - u) / pixels - offsets[at, 0], (int(y) + 0.5 - v) / pixels - offsets[at, 1]
+            own += weight * agreement(right * right + down * down)
         elif depth > z + THROUGH * radius:
             through += 1.0
-    for s in range(len(rim)):
-        inside = between(
-            probabilities, start, height, width, u + INNER * pixels * rim[s, 0], v + INNER * pixels * rim[s, 1]
-        )
-        x, y = u + OUTER * pixels * rim[s, 0], v + OUTER * pixels * rim[s, 1]
-        outside = between(probabilities, start, height, width, x, y)
-        if inside < LIKELY or outside < 0.0:
-            continue
-        depth = depths[start + int(y) * width + int(x)]
-        if outside < LIKELY:
-            ends += depth > z - THROUGH * radius
-        else:
-            goes_on += depth > z - radius
     spots = max(framed, 1.0)
-    return framed / len(disc), fruit / spots, through / spots, ends / len(rim), goes_on / len(rim)
+    return framed / len(disc), fruit / spots, own / spots, through / spots
 
 
 @njit
 def visible_from(views: Views, view: int, center: FloatArray, radius: float) -> tuple[float, float, float]:
     """Pixel and depth of a sphere's centre; depth 0 if the view does not show it."""
-    u, v, z = place(views[4][view], views[5][view], center)
-    inside = 0.0 <= u < views[3][view, 1] and 0.0 <= v < views[3][view, 0]
+    u, v, z = place(views[5][view], views[6][view], center)
+    inside = 0.0 <= u < views[4][view, 1] and 0.0 <= v < views[4][view, 0]
     return u, v, z if inside and z > NEAREST * radius else 0.0
 
 
@@ -123,22 +124,19 @@ def score_spheres(
     centers: FloatArray,
     radius: float,
     disc: FloatArray,
-    rim: FloatArray,
     weights: FloatArray,
     scores: FloatArray,
 ) -> None:
-    """Fill scores (C,) with how well spheres of one radius explain what the views show; weights: (4,) of fruit, of its
-    outline, of what is seen through and of fruit that goes on."""
+    """Fill scores (C,) with how well spheres of one radius explain what the views show; weights: (3,) of a fruit with
+    this centre, of other fruit, and of what is seen through."""
     for c in prange(len(centers)):
         total = 0.0
-        for view in range(len(views[2])):
+        for view in range(len(views[3])):
             u, v, z = visible_from(views, view, centers[c], radius)
             if z <= 0.0:
                 continue
-            _, fruit, through, ends, goes_on = look(views, view, u, v, z, radius, disc, rim)
-            total -= weights[2] * through
-            if fruit >= SPECK:
-                total += weights[0] * fruit + weights[1] * ends - weights[3] * goes_on
+            _, fruit, own, through = look(views, view, u, v, z, radius, disc)
+            total += weights[0] * own - weights[1] * (fruit - own) - weights[2] * through
         scores[c] = total
 
 
@@ -148,27 +146,26 @@ def choose_views(
     centers: FloatArray,
     radii: FloatArray,
     disc: FloatArray,
-    rim: FloatArray,
     chosen: IntArray,
     sums: FloatArray,
 ) -> None:
     """Fill chosen (C, K) with the views that show most of each sphere, best first, -1 where there are fewer, and sums
-    (C, 5) over all views: shares of fruit, of what is seen through and of the outline, views with enough fruit, and
-    views that frame the sphere."""
+    (C, 5) over all views: shares of fruit, of what is seen through and of fruit with this centre, views with enough of
+    it, and views that frame the sphere."""
     for c in prange(len(centers)):
-        ranks = np.full(len(views[2]), -1.0)
+        ranks = np.full(len(views[3]), -1.0)
         for view in range(len(ranks)):
             u, v, z = visible_from(views, view, centers[c], radii[c])
             if z <= 0.0:
                 continue
-            framed, fruit, through, ends, _ = look(views, view, u, v, z, radii[c], disc, rim)
+            framed, fruit, own, through = look(views, view, u, v, z, radii[c], disc)
             if framed <= FRAMED:
                 continue
-            ranks[view] = fruit + 0.5 * ends + 0.1 * through
+            ranks[view] = own + 0.3 * fruit + 0.1 * through
             sums[c, 0] += fruit
             sums[c, 1] += through
-            sums[c, 2] += ends
-            sums[c, 3] += fruit >= SHOWS
+            sums[c, 2] += own
+            sums[c, 3] += own >= SHOWS
             sums[c, 4] += 1.0
         for k in range(chosen.shape[1]):
             best = -1
@@ -182,52 +179,76 @@ def choose_views(
 
 @njit
 def _fill(
-    views: Views, view: int, u: float, v: float, z: float, radius: float, span: float, crop: NDArray[np.float32]
-) -> None:
-    """Fill the channels PROBABILITY, DEPTH and INSIDE of a crop (CHANNELS, n, n)."""
-    probabilities, depths, starts, sizes, _, lenses = views
+    views: Views, view: int, u: float, v: float, z: float, radius: float, span: float,
+    discs: FloatArray, known: int, crop: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Fill all channels of a crop (CHANNELS, n, n) but OTHERS. discs: (M, 4) of `known` fruit, see `_disc`."""
+    probabilities, offsets, depths, starts, sizes, _, lenses = views
     start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
     cells = crop.shape[1]
-    half = span * lenses[view, 0] * radius / z
-    steps = int(min(max(round(2.0 * half / cells), 1.0), CLOSEST_STEPS))
+    pixels = lenses[view, 0] * radius / z
+    steps = int(min(max(round(2.0 * span * pixels / cells), 1.0), CLOSEST_STEPS))
     for row in range(cells):
         for column in range(cells):
-            probability, depth, inside = 0.0, 0.0, 0
+            probability, depth, inside, own, right, down = 0.0, 0.0, 0, 0.0, 0.0, 0.0
             for i in range(steps):
-                y = v + (2.0 * (row + (i + 0.5) / steps) / cells - 1.0) * half
+                y = v + (2.0 * (row + (i + 0.5) / steps) / cells - 1.0) * span * pixels
                 for j in range(steps):
-                    x = u + (2.0 * (column + (j + 0.5) / steps) / cells - 1.0) * half
+                    x = u + (2.0 * (column + (j + 0.5) / steps) / cells - 1.0) * span * pixels
                     shown = between(probabilities, start, height, width, x, y)
                     if shown < 0.0:
                         continue
-                    relative = (depths[start + int(y) * width + int(x)] - z) / radius
+                    at = start + int(y) * width + int(x)
+                    relative = (depths[at] - z) / radius
                     inside += 1
                     probability += shown
                     depth += min(max(relative, -DEPTH_RANGE), DEPTH_RANGE) / DEPTH_RANGE
+                    if shown < LEAST_SHOWN:
+                        continue
+                    middle_x, middle_y = (int(x) + 0.5 - u) / pixels, (int(y) + 0.5 - v) / pixels
+                    off_x, off_y = middle_x - offsets[at, 0], middle_y - offsets[at, 1]
+                    mine = agreement(off_x * off_x + off_y * off_y)
+                    other = 0.0
+                    for m in range(known):
+                        x_m = (middle_x - discs[m, 0]) / discs[m, 2] - offsets[at, 0]
+                        y_m = (middle_y - discs[m, 1]) / discs[m, 2] - offsets[at, 1]
+                        other = max(other, agreement(x_m * x_m + y_m * y_m))
+                    own += shown * mine * mine / max(mine + other, 1e-6)
+                    right += shown * min(max(off_x, -FARTHEST_OFF), FARTHEST_OFF) / FARTHEST_OFF
+                    down += shown * min(max(off_y, -FARTHEST_OFF), FARTHEST_OFF) / FARTHEST_OFF
             if inside > 0:
                 crop[PROBABILITY, row, column] = probability / inside
                 crop[DEPTH, row, column] = depth / inside
                 crop[INSIDE, row, column] = 1.0
+                crop[OWN, row, column] = own / inside
+                crop[RIGHT, row, column] = right / inside
+                crop[DOWN, row, column] = down / inside
 
 
 @njit
-def _cover(
-    views: Views, view: int, u: float, v: float, z: float, radius: float, span: float,
-    other: FloatArray, other_radius: float, crop: NDArray[np.float32],
-) -> None:  # fmt: skip
+def _disc(
+    views: Views, view: int, u: float, v: float, z: float, radius: float, other: FloatArray, other_radius: float,
+    disc: FloatArray,
+) -> bool:  # fmt: skip
+    """Fill disc (4,) with a known fruit as a crop shows it: middle and radius, in radii of the sphere, and 1 in front
+    of the sphere's centre, -1 behind it; False if it is too close to the camera."""
+    x, y, depth = place(views[5][view], views[6][view], other)
+    scale = views[6][view, 0] * radius / z
+    disc[0], disc[1], disc[2] = (x - u) / scale, (y - v) / scale, other_radius * z / (max(depth, 1e-12) * radius)
+    disc[3] = 1.0 if depth < z else -1.0
+    return depth >= 2.0 * other_radius
+
+
+@njit
+def _cover(disc: FloatArray, span: float, crop: NDArray[np.float32]) -> None:
     """Draw a known fruit into the channel OTHERS of a crop; one in front covers one behind."""
-    x, y, depth = place(views[4][view], views[5][view], other)
-    if depth < 2.0 * other_radius:
-        return
-    cells, scale = crop.shape[1], views[5][view, 0] * radius / z
-    middle_x, middle_y, reach = (x - u) / scale, (y - v) / scale, other_radius * z / (depth * radius)
-    side = 1.0 if depth < z else -1.0
+    cells = crop.shape[1]
     for row in range(cells):
-        down = (2.0 * (row + 0.5) / cells - 1.0) * span - middle_y
+        down = (2.0 * (row + 0.5) / cells - 1.0) * span - disc[1]
         for column in range(cells):
-            right = (2.0 * (column + 0.5) / cells - 1.0) * span - middle_x
-            if right * right + down * down <= reach * reach and (side > 0.0 or crop[OTHERS, row, column] == 0.0):
-                crop[OTHERS, row, column] = side
+            right = (2.0 * (column + 0.5) / cells - 1.0) * span - disc[0]
+            if right * right + down * down <= disc[2] ** 2 and (disc[3] > 0.0 or crop[OTHERS, row, column] == 0.0):
+                crop[OTHERS, row, column] = disc[3]
 
 
 @kernel
@@ -245,15 +266,18 @@ def cut_crops(
     """Fill crops (C, K, CHANNELS, n, n), zeros before: the surroundings of C spheres, `span` radii to each side, in the
     views that were chosen (C, K), -1 for none; near: (C, M) which of the other fruit are drawn, -1 after the last."""
     for c in prange(len(centers)):
+        discs = np.empty((near.shape[1], 4))
         for k in range(chosen.shape[1]):
             view = chosen[c, k]
             if view < 0:
                 break
-            u, v, z = place(views[4][view], views[5][view], centers[c])
-            crop = crops[c, k]
-            _fill(views, view, u, v, z, radii[c], span, crop)
+            u, v, z = place(views[5][view], views[6][view], centers[c])
+            known = 0
             for m in range(near.shape[1]):
                 other = near[c, m]
                 if other < 0:
                     break
-                _cover(views, view, u, v, z, radii[c], span, others[other], other_radii[other], crop)
+                if _disc(views, view, u, v, z, radii[c], others[other], other_radii[other], discs[known]):
+                    _cover(discs[known], span, crops[c, k])
+                    known += 1
+            _fill(views, view, u, v, z, radii[c], span, discs, known, crops[c, k])

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
+from ...language.prompts.photo_probability import PhotoMap
 from ...splatting.kernels.surface import NOTHING
 from ..evidence.visibility import Picture, spiral
 from . import view_kernels
@@ -20,24 +21,23 @@ IntArray = NDArray[np.int64]
 
 DISC = 0.9 * spiral(40)
 """(S, 2) spots tested on the disc of a sphere, in radii."""
-_TURNS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-RIM = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
-"""(R, 2) directions in which the outline of a sphere is tested."""
-FRUIT, OUTLINE, THROUGH, GOES_ON = 0.5, 1.0, 1.5, 0.5
-"""Weights of what a view shows of a sphere: fruit on its disc and the end of fruit at its outline count for it, what is
-seen through it and fruit that goes on beyond its outline against it."""
+OWN, FOREIGN, THROUGH = 1.5, 0.3, 1.0
+"""Weights of what a view shows of a sphere: pixels of a fruit with this centre count for it, those of other fruit and
+what is seen through it against it."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoViews:
     """V views of any sizes, their pixels one view after the other.
 
-    probabilities: (n,) of the prompt in the photo; depths: (n,) of the surface of the Gaussians along the viewing
+    probabilities: (n,) of the prompt in the photo; offsets: (n, 2) how far right and down from the centre of its fruit
+    each pixel lies, in radii; depths: (n,) of the surface of the Gaussians along the viewing
     direction, scene units; starts: (V,) first pixel of each view; sizes: (V, 2) height and width; poses: (V, 3, 4)
     world to camera; lenses: (V, 4) fx, fy, cx, cy in pixels.
     """
 
     probabilities: NDArray[np.float32]
+    offsets: NDArray[np.float32]
     depths: NDArray[np.float32]
     starts: IntArray
     sizes: IntArray
@@ -45,16 +45,19 @@ class PhotoViews:
     lenses: FloatArray
 
     @classmethod
-    def of(cls, pictures: Sequence[Picture], maps: Sequence[NDArray[np.float32]]) -> PhotoViews:
-        """The views of rendered pictures; maps: the probability of the prompt in the photo of each, of any size."""
-        shown = [_resized(each, picture.depth.shape) for each, picture in zip(maps, pictures, strict=True)]
+    def of(cls, pictures: Sequence[Picture], maps: Sequence[PhotoMap]) -> PhotoViews:
+        """The views of rendered pictures; maps: what the photo of each shows, of any size."""
+        sizes = [picture.depth.shape for picture in pictures]
+        shown = [_resized(each.probability, size) for each, size in zip(maps, sizes, strict=True)]
+        off = [_picked(each.offsets, size) for each, size in zip(maps, sizes, strict=True)]
         lengths = [picture.depth.size for picture in pictures]
         cameras = [picture.camera for picture in pictures]
         return cls(
             np.concatenate([each.reshape(-1) for each in shown]),
+            np.concatenate([each.reshape(-1, 2) for each in off]),
             np.concatenate([picture.depth.reshape(-1) for picture in pictures]),
             np.cumsum([0, *lengths[:-1]]),
-            np.array([picture.depth.shape for picture in pictures], np.int64),
+            np.array(sizes, np.int64),
             np.stack([camera.world_to_camera[:3] for camera in cameras]),
             np.array([[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]),
         )
@@ -62,40 +65,37 @@ class PhotoViews:
     @property
     def arrays(self) -> Views:
         """The arrays as kernels take them."""
-        return (self.probabilities, self.depths, self.starts, self.sizes, self.poses, self.lenses)
+        return (self.probabilities, self.offsets, self.depths, self.starts, self.sizes, self.poses, self.lenses)
 
-    def places(self, pushes: Sequence[float], step: float, frame: FloatArray) -> FloatArray:
-        """(S, 3) places behind the pixels that show fruit, `pushes` behind their depth, at least `step` apart, all in
-        scene units. frame: (3, 4) from the world to the axes along which places are separated."""
+    def places(self, radius: float, pushes: Sequence[float], step: float, frame: FloatArray) -> FloatArray:
+        """(S, 3) centres of the fruit that pixels show, `pushes` behind where their depth puts them, at least `step`
+        apart, all in scene units. radius: of a fruit; frame: (3, 4) from the world to the axes along which places are
+        separated."""
         found = []
         for start, (height, width), pose, lens in zip(self.starts, self.sizes, self.poses, self.lenses, strict=True):
             part = slice(start, start + height * width)
             depths = self.depths[part]
             shown = np.flatnonzero((self.probabilities[part] >= LIKELY) & (depths < NOTHING))
-            rays = np.stack(
-                [
-                    (shown % width + 0.5 - lens[2]) / lens[0],
-                    (shown // width + 0.5 - lens[3]) / lens[1],
-                    np.ones(len(shown)),
-                ],
-                axis=1,
-            )
-            near = depths[shown].astype(np.float64)
-            found += [(rays * (near + push)[:, None] - pose[:, 3]) @ pose[:, :3] for push in pushes]
+            pixels = np.stack([shown % width, shown // width], axis=1) + 0.5
+            off, near = self.offsets[part][shown].astype(np.float64), depths[shown].astype(np.float64)
+            rays = (pixels - lens[2:]) / lens[:2] - off * radius / near[:, None]
+            rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+            middle = near + radius * np.sqrt(np.maximum(1.0 - (off**2).sum(axis=1), 0.0))
+            found += [(rays * (middle + push)[:, None] - pose[:, 3]) @ pose[:, :3] for push in pushes]
         return distinct(np.concatenate(found), step, frame)
 
     def score(self, centers: FloatArray, radius: float) -> FloatArray:
         """(C,) how well spheres of a radius explain what the views show; a first guess."""
         scores = np.empty(len(centers))
-        weights = np.array([FRUIT, OUTLINE, THROUGH, GOES_ON])
-        view_kernels.score_spheres(self.arrays, np.ascontiguousarray(centers), radius, DISC, RIM, weights, scores)
+        weights = np.array([OWN, FOREIGN, THROUGH])
+        view_kernels.score_spheres(self.arrays, np.ascontiguousarray(centers), radius, DISC, weights, scores)
         return scores
 
     def choose(self, centers: FloatArray, radii: FloatArray, most: int) -> tuple[IntArray, FloatArray]:
         """The views that show most of each sphere, (C, most), and what all views show of it, (C, 5); see
         `view_kernels.choose_views`."""
         chosen, sums = np.empty((len(centers), most), np.int64), np.zeros((len(centers), 5))
-        view_kernels.choose_views(self.arrays, centers, radii, DISC, RIM, chosen, sums)
+        view_kernels.choose_views(self.arrays, centers, radii, DISC, chosen, sums)
         return chosen, sums
 
     def crops(
@@ -141,6 +141,12 @@ def distinct(places: FloatArray, step: float, frame: FloatArray) -> FloatArray:
     cubes = np.unique(np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64), axis=0)
     centers: FloatArray = ((cubes + 0.5) * side - frame[:, 3]) @ frame[:, :3] / scale**2
     return centers
+
+
+def _picked(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:
+    """(H, W, 2) → (*size, 2), the nearest of each."""
+    rows, columns = ((np.arange(new) + 0.5) * old / new for new, old in zip(size, values.shape, strict=False))
+    return np.ascontiguousarray(values[rows.astype(int)[:, None], columns.astype(int)])
 
 
 def _resized(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:

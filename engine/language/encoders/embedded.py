@@ -25,7 +25,8 @@ from ...storage.files import read_tensors, write_tensors
 from ..colours import colour_words
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import Question
-from .network import Network, logits_at, resized
+from .network import Network, at_pixels, levels_at, resized
+from .offsets import OffsetNetwork, stored_offsets
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-2"
@@ -89,26 +90,40 @@ class EmbeddedEncoder:
     @torch.inference_mode()
     def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
         """(H, W, 3) sRGB → (H', W', D), of the photo's size unless its longer side is above MAX_SIDE."""
-        pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255.0
-        shrink = min(1.0, MAX_SIDE / max(pixels.shape[-2:]))
-        if shrink < 1.0:
-            pixels = resized(pixels, shrink)
-        concepts = self.concept_logits(pixels).softmax(0)
-        colours = colour_words(_blurred(pixels).permute(1, 2, 0))
-        return torch.cat([concepts.permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
+        pixels = _pixels(image)
+        return _features(self.concept_logits(pixels), pixels)
+
+    @torch.inference_mode()
+    def encode_fruit(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
+        """The features of `encode_dense`, and (H', W', 2) where on its fruit each pixel lies, see `OffsetNetwork`."""
+        pixels = _pixels(image)
+        logits, offsets = self._seen(pixels, (), stored_offsets(self.identity))
+        assert offsets is not None
+        return _features(logits, pixels), offsets.permute(1, 2, 0)
 
     @torch.inference_mode()
     def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
         """(3, H, W) in [0, 1] → (K, H, W): the logits of the network, averaged over the scales of the image."""
+        return self._seen(pixels, scales, None)[0]
+
+    def _seen(
+        self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None
+    ) -> tuple[Tensor, Tensor | None]:
+        """(K, H, W) logits, and (2, H, W) offsets if there is a network for them: of the scales, by their errors."""
         _, height, width = pixels.shape
-        total = torch.zeros(len(CONCEPTS), height, width)
+        logits = torch.zeros(len(CONCEPTS), height, width)
+        offsets, certainty = torch.zeros(2, height, width), torch.full((height, width), 1e-6)
         used = scales or seen_scales(height, width)
         for scale in used:
-            logits = logits_at(self.network, pixels, max(1, round(height * scale)), max(1, round(width * scale)))
-            if logits.shape[-2:] != (height, width):
-                logits = functional.interpolate(logits[None], (height, width), mode="bilinear", antialias=True)[0]
-            total += logits / len(used)
-        return total
+            size = max(1, round(height * scale)), max(1, round(width * scale))
+            levels = levels_at(self.network, pixels, *size)
+            logits += _of_size(at_pixels(self.network.named(levels), *size), height, width) / len(used)
+            if network is not None:
+                *off, error = _of_size(at_pixels(network(levels), *size), height, width)
+                weight = torch.exp(-2.0 * error)
+                offsets += torch.stack(off) * weight
+                certainty += weight
+        return logits, None if network is None else offsets / certainty
 
     def questions(self, prompt: str) -> Sequence[Question]:
         """For a fruit: is it fruit rather than surroundings, and is it this kind rather than another.
@@ -245,6 +260,26 @@ def _basis(words: Sequence[str], block: tuple[str, ...]) -> Tensor:
     for row, word in enumerate(words):
         vectors[row, offset + block.index(word)] = 1.0
     return vectors
+
+
+def _pixels(image: NDArray[np.uint8]) -> Tensor:
+    """(H, W, 3) sRGB → (3, H', W') in [0, 1], with no side above MAX_SIDE."""
+    pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255.0
+    shrink = min(1.0, MAX_SIDE / max(pixels.shape[-2:]))
+    return resized(pixels, shrink) if shrink < 1.0 else pixels
+
+
+def _features(logits: Tensor, pixels: Tensor) -> Tensor:
+    """(H, W, D) from the logits (K, H, W) of the concepts and the colours of the pixels (3, H, W)."""
+    colours = colour_words(_blurred(pixels).permute(1, 2, 0))
+    return torch.cat([logits.softmax(0).permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
+
+
+def _of_size(values: Tensor, height: int, width: int) -> Tensor:
+    """(C, h, w) → (C, height, width), averaged when it shrinks."""
+    if values.shape[-2:] == (height, width):
+        return values
+    return functional.interpolate(values[None], (height, width), mode="bilinear", antialias=True)[0]
 
 
 def _blurred(pixels: Tensor) -> Tensor:

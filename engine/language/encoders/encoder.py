@@ -73,6 +73,15 @@ class DenseEncoder(Encoder, Protocol):
         ...
 
 
+class FruitEncoder(DenseEncoder, Protocol):
+    """An encoder that distinguishes single fruit in a photo."""
+
+    def encode_fruit(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
+        """The features of `encode_dense`, and (H', W', 2): how far right and down from the centre of its fruit each
+        pixel lies, in radii of the fruit."""
+        ...
+
+
 class CropEncoder(Encoder, Protocol):
     """An encoder that processes one masked object at a time."""
 
@@ -84,6 +93,11 @@ class CropEncoder(Encoder, Protocol):
 def sees_whole(encoder: Encoder) -> TypeGuard[DenseEncoder]:
     """Whether an encoder processes whole photos."""
     return hasattr(encoder, "encode_dense")
+
+
+def sees_fruit(encoder: Encoder) -> TypeGuard[FruitEncoder]:
+    """Whether an encoder distinguishes single fruit in whole photos."""
+    return hasattr(encoder, "encode_fruit")
 
 
 def sees_crops(encoder: Encoder) -> TypeGuard[CropEncoder]:

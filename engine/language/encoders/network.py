@@ -60,10 +60,19 @@ class Network(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """(B, 3, H, W) normalised colours → (B, concepts, H/2, W/2) logits; H and W are multiples of STRIDE."""
+        return self.named(self.levels(image))
+
+    def levels(self, image: Tensor) -> list[Tensor]:
+        """The features of each stride, from 2 to STRIDE."""
         levels = []
         for stage in self.down:
             image = stage(image)
             levels.append(image)
+        return levels
+
+    def named(self, levels: list[Tensor]) -> Tensor:
+        """The logits from the features of each stride."""
+        image = levels[-1]
         for lateral, up, level in zip(self.lateral, self.up, levels[-2::-1], strict=True):
             coarse = functional.interpolate(lateral(image), scale_factor=2.0, mode="bilinear", align_corners=False)
             image = up(coarse + level)
@@ -88,21 +97,22 @@ def count_parameters(network: nn.Module) -> int:
 
 
 @torch.inference_mode()
-def logits_at(network: Network, image: Tensor, height: int, width: int) -> Tensor:
-    """(K, height, width) logits of an image (3, H, W) in [0, 1], processed at that size.
-
-    The image is resized (averaging when it shrinks) and padded by reflection to multiples of STRIDE, and the logits are
-    resized bilinearly.
-    """
+def levels_at(network: Network, image: Tensor, height: int, width: int) -> list[Tensor]:
+    """The features of an image (3, H, W) in [0, 1], processed at a size: resized (averaging when it shrinks), and its
+    margins repeated up to multiples of STRIDE."""
     batch = image[None]
     if batch.shape[-2:] != (height, width):
         batch = functional.interpolate(batch, (height, width), mode="bilinear", antialias=True, align_corners=False)
     bottom, right = -height % STRIDE, -width % STRIDE
     if bottom or right:
         batch = functional.pad(batch, (0, right, 0, bottom), mode="replicate")
-    logits = network(normalise(batch).contiguous(memory_format=torch.channels_last)).float()
-    logits = functional.interpolate(logits, scale_factor=2.0, mode="bilinear", align_corners=False)
-    return logits[0, :, :height, :width]
+    return network.levels(normalise(batch).contiguous(memory_format=torch.channels_last))
+
+
+def at_pixels(values: Tensor, height: int, width: int) -> Tensor:
+    """(1, C, h, w) outputs at stride 2 → (C, height, width), interpolated, without the margins."""
+    enlarged = functional.interpolate(values.float(), scale_factor=2.0, mode="bilinear", align_corners=False)
+    return enlarged[0, :, :height, :width]
 
 
 def resized(pixels: Tensor, factor: float) -> Tensor:

@@ -21,6 +21,7 @@ from .features import Features
 from .joint import Semantics, prepare_joint
 from .lift import encode_photos, lift_features
 from .lift_segments import lift_segments
+from .photo_features import PhotoFeaturesRecorder
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,17 @@ class Embedder:
             return self.encoder.identity
         return f"{self.encoder.identity} {self.segmenter.identity} {decisive(self.config)}"
 
-    def lift(self, gaussians: Gaussians, scene: Scene, cache: Path, *, progress: Progress = silent) -> Features:
-        """Average features of the photos into the Gaussians; features of masks are cached in `cache`.
+    def lift(
+        self,
+        gaussians: Gaussians,
+        scene: Scene,
+        cache: Path,
+        *,
+        recorder: PhotoFeaturesRecorder | None = None,
+        progress: Progress = silent,
+    ) -> Features:
+        """Average features of the photos into the Gaussians; features of masks are cached in `cache`. recorder: keeps
+        what the encoder says about pixels.
 
         Raises:
             SceneError: a photo cannot be read, or no photo has a mask.
@@ -74,7 +84,7 @@ class Embedder:
             return lift_features(
                 gaussians,
                 scene.cameras,
-                encode_photos(scene, self.encoder),
+                encode_photos(scene, self.encoder, recorder),
                 encoder_id=identity,
                 progress=progress,
             )

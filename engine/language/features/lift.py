@@ -13,9 +13,10 @@ from ...scene.camera import Camera, Scene
 from ...scene.photos.resample import shrink_mask
 from ...splatting.gaussians import Gaussians
 from ...splatting.rendering.rasterize import accumulate
-from ..encoders.encoder import DenseEncoder
+from ..encoders.encoder import DenseEncoder, sees_fruit
 from .features import Features
 from .pairing import paired
+from .photo_features import PhotoFeaturesRecorder
 
 
 def lift_features(
@@ -55,12 +56,20 @@ def lift_features(
     return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id)
 
 
-def encode_photos(scene: Scene, encoder: DenseEncoder) -> Iterator[Tensor]:
+def encode_photos(
+    scene: Scene, encoder: DenseEncoder, recorder: PhotoFeaturesRecorder | None = None
+) -> Iterator[Tensor]:
     """The targets of `lift_features`: the features of each photo as the encoder gives them, zero where its mask
-    excludes it."""
+    excludes it. recorder: keeps what an encoder that distinguishes single fruit says about every pixel."""
     for photo in scene.images:
-        features, mask = encoder.encode_dense(photo.pixels()), photo.mask()
-        if mask is not None:
+        offsets: Tensor | None = None
+        if recorder is not None and sees_fruit(encoder):
+            features, offsets = encoder.encode_fruit(photo.pixels())
+        else:
+            features = encoder.encode_dense(photo.pixels())
+        if (mask := photo.mask()) is not None:
             usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
             features = features * usable[..., None]
+        if recorder is not None and offsets is not None:
+            recorder.keep(features, offsets)
         yield features.contiguous()

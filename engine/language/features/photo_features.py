@@ -1,8 +1,8 @@
-"""What an encoder of whole photos says about every pixel that may be fruit, kept for later prompts."""
+"""What the encoder of whole photos says about every pixel that may be fruit, kept for later prompts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,13 +14,13 @@ from ...errors import FormatError
 from ...storage.files import read_tensors, write_tensors
 from ..encoders.network import resized
 
-FORMAT = "fruitlangs-photo-features-1"
+FORMAT = "fruitlangs-photo-features-2"
 MOST_SIDE = 480
 """Longest side of what is kept of a photo, pixels: the encoder does not distinguish more."""
 LEAST_FRUIT = 0.15
 """Probability of any fruit below which a pixel is not kept."""
-STEPS = 255.0
-"""Numbers are kept in steps of one of this."""
+STEPS, OFFSET_STEPS = 255.0, 80.0
+"""Numbers, and offsets, are kept in steps of one of this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +29,7 @@ class PhotoFeatures:
 
     shapes: (V, 2) int64 height and width of what was kept of each photo; counts: (V,) int64 kept pixels of each;
     places: (n,) int32 row · width + column of each; values: (n, D) uint8, unit features in steps of 1 / STEPS;
+    offsets: (n, 2) int8, where on its fruit each pixel lies, see `OffsetNetwork`, in steps of 1 / OFFSET_STEPS;
     encoder_id: identity of the encoder.
     """
 
@@ -36,21 +37,24 @@ class PhotoFeatures:
     counts: Tensor
     places: Tensor
     values: Tensor
+    offsets: Tensor
     encoder_id: str
 
     def __len__(self) -> int:
         return len(self.counts)
 
-    def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor]]:
-        """Of each photo its height and width, the places (k,) of its kept pixels, and their unit features (k, D)."""
+    def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor, Tensor]]:
+        """Of each photo its height and width, the places (k,) of its kept pixels, their unit features (k, D) and their
+        offsets (k, 2)."""
         counts = self.counts.tolist()
-        parts = zip(self.shapes.tolist(), self.places.split(counts), self.values.split(counts), strict=True)
-        for (height, width), places, values in parts:
-            yield (height, width), places.long(), functional.normalize(values.float(), dim=-1)
+        parts = (each.split(counts) for each in (self.places, self.values, self.offsets))
+        for (height, width), places, values, offsets in zip(self.shapes.tolist(), *parts, strict=True):
+            vectors = functional.normalize(values.float(), dim=-1)
+            yield (height, width), places.long(), vectors, offsets.float() / OFFSET_STEPS
 
 
 class PhotoFeaturesRecorder:
-    """Passes features of photos on, one photo at a time, and keeps what `PhotoFeatures` needs."""
+    """Keeps what `PhotoFeatures` needs of one photo after the other."""
 
     def __init__(self, kinds: Tensor, encoder_id: str) -> None:
         """kinds: (K, D) orthonormal text vectors of the kinds of fruit."""
@@ -58,12 +62,7 @@ class PhotoFeaturesRecorder:
         self._shapes: list[tuple[int, int]] = []
         self._places: list[Tensor] = []
         self._values: list[Tensor] = []
-
-    def passing(self, photos: Iterable[Tensor]) -> Iterator[Tensor]:
-        """The features (H, W, D) of each photo, unchanged."""
-        for photo in photos:
-            self._keep(photo)
-            yield photo
+        self._offsets: list[Tensor] = []
 
     def kept(self) -> PhotoFeatures:
         """What was kept of all photos that were passed on."""
@@ -73,19 +72,23 @@ class PhotoFeaturesRecorder:
             torch.tensor([len(each) for each in self._places], dtype=torch.int64),
             torch.cat([*self._places, torch.zeros(0, dtype=torch.int32)]),
             torch.cat([*self._values, torch.zeros(0, width, dtype=torch.uint8)]),
+            torch.cat([*self._offsets, torch.zeros(0, 2, dtype=torch.int8)]),
             self._encoder_id,
         )
 
-    def _keep(self, photo: Tensor) -> None:
+    def keep(self, photo: Tensor, offsets: Tensor) -> None:
+        """The features (H, W, D) of the next photo, and where on its fruit each pixel lies (H, W, 2)."""
         shrink = min(1.0, MOST_SIDE / max(photo.shape[:2]))
         if shrink < 1.0:
-            photo = resized(photo.permute(2, 0, 1), shrink).permute(1, 2, 0)
+            photo, offsets = (resized(each.permute(2, 0, 1), shrink).permute(1, 2, 0) for each in (photo, offsets))
         fruit = fruit_share(photo, self._kinds)
         places = (fruit.reshape(-1) >= LEAST_FRUIT).nonzero()[:, 0]
         values = functional.normalize(photo.reshape(-1, photo.shape[-1])[places], dim=-1)
         self._shapes.append((photo.shape[0], photo.shape[1]))
         self._places.append(places.int())
         self._values.append((values.clamp(0.0, 1.0) * STEPS).round().to(torch.uint8))
+        steps = (offsets.reshape(-1, 2)[places] * OFFSET_STEPS).round()
+        self._offsets.append(steps.clamp(-127, 127).to(torch.int8))
 
 
 def fruit_share(vectors: Tensor, kinds: Tensor) -> Tensor:
@@ -99,7 +102,7 @@ def save_photo_features(path: Path, kept: PhotoFeatures) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    tensors = {name: getattr(kept, name).contiguous() for name in ("shapes", "counts", "places", "values")}
+    tensors = {name: getattr(kept, name).contiguous() for name in ("shapes", "counts", "places", "values", "offsets")}
     write_tensors(path, tensors, {"format": FORMAT, "encoder_id": kept.encoder_id})
 
 
@@ -116,6 +119,7 @@ def load_photo_features(path: Path) -> PhotoFeatures:
         kept = PhotoFeatures(**tensors, encoder_id=str(header["encoder_id"]))
         pixels = int(kept.counts.sum())
         fits = kept.shapes.shape == (len(kept), 2) and len(kept.places) == len(kept.values) == pixels
+        fits &= kept.offsets.shape == (pixels, 2) and kept.offsets.dtype == torch.int8
         if not fits or kept.values.dtype != torch.uint8 or kept.values.ndim != 2:
             raise ValueError("its tensors do not fit")
         ends = kept.shapes.prod(1).repeat_interleave(kept.counts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,13 +16,19 @@ from ..features.photo_features import PhotoFeatures
 from .prior import kind_shares, weighed_by
 from .relevancy import answers_of, check_encoder, telling_words, understood, union
 
-Map = NDArray[np.float32]
-"""(H, W) probability of each pixel of a photo."""
+
+@dataclass(frozen=True, eq=False)
+class PhotoMap:
+    """probability: (H, W) of the prompt; offsets: (H, W, 2) how far right and down from the centre of its fruit each
+    pixel lies, in radii, where the probability is not 0."""
+
+    probability: NDArray[np.float32]
+    offsets: NDArray[np.float32]
 
 
 def photo_probabilities(
     photos: PhotoFeatures, features: Features, encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()
-) -> list[Map] | None:
+) -> list[PhotoMap] | None:
     """The map of each photo: what `relevancy` gives Gaussians, for pixels; 0 where no fruit is likely.
 
     features: of the Gaussians, whose kinds of fruit are those of the scene. None if a prompt names no kind of fruit,
@@ -37,13 +44,13 @@ def photo_probabilities(
         return None
     excluded = _Asked(encoder, negatives, features, sought=False) if negatives else None
     maps = []
-    for (height, width), places, vectors in photos.photos():
+    for (height, width), places, vectors, offsets in photos.photos():
         found = sought.probability(vectors)
         if excluded is not None:
             found = found * (1.0 - excluded.probability(vectors))
-        drawn = torch.zeros(height * width)
-        drawn[places] = found
-        maps.append(drawn.reshape(height, width).numpy())
+        drawn, off = torch.zeros(height * width), torch.zeros(height * width, 2)
+        drawn[places], off[places] = found, offsets
+        maps.append(PhotoMap(drawn.reshape(height, width).numpy(), off.reshape(height, width, 2).numpy()))
     return maps
 
 

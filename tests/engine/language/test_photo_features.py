@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -37,9 +38,16 @@ def photo_of(encoder: EmbeddedEncoder, height: int = 6, width: int = 8) -> torch
 
 def kept(encoder: EmbeddedEncoder, *photos: torch.Tensor) -> PhotoFeatures:
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
-    passed = list(recorder.passing(photos))
-    assert all(torch.equal(one, other) for one, other in zip(passed, photos, strict=True))
+    for photo in photos:
+        recorder.keep(photo, offsets_of(photo))
     return recorder.kept()
+
+
+def offsets_of(photo: torch.Tensor) -> torch.Tensor:
+    """A different offset for every pixel."""
+    height, width = photo.shape[:2]
+    down, right = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
+    return torch.stack([right, down], dim=-1)
 
 
 def features_of(encoder: EmbeddedEncoder, photo: torch.Tensor) -> Features:
@@ -56,9 +64,18 @@ def test_a_pixel_is_as_probable_as_a_gaussian_with_its_feature(encoder: Embedded
     maps = photo_probabilities(kept(encoder, photo), features, encoder, prompts, ["plum"])
     assert maps is not None
     expected = relevancy(features, encoder, prompts, ["plum"]).reshape(6, 8)
-    assert torch.allclose(torch.from_numpy(maps[0])[2], expected[2], atol=0.02)
-    assert torch.allclose(torch.from_numpy(maps[0])[4], expected[4], atol=0.02)
-    assert maps[0][0].max() == 0.0
+    shown = torch.from_numpy(maps[0].probability)
+    assert torch.allclose(shown[2], expected[2], atol=0.02)
+    assert torch.allclose(shown[4], expected[4], atol=0.02)
+    assert shown[0].max() == 0.0
+
+
+def test_the_offset_of_a_pixel_is_kept_with_it(encoder: EmbeddedEncoder) -> None:
+    photo = photo_of(encoder)
+    maps = photo_probabilities(kept(encoder, photo), features_of(encoder, photo), encoder, ["apple"])
+    assert maps is not None
+    fruit = maps[0].probability > 0.0
+    assert np.abs(maps[0].offsets - offsets_of(photo).numpy())[fruit].max() < 0.01
 
 
 def test_only_pixels_that_may_be_fruit_are_kept(encoder: EmbeddedEncoder) -> None:
@@ -80,7 +97,7 @@ def test_what_is_written_is_read(encoder: EmbeddedEncoder, tmp_path: Path) -> No
     before = kept(encoder, photo_of(encoder), photo_of(encoder, 5, 4) * 0.0)
     save_photo_features(tmp_path / "photos.safetensors", before)
     after = load_photo_features(tmp_path / "photos.safetensors")
-    for name in ("shapes", "counts", "places", "values"):
+    for name in ("shapes", "counts", "places", "values", "offsets"):
         assert torch.equal(getattr(before, name), getattr(after, name))
     assert after.encoder_id == encoder.identity
 

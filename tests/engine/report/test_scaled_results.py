@@ -20,7 +20,7 @@ from fruitlangs.engine.errors import SceneError, VocabularyError
 from fruitlangs.engine.pipeline import Result, count_scene
 from fruitlangs.engine.scene.formats.cameras_json import read_cameras
 
-TINY = TrainConfig(steps=60, max_gaussians=4000)
+TINY = TrainConfig(steps=200, max_gaussians=8000)
 COUNT = CountConfig(threshold=0.2, diameter=0.08, sample_budget=3000)
 PAIR = ("001.jpg", "033.jpg")
 

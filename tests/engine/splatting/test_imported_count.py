@@ -25,7 +25,8 @@ from fruitlangs.engine.splatting.subject import viewpoints
 from fruitlangs.engine.storage.files import file_hash
 
 TINY = Config(
-    train=TrainConfig(steps=60, max_gaussians=4000), count=CountConfig(threshold=0.2, diameter=0.08, sample_budget=3000)
+    train=TrainConfig(steps=200, max_gaussians=8000),
+    count=CountConfig(threshold=0.2, diameter=0.08, sample_budget=3000),
 )
 
 

@@ -53,6 +53,14 @@ def test_every_cluster_has_the_centre_points_and_fruit_that_the_plain_way_gives(
     assert all((found.components == component).sum() < 20 for component in dust)
 
 
+def test_a_fruit_without_points_is_one_that_photos_show() -> None:
+    found = clusters(0)
+    found.owners[found.owners == 3] = -1
+    entry = next(entry for entry in account_for(found, np.arange(FRUIT) + 7).entries if entry.fruit_ids == (3 + 7,))
+    assert entry.reason.startswith("seen in the photos only")
+    assert (entry.verdict, entry.points) == ("kept", 0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_every_gaussian_has_the_sphere_that_the_plain_way_gives_it(seed: int) -> None:
     random = np.random.default_rng(seed)

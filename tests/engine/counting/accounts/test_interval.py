@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +15,11 @@ from scipy.spatial import ConvexHull
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.accounts.interval import (
+    ALONE,
     COVARIATES,
     STORED,
     TRAINED,
+    WITH_PHOTOS,
     Evidence,
     Ratio,
     estimate,
@@ -33,14 +36,16 @@ CERTAIN = Evidence(100.0, 0.0, np.zeros(len(COVARIATES)))
 
 def width(evidence: Evidence) -> float:
     """Of the interval of all fruit."""
-    low, high = stored_ratios()[1].interval(evidence)
+    low, high = stored_ratios(photos=False)[1].interval(evidence)
     return high - low
 
 
 def test_what_is_stored_was_fitted_on_seeds_for_training_to_every_number():
     document = json.loads(STORED.read_text(encoding="utf-8"))
-    assert {len(document[name]["weights"]) for name in ("visible", "total")} == {len(COVARIATES)}
-    assert min(int(scene.split()[1]) for scene in document["fitted on"]) >= 1000
+    assert list(document) == [ALONE, WITH_PHOTOS]
+    for part in document.values():
+        assert {len(part[name]["weights"]) for name in ("visible", "total")} == {len(COVARIATES)}
+        assert min(int(re.findall(r"\d+", scene)[-1]) for scene in part["fitted on"]) >= 1000
 
 
 def test_a_ratio_is_read_as_it_was_written():
@@ -95,7 +100,7 @@ def test_the_interval_of_all_fruit_is_never_narrower_than_that_of_the_visible_on
 
 
 def test_the_interval_of_a_few_fruit_is_at_least_half_a_fruit_wide():
-    low, high = stored_ratios()[0].interval(replace(CERTAIN, expected=3.0))
+    low, high = stored_ratios(photos=False)[0].interval(replace(CERTAIN, expected=3.0))
     assert low <= 3.0 <= high
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from fruitlangs.engine.counting.evidence.visibility import Picture
 from fruitlangs.engine.counting.photos.verifier import known_near
-from fruitlangs.engine.counting.photos.view_kernels import DEPTH, INSIDE, OTHERS, PROBABILITY
+from fruitlangs.engine.counting.photos.view_kernels import DEPTH, DOWN, INSIDE, OTHERS, OWN, PROBABILITY, RIGHT
 from fruitlangs.engine.counting.photos.views import PhotoViews, distinct
+from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 from fruitlangs.engine.scene.camera import Camera, looking
 
 BALL, RADIUS, FOCAL = np.zeros(3), 0.1, 200.0
@@ -22,7 +23,7 @@ def camera_at(turn: float) -> Camera:
     return Camera(width=WIDTH, height=HEIGHT, K=K, world_to_camera=looking(eye, -eye, np.array([0.0, 0.0, 1.0])))
 
 
-def picture_of(camera: Camera) -> tuple[Picture, np.ndarray]:
+def picture_of(camera: Camera) -> tuple[Picture, PhotoMap]:
     """The rendered depth of a ball before a wall, and the map of a photo that shows it."""
     v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     rays = np.stack([(u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL, np.ones_like(u)], axis=-1)
@@ -31,7 +32,9 @@ def picture_of(camera: Camera) -> tuple[Picture, np.ndarray]:
     hit = root > 0.0
     depth = np.where(hit, (-b - np.sqrt(np.maximum(root, 0.0))) / (2.0 * a), 5.0)
     shown = hit.astype(np.float32)
-    return Picture(camera, depth.astype(np.float32), shown), shown
+    middle, radius = np.array([WIDTH / 2, HEIGHT / 2]), FOCAL * RADIUS / 2.0
+    offsets = (np.stack([u, v], axis=-1) - middle) / radius
+    return Picture(camera, depth.astype(np.float32), shown), PhotoMap(shown, offsets.astype(np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +56,10 @@ def test_a_sphere_at_the_ball_scores_highest(views: PhotoViews) -> None:
     assert scores[3] < 0.0 < scores[0]  # the views see through the place above the ball
 
 
-def test_places_behind_pixels_of_fruit_lie_on_the_ball(views: PhotoViews) -> None:
-    places = views.places((0.0,), 0.02, np.eye(3, 4))
-    distances = np.linalg.norm(places, axis=1)
-    assert len(places) > 50
-    assert (np.abs(distances - RADIUS) < 0.04).all()
+def test_pixels_of_fruit_lead_to_the_centre_of_the_ball(views: PhotoViews) -> None:
+    places = views.places(RADIUS, (0.0,), 0.02, np.eye(3, 4))
+    assert 0 < len(places) < 20
+    assert (np.linalg.norm(places, axis=1) < 0.4 * RADIUS).all()
 
 
 def test_places_move_with_the_scene() -> None:
@@ -82,6 +84,20 @@ def test_a_crop_shows_the_ball_in_its_middle(views: PhotoViews) -> None:
     assert crop[PROBABILITY, 0].max() == 0.0
     assert crop[DEPTH, 8, 8] == pytest.approx(-0.25, abs=0.02)  # one radius nearer, in four radii
     assert (crop[INSIDE] == 1.0).all()
+    assert crop[OWN, 5:11, 5:11].min() > 0.9
+    assert np.abs(crop[[RIGHT, DOWN]]).max() < 0.05
+
+
+def test_pixels_of_a_known_fruit_are_not_those_of_its_neighbour(views: PhotoViews) -> None:
+    aside = BALL + [0.0, 0.0, 0.5 * RADIUS]
+    chosen, radius = np.arange(2)[None], np.array([RADIUS])
+    alone, explained = (
+        views.crops(aside[None], radius, chosen, others, np.full(len(others), RADIUS), near, cells=16, span=2.0)[0, 0]
+        for others, near in ((NOWHERE, np.full((1, 1), -1)), (BALL[None], np.zeros((1, 1), np.int64)))
+    )
+    assert alone[OWN].max() > 0.3
+    assert explained[OWN].max() < 0.5 * alone[OWN].max()
+    assert np.array_equal(alone[PROBABILITY], explained[PROBABILITY])
 
 
 def test_known_fruit_in_front_and_behind_are_told_apart(views: PhotoViews) -> None:

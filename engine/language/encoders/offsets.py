@@ -1,0 +1,87 @@
+"""Where on its fruit each pixel lies: touching fruit are one in a mask, but not here.
+
+A second output of the embedded encoder's network. The shading of a round fruit, its outline and what covers it tell
+where its centre is, also where only a part of it shows. Trained by `scripts/developer/fit_offsets.py`.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ...errors import EncoderError
+from ...storage.files import read_tensors, write_tensors
+from .network import WIDTHS, Unit
+
+STORED = Path(__file__).resolve().parent / "weights" / "offsets.safetensors"
+FORMAT = "fruitlangs-offsets-1"
+OWN_WIDTHS = (32, 48, 64, 96)
+"""Channels at strides 2, 4, 8 and 16."""
+
+
+class OffsetNetwork(nn.Module):
+    """The features of the encoder's network at each stride → (B, 3, H/2, W/2): how far right and down from the centre
+    of its fruit a pixel lies, in radii of the fruit, as if it were a sphere and whole; and the logarithm of the error.
+
+    On pixels without fruit the numbers mean nothing.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lateral = nn.ModuleList(nn.Conv2d(width, own, 1) for width, own in zip(WIDTHS, OWN_WIDTHS, strict=True))
+        self.deep = Unit(OWN_WIDTHS[-1], OWN_WIDTHS[-1])
+        pairs = list(zip(OWN_WIDTHS[:0:-1], OWN_WIDTHS[-2::-1], strict=True))
+        self.down = nn.ModuleList(nn.Conv2d(deep, shallow, 1) for deep, shallow in pairs)
+        self.up = nn.ModuleList(nn.Sequential(Unit(shallow, shallow), Unit(shallow, shallow)) for _, shallow in pairs)
+        self.head = nn.Conv2d(OWN_WIDTHS[0], 3, 1)
+
+    def forward(self, levels: list[Tensor]) -> Tensor:
+        own = [lateral(level) for lateral, level in zip(self.lateral, levels, strict=True)]
+        image = self.deep(own[-1])
+        for down, up, level in zip(self.down, self.up, own[-2::-1], strict=True):
+            coarse = functional.interpolate(down(image), scale_factor=2.0, mode="bilinear", align_corners=False)
+            image = up(coarse + level)
+        off, error = self.head(image).split((2, 1), dim=1)
+        return torch.cat([off, error.clamp(-4.0, 2.0)], dim=1)
+
+    def fuse(self) -> OffsetNetwork:
+        """Ready for inference: normalisation folded into the convolutions."""
+        self.eval()
+        for module in self.modules():
+            if isinstance(module, Unit):
+                module.fuse()
+        return nn.Module.to(self, memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+@cache
+def stored_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
+    """The network that comes with the package, fused. encoder: identity of the encoder whose features it gets.
+
+    Raises:
+        EncoderError: the weights are missing, damaged, or made for another encoder.
+    """
+    try:
+        tensors, header = read_tensors(path)
+        if header["format"] != FORMAT or header["encoder"] != encoder:
+            raise ValueError(f"{header['format']} for {header['encoder']}")
+        network = OffsetNetwork()
+        network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+    except (KeyError, TypeError, ValueError, RuntimeError, OSError) as error:
+        raise EncoderError(
+            f"The weights {path} do not fit the encoder {encoder} ({str(error).splitlines()[0]}). "
+            "Install the package again, or train them again with scripts/developer/fit_offsets.py"
+        ) from error
+    return network.fuse()
+
+
+def save_offsets(path: Path, network: OffsetNetwork, encoder: str, **notes: object) -> None:
+    """Write an unfused network in half precision; encoder: identity of the encoder that it was trained for."""
+    tensors = {
+        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
+        for name, tensor in network.state_dict().items()
+    }
+    write_tensors(path, tensors, {"format": FORMAT, "encoder": encoder, **notes})

@@ -1,0 +1,61 @@
+"""Train where on its fruit each pixel lies, and write engine/language/encoders/weights/offsets.safetensors.
+
+    python scripts/developer/fit_offsets.py --renders RENDERS --photos PHOTOS
+
+Learns from the views of rendered trees and from photos with boxes, on features of the package's encoder, which stays as
+it is. Train it again after scripts/train_encoder.py.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import _checkout  # noqa: F401  puts the checkout on the path
+
+from _terminal import import_tyro, run
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.encoders.offsets import STORED, save_offsets
+from fruitlangs.fitting.encoder.lifted import rendered_scenes
+from fruitlangs.fitting.encoder.offset_learning import learn_offsets, offset_photos, offset_renders
+from fruitlangs.fitting.encoder.pictures import read_photos, training_seeds
+
+tyro = import_tyro()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to learn from, and how long."""
+
+    renders: Path
+    """Folder of rendered trees, written by `make_orchard.py`."""
+    photos: Path
+    """Folder of photo sets with annotations.csv."""
+    out: Path = STORED
+    """File to write."""
+    steps: int = 4000
+    """Optimiser steps."""
+    seed: int = 0
+    """Seed of all random numbers."""
+
+
+def main(options: Options) -> None:
+    trees = rendered_scenes(options.renders)
+    seeds = training_seeds(trees)
+    renders, photos = list(offset_renders(options.renders)), offset_photos(read_photos(options.photos, "train"))
+    say(f"{len(renders)} views of {len(trees)} trees, {len(photos)} photos")
+    encoder = EmbeddedEncoder.open()
+    network = learn_offsets(encoder.network, renders, photos, steps=options.steps, seed=options.seed, report=say)
+    save_offsets(options.out, network, encoder.identity, seeds=seeds, steps=options.steps)
+
+
+def say(text: str) -> None:
+    """Print at once: the training takes a quarter of an hour."""
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    run(lambda: main(tyro.cli(Options, description=__doc__)))

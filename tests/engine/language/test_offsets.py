@@ -1,0 +1,75 @@
+"""Where on its fruit each pixel lies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fruitlangs.engine.errors import EncoderError
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, save_offsets, stored_offsets
+
+SIDE, MIDDLE, RADIUS = 160, np.array([70.0, 90.0]), 18.0
+
+
+@pytest.fixture(scope="module")
+def encoder() -> EmbeddedEncoder:
+    return EmbeddedEncoder.open()
+
+
+@pytest.fixture(scope="module")
+def places() -> np.ndarray:
+    """(SIDE, SIDE, 2) of each pixel, in radii from the middle of the ball."""
+    down, right = np.mgrid[:SIDE, :SIDE] + 0.5
+    return (np.stack([right, down], axis=-1) - MIDDLE) / RADIUS
+
+
+@pytest.fixture(scope="module")
+def ball(places: np.ndarray) -> np.ndarray:
+    """A red ball lit from above before rough green."""
+    rng = np.random.default_rng(0)
+    picture = np.array([60.0, 105.0, 45.0]) * rng.uniform(0.5, 1.3, (SIDE // 8, SIDE // 8, 1)).repeat(8, 0).repeat(8, 1)
+    square = (places**2).sum(axis=-1)
+    towards = np.sqrt(np.maximum(1.0 - square, 0.0))
+    light = np.clip(0.35 + 0.4 * towards - 0.35 * places[..., 1], 0.0, 1.2)[..., None]
+    shown = np.where(square[..., None] < 1.0, np.array([205.0, 45.0, 40.0]) * light, picture)
+    return np.clip(shown, 0, 255).astype(np.uint8)
+
+
+def test_offsets_lead_from_the_pixels_of_a_ball_to_its_middle(
+    encoder: EmbeddedEncoder, ball: np.ndarray, places: np.ndarray
+) -> None:
+    _, offsets = encoder.encode_fruit(ball)
+    inside = (places**2).sum(axis=-1) < 0.8
+    errors = np.linalg.norm(offsets.numpy() - places, axis=-1)[inside]
+    assert np.median(errors) < 0.25
+
+
+def test_features_are_the_same_with_offsets_and_without(encoder: EmbeddedEncoder, ball: np.ndarray) -> None:
+    features, offsets = encoder.encode_fruit(ball)
+    assert torch.equal(features, encoder.encode_dense(ball))
+    assert offsets.shape == (SIDE, SIDE, 2)
+
+
+def test_large_photos_have_offsets_of_their_features_size(encoder: EmbeddedEncoder) -> None:
+    features, offsets = encoder.encode_fruit(np.full((60, 2000, 3), 90, np.uint8))
+    assert features.shape[:2] == offsets.shape[:2] == (48, 1600)
+
+
+def test_weights_for_another_encoder_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "offsets.safetensors"
+    save_offsets(path, OffsetNetwork(), "one")
+    assert stored_offsets("one", path).training is False
+    with pytest.raises(EncoderError, match=r"fit_offsets\.py"):
+        stored_offsets("other", path)
+
+
+@pytest.mark.parametrize("content", [b"", b"nothing"])
+def test_damaged_weights_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "offsets.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(EncoderError, match="Install the package again"):
+        stored_offsets("one", path)
