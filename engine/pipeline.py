@@ -86,7 +86,7 @@ def count_scene(
         with run.log.timed("count"):
             probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
             maps = None
-            if made.photos is not None and config.count.select != "dual":
+            if made.photos is not None and config.count.method == "voting" and config.count.select != "dual":
                 maps = photo_probabilities(made.photos, made.features, encoder, prompts, negatives)
             fruit_count = count_fruit(
                 made.gaussians,

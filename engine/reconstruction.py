@@ -251,13 +251,9 @@ def _made(
     scene = dataclasses.replace(scene, cameras=stored.cameras) if scene else rendered_again(gaussians, stored)
     if "training" not in origin:
         require_memory(len(gaussians), run.config, scene.cameras, trained=False)
-    files = Files(
-        gaussians=folder / GAUSSIANS,
-        cameras=folder / CAMERAS,
-        features=folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress, kept),
-    )
-    if kept:
-        files = dataclasses.replace(files, photos=files.features.with_name(PHOTOS))
+    embedded = folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress, kept)
+    photos = embedded.with_name(PHOTOS) if kept else None
+    files = Files(gaussians=folder / GAUSSIANS, cameras=folder / CAMERAS, features=embedded, photos=photos)
     untrained: dict[str, Any] = {"steps": 0, "gaussians": len(gaussians), "psnr": None, "ssim": None, "held_out": []}
     origin = {
         "source": origin["source"],
@@ -347,9 +343,8 @@ def reopen(
     with log.timed("scene"):
         stored = Config.from_document(document["config"])
         _require_same(folder.path, stored, config, given)
-        files = Files(*(folder.path / name for name in (GAUSSIANS, CAMERAS, FEATURES)))
-        if PHOTOS in document["files"]:
-            files = dataclasses.replace(files, photos=folder.path / PHOTOS)
+        photos = folder.path / PHOTOS if PHOTOS in document["files"] else None
+        files = Files(*(folder.path / name for name in (GAUSSIANS, CAMERAS, FEATURES)), photos)
         features = load_features(files.features)
         if encoder_id is not None and features.encoder_id != encoder_id:
             raise ConfigError(

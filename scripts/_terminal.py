@@ -102,6 +102,11 @@ def table(rows: list[tuple[str, ...]]) -> str:
     )
 
 
+def say(text: str) -> None:
+    """Print a result at once, for runs that take minutes."""
+    print(text, flush=True)
+
+
 def report(message: str) -> None:
     """Report progress: one line per step, on stderr."""
     print(message, file=sys.stderr, flush=True)

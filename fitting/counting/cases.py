@@ -75,11 +75,8 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
     """Gaussians trained on rendered trees, with true masks and with the package's encoder."""
     encoder = EmbeddedEncoder.open()
     for folder, scene, species, truth in rendered_trees(renders):
-        gaussians, recorder = trained(folder), PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
-        photos = encode_photos(scene, encoder, recorder)
-        features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
-        said = relevancy(features, encoder, [species])
-        maps = photo_probabilities(recorder.kept(), features, encoder, [species])
+        gaussians = trained(folder)
+        said, maps = encoded(gaussians, scene, species, encoder)
         kinds = [
             ("walk, true masks", true_fruit(folder, scene, gaussians), None),
             ("walk, encoder", said, None),
@@ -88,6 +85,17 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
         for kind, probability, shown in kinds:
             family = f"walk {folder.name}"
             yield Case(kind, family, gaussians, probability, scene.cameras, truth, truth.visible, shown)
+
+
+def encoded(
+    gaussians: Gaussians, scene: Scene, species: str, encoder: EmbeddedEncoder
+) -> tuple[torch.Tensor, list[PhotoMap] | None]:
+    """What the encoder says of a species: the probability (N,) of the Gaussians, and the maps of the photos."""
+    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
+    photos = encode_photos(scene, encoder, recorder)
+    features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
+    probability = relevancy(features, encoder, [species])
+    return probability, photo_probabilities(recorder.kept(), features, encoder, [species])
 
 
 def surface_cases(renders: Path) -> Iterator[Case]:

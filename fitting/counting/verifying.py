@@ -23,12 +23,8 @@ from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
 from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
-from ...engine.language.features.lift import encode_photos, lift_features
-from ...engine.language.features.photo_features import PhotoFeaturesRecorder
-from ...engine.language.prompts.photo_probability import photo_probabilities
-from ...engine.language.prompts.relevancy import relevancy
 from ..encoder.lifted import trained
-from .cases import Case, rendered_trees, searched
+from .cases import Case, encoded, rendered_trees, searched
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -80,11 +76,8 @@ def prepared(renders: Path) -> Iterator[Tree]:
     """
     encoder, threshold = EmbeddedEncoder.open(), CountConfig().threshold
     for folder, scene, species, truth in rendered_trees(renders):
-        gaussians, recorder = trained(folder), PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
-        photos = encode_photos(scene, encoder, recorder)
-        features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
-        probability = relevancy(features, encoder, [species])
-        maps = photo_probabilities(recorder.kept(), features, encoder, [species])
+        gaussians = trained(folder)
+        probability, maps = encoded(gaussians, scene, species, encoder)
         family = f"walk {folder.name}"
         result = searched(Case("photos", family, gaussians, probability, scene.cameras, truth, truth.visible))
         if result is None or maps is None:

@@ -6,11 +6,12 @@ import copy
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,6 +21,8 @@ from ...engine.errors import ConfigError
 from ...engine.language.encoders.network import Network, normalise
 from .batches import Material, make_batch
 from .losses import concept_loss, overlap_loss
+
+Batch = TypeVar("Batch")
 
 MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(1 << 33), "MALLOC_TOP_PAD_": str(1 << 28)}
 """Settings of glibc for the processes: memory freed by a step is kept for the next one, which is a tenth faster."""
@@ -107,14 +110,15 @@ def _learn(rank: int, shared: Network, material: Material, course: Course, taken
     torch.nn.Module.to(network, memory_format=torch.channels_last)  # type: ignore[call-overload]
     network.train()
     rng = np.random.default_rng([course.seed, 1, rank])
-    batches = _ahead(material, course.batch, np.random.default_rng([course.seed, 0, rank]))
+    drawn = np.random.default_rng([course.seed, 0, rank])
+    batches = ahead(lambda: make_batch(material, course.batch, drawn))
     optimiser = torch.optim.AdamW(network.parameters(), lr=course.rate, weight_decay=1e-3, fused=True)
     average = torch.optim.swa_utils.AveragedModel(network, avg_fn=_moving_average, use_buffers=True)
     autocast = torch.autocast("cpu", torch.bfloat16) if course.bf16 else nullcontext()
     losses: list[float] = []
     start, step, done = time.monotonic(), 0, 0.0
     while done < 1.0:
-        optimiser.param_groups[0]["lr"] = course.rate * min(1.0, done / RISE + 0.01) * 0.5 * (1 + np.cos(np.pi * done))
+        optimiser.param_groups[0]["lr"] = course.rate * rate_share(done)
         images, labels = next(batches)
         with autocast:
             logits = network(normalise(images).contiguous(memory_format=torch.channels_last))
@@ -157,13 +161,18 @@ def _agreed(network: Network, processes: int, done: float) -> float:
     return float(flat[-1])
 
 
-def _ahead(material: Material, batch: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, Tensor]]:
+def rate_share(done: float) -> float:
+    """The learning rate over its highest, after a share of the training."""
+    return float(min(1.0, done / RISE + 0.01) * 0.5 * (1 + np.cos(np.pi * done)))
+
+
+def ahead(make: Callable[[], Batch]) -> Iterator[Batch]:
     """An endless sequence of batches, each made while the network trains on the one before."""
     with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(make_batch, material, batch, rng)
+        coming = pool.submit(make)
         while True:
             ready = coming.result()
-            coming = pool.submit(make_batch, material, batch, rng)
+            coming = pool.submit(make)
             yield ready
 
 

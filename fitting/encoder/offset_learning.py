@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from ...engine.language.encoders.offsets import OffsetNetwork
 from ...engine.scene.camera import Camera
 from ...engine.scene.read import read_scene
 from .batches import USUAL, changed_light
+from .learning import ahead, rate_share
 from .lifted import rendered_scenes
 from .pictures import POSITIVE_SHARE, Picture, inside
 
@@ -37,8 +37,8 @@ PHOTOS = 0.2
 """Share of crops from photos."""
 SQUARE = 1.25
 """Most that a side of a box may be longer than the other: longer boxes are of fruit that is cut off or covered."""
-RATE, DECAY, RISE = 2e-3, 1e-3, 0.03
-"""Highest learning rate, weight decay, and share of the training in which the rate rises."""
+RATE, DECAY = 2e-3, 1e-3
+"""Highest learning rate, and weight decay."""
 REPORT_EVERY = 100
 
 
@@ -68,11 +68,8 @@ def offset_renders(renders: Path) -> Iterator[OffsetPicture]:
 
 def _rendered(pixels: NDArray[np.uint8], camera: Camera, ids: NDArray[np.uint16], truth: Truth) -> OffsetPicture:
     assert truth.ids is not None
-    places = truth.centers @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    depths = np.maximum(places[:, 2:], 1e-6)
-    focal = np.array([camera.K[0, 0], camera.K[1, 1]])
-    centers = places[:, :2] / depths * focal + camera.K[:2, 2]
-    radii = truth.diameters[:, None] / 2.0 / depths * focal
+    centers, depths = camera.project(truth.centers)
+    radii = truth.diameters[:, None] / 2.0 / depths[:, None] * np.diag(camera.K)[:2]
     rows = np.full(int(max(ids.max(), truth.ids.max())) + 1, -1)
     rows[truth.ids] = np.arange(len(truth.ids))
     rows[0] = -1
@@ -115,9 +112,9 @@ def learn_offsets(
     network.train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
     rng, losses = np.random.default_rng([seed, 1]), []
-    for step, (images, fruit, wanted) in enumerate(_batches(renders, photos, steps, np.random.default_rng([seed, 0]))):
-        done = step / steps
-        optimiser.param_groups[0]["lr"] = RATE * min(1.0, done / RISE + 0.01) * 0.5 * (1.0 + np.cos(np.pi * done))
+    drawn = np.random.default_rng([seed, 0])
+    for step, (images, fruit, wanted) in zip(range(steps), ahead(lambda: _batch(renders, photos, drawn)), strict=False):
+        optimiser.param_groups[0]["lr"] = RATE * rate_share(step / steps)
         with torch.autocast("cpu", torch.bfloat16):
             with torch.no_grad():
                 levels = encoder.levels(normalise(images).contiguous(memory_format=torch.channels_last))
@@ -137,23 +134,10 @@ def learn_offsets(
     return network.eval()
 
 
-def _batches(
-    renders: Sequence[OffsetPicture], photos: Sequence[OffsetPicture], steps: int, rng: np.random.Generator
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Images (B, 3, CROP, CROP), where fruit is known (B, CROP, CROP) and offsets (B, 2, CROP, CROP), each batch made
-    while the network trains on the one before."""
-    with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(_batch, renders, photos, rng)
-        for step in range(steps):
-            ready = coming.result()
-            if step + 1 < steps:
-                coming = pool.submit(_batch, renders, photos, rng)
-            yield ready
-
-
 def _batch(
     renders: Sequence[OffsetPicture], photos: Sequence[OffsetPicture], rng: np.random.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
+    """Images (B, 3, CROP, CROP), where fruit is known (B, CROP, CROP) and offsets (B, 2, CROP, CROP)."""
     crops = []
     for _ in range(BATCH):
         real = len(photos) > 0 and rng.random() < PHOTOS

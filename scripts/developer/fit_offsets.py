@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
-from _terminal import import_tyro, run
+from _terminal import import_tyro, run, say
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.offsets import STORED, save_offsets
 from fruitlangs.fitting.encoder.lifted import rendered_scenes
@@ -50,11 +50,6 @@ def main(options: Options) -> None:
     encoder = EmbeddedEncoder.open()
     network = learn_offsets(encoder.network, renders, photos, steps=options.steps, seed=options.seed, report=say)
     save_offsets(options.out, network, encoder.identity, seeds=seeds, steps=options.steps)
-
-
-def say(text: str) -> None:
-    """Print at once: the training takes a quarter of an hour."""
-    print(text, flush=True)
 
 
 if __name__ == "__main__":

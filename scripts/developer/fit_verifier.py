@@ -20,12 +20,12 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from _terminal import import_tyro, run
+from _terminal import import_tyro, run, say
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.photos.search import search_photos
-from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network, tensors_of
+from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network
 from fruitlangs.engine.evaluation.metrics import count_metrics
-from fruitlangs.engine.storage.files import write_tensors
+from fruitlangs.engine.storage.files import halved, write_tensors
 from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, fit, mined, prepared
 
 tyro = import_tyro()
@@ -64,14 +64,11 @@ def main(options: Options) -> None:
         together = Samples.join(samples)
         say(f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees")
         network = fit(together, epochs=options.epochs, seed=options.seed, report=say)
-        write_tensors(options.out, tensors_of(network), {"format": FORMAT, "trees": [tree.name for tree in learnt]})
+        write_tensors(
+            options.out, halved(network.state_dict()), {"format": FORMAT, "trees": [tree.name for tree in learnt]}
+        )
         if checked:
             say(table(checked, network))
-
-
-def say(text: str) -> None:
-    """Print at once: a training takes minutes."""
-    print(text, flush=True)
 
 
 def table(trees: list[Tree], network: Network) -> str:

@@ -183,8 +183,3 @@ def read_network(path: Path) -> Network:
 def stored_network() -> Network:
     """The network that comes with the package."""
     return read_network(STORED)
-
-
-def tensors_of(network: Network) -> dict[str, Tensor]:
-    """What is stored of a network, in half precision."""
-    return {name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}

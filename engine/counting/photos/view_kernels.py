@@ -29,8 +29,6 @@ FRAMED = 0.5
 """Share of the disc that a view must frame to be chosen."""
 SHOWS = 0.12
 """Share of the disc with this fruit from which a view shows the sphere."""
-SPECK = 0.075
-"""Share of the disc with fruit below which a view shows nothing of the sphere, but may show what is behind."""
 LEAST_RANK = 0.08
 """Rank below which a view is not chosen."""
 CLOSEST_STEPS = 4

@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...errors import EncoderError
-from ...storage.files import read_tensors, write_tensors
+from ...storage.files import halved, read_tensors, write_tensors
 from ..colours import colour_words
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import Question
@@ -233,11 +233,7 @@ def save_weights(
         "calibration": asdict(calibration),
         **notes,
     }
-    tensors = {
-        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
-        for name, tensor in network.state_dict().items()
-    }
-    write_tensors(path, tensors, header)
+    write_tensors(path, halved(network.state_dict()), header)
 
 
 def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:

@@ -80,11 +80,17 @@ class Network(nn.Module):
 
     def fuse(self) -> Network:
         """Ready for inference: normalisation folded into the convolutions."""
-        self.eval()
-        for module in self.modules():
-            if isinstance(module, Unit):
-                module.fuse()
-        return nn.Module.to(self, memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+        fuse_units(self)
+        return self
+
+
+def fuse_units(network: nn.Module) -> None:
+    """Make a network of units ready for inference, in place."""
+    network.eval()
+    for module in network.modules():
+        if isinstance(module, Unit):
+            module.fuse()
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def normalise(image: Tensor) -> Tensor:

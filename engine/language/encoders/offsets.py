@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...errors import EncoderError
-from ...storage.files import read_tensors, write_tensors
-from .network import WIDTHS, Unit
+from ...storage.files import halved, read_tensors, write_tensors
+from .network import WIDTHS, Unit, fuse_units
 
 STORED = Path(__file__).resolve().parent / "weights" / "offsets.safetensors"
 FORMAT = "fruitlangs-offsets-1"
@@ -50,11 +50,8 @@ class OffsetNetwork(nn.Module):
 
     def fuse(self) -> OffsetNetwork:
         """Ready for inference: normalisation folded into the convolutions."""
-        self.eval()
-        for module in self.modules():
-            if isinstance(module, Unit):
-                module.fuse()
-        return nn.Module.to(self, memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+        fuse_units(self)
+        return self
 
 
 @cache
@@ -80,8 +77,4 @@ def stored_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
 
 def save_offsets(path: Path, network: OffsetNetwork, encoder: str, **notes: object) -> None:
     """Write an unfused network in half precision; encoder: identity of the encoder that it was trained for."""
-    tensors = {
-        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
-        for name, tensor in network.state_dict().items()
-    }
-    write_tensors(path, tensors, {"format": FORMAT, "encoder": encoder, **notes})
+    write_tensors(path, halved(network.state_dict()), {"format": FORMAT, "encoder": encoder, **notes})
