@@ -344,7 +344,7 @@ def reopen(
         stored = Config.from_document(document["config"])
         _require_same(folder.path, stored, config, given)
         photos = folder.path / PHOTOS if PHOTOS in document["files"] else None
-        files = Files(*(folder.path / name for name in (GAUSSIANS, CAMERAS, FEATURES)), photos)
+        files = Files(folder.path / GAUSSIANS, folder.path / CAMERAS, folder.path / FEATURES, photos)
         features = load_features(files.features)
         if encoder_id is not None and features.encoder_id != encoder_id:
             raise ConfigError(
