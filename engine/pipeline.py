@@ -20,6 +20,7 @@ from .counting.fruit import FruitCount
 from .counting.published.template_shape import read_template
 from .errors import ConfigError, FruitLangsError, OutputError, VocabularyError
 from .language.features.embedder import Embedder
+from .language.prompts.colour_choice import ColourChoice, colour_split
 from .language.prompts.photo_probability import photo_probabilities
 from .language.prompts.relevancy import check_prompts
 from .language.prompts.selection import select
@@ -85,12 +86,18 @@ def count_scene(
         known = _known(made, source, out)
         with run.log.timed("count"):
             probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
-            maps = None
-            if made.photos is not None and config.count.method == "voting" and config.count.select != "dual":
-                maps = photo_probabilities(made.photos, made.features, encoder, prompts, negatives)
+            found, maps, choice = probability, None, None
+            if config.count.method == "voting" and config.count.select != "dual":
+                split = colour_split(encoder, prompts, negatives)
+                sought = (prompts, negatives) if split is None else (split.prompts, split.negatives)
+                if split is not None:
+                    choice = ColourChoice.of(split, made.features, made.photos)
+                    found = select(made.features, encoder, *sought, config.count, made.gaussians.means)
+                if made.photos is not None:
+                    maps = photo_probabilities(made.photos, made.features, encoder, *sought)
             fruit_count = count_fruit(
                 made.gaussians,
-                probability,
+                found,
                 made.scene.cameras,
                 config.count,
                 label=_label(prompts),
@@ -98,6 +105,7 @@ def count_scene(
                 up=made.scene.up,
                 quality=Quality.of(made.origin["training"]),
                 photos=maps,
+                choice=choice,
                 progress=part(progress, 0.9, 0.97),
             )
         result = Result(

@@ -122,7 +122,7 @@ def _tell(stack: Stack, fruit: Clusters, searched: Search, config: CountConfig, 
         others = stack.gaussians.select(torch.from_numpy(np.flatnonzero(stack.probability < config.threshold)))
         lying_on_ground(others, [picture.camera for picture in stack.pictures], centers, 2.0 * radii, UP)
     with watch.stage("interval"):
-        everywhere = np.ones(len(searched.found), bool)
+        everywhere = np.ones(len(searched.found))
         estimate(evidence_of(searched, everywhere, stack.pictures, seed=config.seed), len(centers))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..config import CountConfig
 from ..errors import CountingError
+from ..language.prompts.colour_choice import ColourChoice
 from ..language.prompts.photo_probability import PhotoMap
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera
@@ -25,6 +26,7 @@ from .accounts.ids import NO_FRUIT, KnownFruit, number
 from .accounts.interval import Estimate, estimate, evidence_of
 from .accounts.zero import UNKNOWN, Matching, Quality
 from .evidence.cluster import Clusters, Search, find_fruit, search
+from .evidence.fruit_colours import colour_chances
 from .evidence.picture_size import size_from_pictures
 from .evidence.pixel_width import pixel_widths
 from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
@@ -76,6 +78,7 @@ def count_fruit(
     known: KnownFruit = NO_FRUIT,
     quality: Quality = UNKNOWN,
     photos: Sequence[PhotoMap] | None = None,
+    choice: ColourChoice | None = None,
     progress: Progress = silent,
 ) -> FruitCount:
     """Count the fruit formed by the Gaussians with a probability (N,) near or above `config.threshold`.
@@ -88,7 +91,8 @@ def count_fruit(
     up: (3,) away from the ground; estimated from the cameras if not given. visibility: of the Gaussians in the cameras,
     if known; rendered otherwise. known: fruit that an earlier count of the scene numbered, whose ids stay; new fruit
     are numbered from top to bottom, from 1 or after the last id. quality: of the Gaussians, which may be the cause of a
-    0. photos: what each camera's photo shows of the prompt; fruit that Gaussians leave out are found in them.
+    0. photos: what each camera's photo shows of the prompt; fruit that Gaussians leave out are found in them. choice:
+    the colours of which fruit are counted, if not all; probability and photos are of the fruit of any colour then.
 
     Raises:
         ConfigError: the region is invalid, two trees stand above one another, or the file that `config.template`
@@ -147,11 +151,13 @@ def count_fruit(
         return replace(none, notices=[*notices, *none.notices])
     evidence = None if photos is None else PhotoEvidence(gaussians, probabilities, photos)
     found, searched = _find(points, sized, pictures, evidence, config, part(progress, 0.7, 1.0))
-    clusters = keep_inside(found, region)
+    within = keep_inside(found, region)
+    colours = _Chosen(choice, gaussians, probabilities, visibility, pictures, photos, config)
+    clusters = colours.keep(within)
     spheres = clusters.spheres
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
     numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)
-    account = account_for(clusters, numbers, beyond=len(found.spheres) - len(spheres))
+    account = account_for(clusters, numbers, beyond=len(found.spheres) - len(within.spheres))
     view_evidence = gather_view_evidence(pictures, spheres.centers, spheres.radii, config.threshold)
     counted = FruitCount(
         fruits=describe(gaussians, seen, clusters, numbers, account.compound, view_evidence, label),
@@ -169,8 +175,13 @@ def count_fruit(
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
-        placed = _with_intervals(placed, searched, region, pictures, config.seed)
+        candidates = searched.found.spheres
+        counts = region.contains(candidates.centers) * colours.chances(candidates)
+        placed = _with_intervals(placed, searched, counts, pictures, config.seed)
     if len(spheres):
+        return placed
+    if len(within.spheres):
+        matching.require_answer(colours.refusal)
         return placed
     if len(found.spheres):
         matching.require_answer("all fruit that were found lie outside the region")
@@ -180,6 +191,43 @@ def count_fruit(
     matching.require_answer(NO_SHAPE, sized.diameter)
     estimated = searched is not None and len(searched.found.spheres) > 0 and size is not None
     return placed if estimated else matching.with_bounds(placed, sized.diameter)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """Which fruit have a colour that is asked for: all without a choice."""
+
+    choice: ColourChoice | None
+    gaussians: Gaussians
+    probabilities: FloatArray
+    visibility: Visibility
+    pictures: Sequence[Picture]
+    maps: Sequence[PhotoMap] | None
+    config: CountConfig
+
+    @property
+    def refusal(self) -> str:
+        """Why a fruit of another colour is not counted."""
+        assert self.choice is not None
+        asked = [word for word, wanted in zip(self.choice.split.words, self.choice.split.asked, strict=True) if wanted]
+        return f"its fruit are not {' or '.join(asked)}"
+
+    def chances(self, spheres: Spheres) -> FloatArray:
+        """(F,) probability that each sphere has one of the colours."""
+        if self.choice is None:
+            return np.ones(len(spheres))
+        means = self.gaussians.means.detach().double().cpu().numpy()
+        weights = np.where(self.probabilities >= FAINT * self.config.threshold, self.visibility.weights, 0.0)
+        threshold = self.config.threshold
+        return colour_chances(
+            self.choice, spheres.centers, spheres.radii, means, weights, self.pictures, self.maps, threshold
+        )
+
+    def keep(self, clusters: Clusters) -> Clusters:
+        """The clusters without fruit of other colours."""
+        if self.choice is None:
+            return clusters
+        return clusters.keeping(self.chances(clusters.spheres) > 0.5, np.ones(len(clusters.points), bool), self.refusal)
 
 
 def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence[Picture]) -> float | None:
@@ -204,19 +252,18 @@ def _on_trees(
 
 
 def _with_intervals(
-    counted: FruitCount, searched: Search, region: Region, pictures: Sequence[Picture], seed: int
+    counted: FruitCount, searched: Search, counts: FloatArray, pictures: Sequence[Picture], seed: int
 ) -> FruitCount:
     """The count and its trees with intervals; a candidate belongs to the tree of its nearest fruit.
 
-    Without fruit, trees have no interval.
+    counts: (C,) probability that a candidate counts if it is a fruit. Without fruit, trees have no interval.
     """
     centers = searched.found.spheres.centers
-    inside = region.contains(centers)
     numbers = np.array([NO_TREE if fruit.tree is None else fruit.tree for fruit in counted.fruits])
     known = counted.trees and counted.fruits
     own = numbers[cKDTree(counted.centers).query(centers)[1]] if known else np.full(len(centers), NO_TREE)
 
-    def estimated(of: NDArray[np.bool_], count: int) -> Estimate:
+    def estimated(of: FloatArray, count: int) -> Estimate:
         return estimate(evidence_of(searched, of, pictures, seed=seed), count)
 
     def intervals(of: Estimate) -> dict[str, Any]:
@@ -224,8 +271,8 @@ def _with_intervals(
 
     trees = counted.trees
     if known:
-        trees = [replace(tree, **intervals(estimated(inside & (own == tree.number), tree.count))) for tree in trees]
-    whole = estimated(inside, counted.count)
+        trees = [replace(tree, **intervals(estimated(counts * (own == tree.number), tree.count))) for tree in trees]
+    whole = estimated(counts, counted.count)
     return replace(counted, trees=trees, likely=whole.likely, **intervals(whole))
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import ConvexHull, QhullError
 
 from ..evidence.cluster import LIKELY, Search
 from ..evidence.visibility import Picture, open_views
@@ -125,9 +125,12 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
     return Estimate((low, high), round(likely, 1), round(total, 1), bounds)
 
 
-def evidence_of(found: Search, inside: NDArray[np.bool_], pictures: Sequence[Picture], *, seed: int) -> Evidence:
-    """What the candidates that lie `inside` (C,) the region, and the views, show about a count."""
-    probabilities = np.where(inside, found.probabilities, 0.0)
+def evidence_of(found: Search, counts: FloatArray, pictures: Sequence[Picture], *, seed: int) -> Evidence:
+    """What the candidates and the views show about a count.
+
+    counts: (C,) probability that each counts if it is a fruit.
+    """
+    probabilities = counts * found.probabilities
     expected = float(probabilities.sum())
     if expected <= 0.0:
         return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos)
@@ -148,11 +151,11 @@ def hull_share(count: int) -> float:
 def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Places spread evenly over the hull of centers (F, 3); none if they have no hull."""
     try:
-        hull = Delaunay(centers)
+        sides = ConvexHull(centers).equations
     except (QhullError, ValueError):
         return np.zeros((0, 3))
     places = rng.uniform(centers.min(axis=0), centers.max(axis=0), (4 * PLACES, 3))
-    return places[hull.find_simplex(places) >= 0][:PLACES]
+    return places[(places @ sides[:, :3].T + sides[:, 3] <= 0.0).all(axis=1)][:PLACES]
 
 
 def _shown(pictures: Sequence[Picture], places: FloatArray, radius: float) -> float:

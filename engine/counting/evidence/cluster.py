@@ -76,6 +76,26 @@ class Clusters:
     small: Collection[int] = ()
     axes: FloatArray | None = None
 
+    def keeping(self, kept: NDArray[np.bool_], shown: NDArray[np.bool_], reason: str) -> Clusters:
+        """Only the fruit that are `kept` (F,), and the points that are `shown` (P,); reason: for leaving out the
+        others."""
+        numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+        lost = np.append(~kept, False)[self.owners]
+        reasons = dict.fromkeys(np.unique(self.components[lost]).tolist(), reason) | dict(self.refusals)
+        names, components = np.unique(self.components[shown], return_inverse=True)
+        return replace(
+            self,
+            points=self.points.select(shown),
+            spheres=self.spheres.select(kept),
+            owners=numbers[self.owners[shown]],
+            components=components.astype(np.int64),
+            probabilities=self.probabilities[kept],
+            refusals={new: reasons[old] for new, old in enumerate(names.tolist()) if old in reasons},
+            findings={new: self.findings[old] for new, old in enumerate(names.tolist()) if old in self.findings},
+            small=frozenset(int(numbers[index]) for index in self.small if kept[index]),
+            axes=None if self.axes is None else self.axes[kept],
+        )
+
     def refusal(self, component: int) -> str:
         """Why a cluster has no fruit."""
         return self.refusals.get(component, "its points face no common centre")

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ...progress import Progress, silent
 from ..geometry.cells import separated
 from .verifier import Verifier
-from .views import PhotoViews
+from .views import FEW, PhotoViews
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -24,6 +24,8 @@ PUSHES, STEP = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0), 0.25
 """Diameters behind the place of a pixel's fruit at which it is also searched, and the distance between such places."""
 PEAK, LEAST_SCORE = 0.25, 0.15
 """Diameters between the best places, and the least score of one."""
+PROMISING = 0.15
+"""Share of the places that are scored by all spots, the best by few; the best 2,000 were among the best 4 %."""
 PEAKS, PEAKS_OF_FRUIT = 1500, 15
 """How many places are verified, at least, and for each fruit that was found on surfaces."""
 GIVEN_UP, UNLIKELY, LIKELY = -2.5, -3.0, 1.0
@@ -78,6 +80,8 @@ def search_photos(
 def likely_places(views: PhotoViews, diameter: float, frame: FloatArray) -> FloatArray:
     """(S, 3) places where photos may show fruit of a diameter, the likeliest first; frame: as of `search_photos`."""
     places = views.places(diameter / 2.0, [push * diameter for push in PUSHES], STEP * diameter, frame)
+    guesses = views.score(places, diameter / 2.0, FEW)
+    places = places[guesses >= np.quantile(guesses, 1.0 - PROMISING)] if len(places) else places
     return places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -125,23 +125,10 @@ def keep_inside(clusters: Clusters, region: Region) -> Clusters:
     """The clusters without fruit whose centres lie outside, and without points outside that belong to no remaining
     fruit."""
     kept = region.contains(clusters.spheres.centers)
-    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
-    shown = np.where(clusters.owners < 0, region.contains(clusters.points.positions), numbers[clusters.owners] >= 0)
-    lost = np.unique(clusters.components[(clusters.owners >= 0) & ~shown]).tolist()
-    reasons = {component: "its fruit lie outside the region" for component in lost} | dict(clusters.refusals)
-    names, components = np.unique(clusters.components[shown], return_inverse=True)
-    return replace(
-        clusters,
-        points=clusters.points.select(shown),
-        spheres=clusters.spheres.select(kept),
-        owners=numbers[clusters.owners[shown]],
-        components=components.astype(np.int64),
-        probabilities=clusters.probabilities[kept],
-        refusals={new: reasons[old] for new, old in enumerate(names.tolist()) if old in reasons},
-        findings={new: clusters.findings[old] for new, old in enumerate(names.tolist()) if old in clusters.findings},
-        small=frozenset(int(numbers[index]) for index in clusters.small if kept[index]),
-        axes=None if clusters.axes is None else clusters.axes[kept],
+    shown = np.where(
+        clusters.owners < 0, region.contains(clusters.points.positions), np.append(kept, True)[clusters.owners]
     )
+    return clusters.keeping(kept, shown, "its fruit lie outside the region")
 
 
 def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:

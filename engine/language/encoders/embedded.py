@@ -24,7 +24,7 @@ from ...errors import EncoderError
 from ...storage.files import halved, read_tensors, write_tensors
 from ..colours import colour_words
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
-from .encoder import Question
+from .encoder import ColourSplit, Question
 from .network import Network, at_pixels, levels_at, resized
 from .offsets import OffsetNetwork, stored_offsets
 
@@ -147,6 +147,31 @@ class EmbeddedEncoder:
 
     def kinds(self) -> Tensor:
         return _basis(FRUITS, CONCEPTS)
+
+    def split_colours(self, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
+        """See `ColourEncoder`. All prompts must name the same fruit; a negative chooses if it is as general."""
+        sought, unwanted = [list(map(parse, phrases)) for phrases in (prompts, negatives)]
+        fruit = sought[0].concepts
+        if not fruit or not set(fruit) <= set(FRUITS) or any(phrase.concepts != fruit for phrase in sought):
+            return None
+        choosing = [
+            phrase.colours and (not phrase.concepts or set(fruit) <= set(phrase.concepts)) for phrase in unwanted
+        ]
+        barred = {
+            colour for phrase, chooses in zip(unwanted, choosing, strict=True) if chooses for colour in phrase.colours
+        }
+        named = {colour for phrase in sought for colour in phrase.colours} | barred
+        if not named:
+            return None
+        words = FRUIT_COLOURS if named <= set(FRUIT_COLOURS) else COLOURS
+        asked = {colour for phrase in sought for colour in phrase.colours or words} - barred
+        return ColourSplit(
+            prompts=(sought[0].text.split()[-1],),
+            negatives=[text for text, chooses in zip(negatives, choosing, strict=True) if not chooses],
+            words=words,
+            colours=_basis(words, COLOURS),
+            asked=[word in asked for word in words],
+        )
 
     def meaning(self, prompt: str) -> str:
         phrase = parse(prompt)

@@ -65,6 +65,33 @@ class Encoder(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class ColourSplit:
+    """Prompts for fruit of some colours, in two parts: fruit of a kind, and their colour.
+
+    prompts, negatives: without colours; words: A colours, of which every fruit has one; colours: (A, D) their text
+    vectors; asked: (A,) which of them the prompts ask for.
+    """
+
+    prompts: Sequence[str]
+    negatives: Sequence[str]
+    words: Sequence[str]
+    colours: Tensor
+    asked: Sequence[bool]
+
+
+class ColourEncoder(Encoder, Protocol):
+    """An encoder whose features tell colours apart from kinds of fruit."""
+
+    def split_colours(self, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
+        """The prompts in two parts; None if no colour chooses among the fruit of one kind.
+
+        Raises:
+            VocabularyError: an unknown word.
+        """
+        ...
+
+
 class DenseEncoder(Encoder, Protocol):
     """An encoder that processes whole photos and needs no masks."""
 
@@ -98,6 +125,11 @@ def sees_whole(encoder: Encoder) -> TypeGuard[DenseEncoder]:
 def sees_fruit(encoder: Encoder) -> TypeGuard[FruitEncoder]:
     """Whether an encoder distinguishes single fruit in whole photos."""
     return hasattr(encoder, "encode_fruit")
+
+
+def splits_colours(encoder: Encoder) -> TypeGuard[ColourEncoder]:
+    """Whether an encoder tells colours apart from kinds of fruit."""
+    return hasattr(encoder, "split_colours")
 
 
 def sees_crops(encoder: Encoder) -> TypeGuard[CropEncoder]:

@@ -17,7 +17,7 @@ from fruitlangs.engine.language.encoders.embedded import WEIGHTS, Calibration, E
 from fruitlangs.engine.language.encoders.network import Network, normalise
 from fruitlangs.engine.language.encoders.open_encoder import open_encoder
 from fruitlangs.engine.language.prompts.relevancy import answer, scene_answers, understood
-from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUITS
+from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
 WIDTHS, DEPTHS = (4, 6, 8, 10), (1, 1, 1, 1)
@@ -160,3 +160,43 @@ def test_the_shipped_weights_find_the_fruit_of_the_sample_and_call_it_apple_befo
     assert (found[0] & truth).sum() / (found[0] | truth).sum() > 0.6
     named = {word: int((each & truth).sum()) for word, each in zip(words[1:], found[1:], strict=True)}
     assert max(named, key=lambda word: named[word]) == "apple"
+
+
+@pytest.mark.parametrize(
+    ("prompts", "negatives", "sought", "asked", "left"),
+    [
+        (["red apple"], [], "apple", {"red"}, []),
+        (["red apple", "green apples"], ["leaf"], "apple", {"red", "green"}, ["leaf"]),
+        (["apple"], ["green apple"], "apple", set(FRUIT_COLOURS) - {"green"}, []),
+        (["unripe plum"], [], "plum", {"green"}, []),
+        (["ripe"], [], "fruit", set(FRUIT_COLOURS) - {"green"}, []),
+        (["fruit"], ["green apple", "green"], "fruit", set(FRUIT_COLOURS) - {"green"}, ["green apple"]),
+        (["brown pear"], [], "pear", {"brown"}, []),
+        (["orange"], ["green orange"], "orange", set(FRUIT_COLOURS) - {"green"}, []),
+    ],
+)
+def test_a_colour_chooses_among_the_fruit_of_a_kind(
+    tiny: EmbeddedEncoder, prompts: list[str], negatives: list[str], sought: str, asked: set[str], left: list[str]
+):
+    split = tiny.split_colours(prompts, negatives)
+    assert split is not None
+    assert list(split.prompts) == [sought]
+    assert {word for word, wanted in zip(split.words, split.asked, strict=True) if wanted} == asked
+    assert list(split.negatives) == left
+    assert torch.equal(split.colours[split.words.index("red")], tiny.encode_text(["red"])[0])
+
+
+@pytest.mark.parametrize(
+    ("prompts", "negatives"),
+    [
+        (["apple"], ["leaf"]),
+        (["red"], []),
+        (["red apple", "pear"], []),
+        (["green leaf"], []),
+        (["fruit"], ["red pear"]),
+    ],
+)
+def test_colours_that_do_not_split_one_kind_of_fruit_stay_in_the_prompt(
+    tiny: EmbeddedEncoder, prompts: list[str], negatives: list[str]
+):
+    assert tiny.split_colours(prompts, negatives) is None
