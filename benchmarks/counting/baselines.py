@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from sklearn.cluster import DBSCAN, KMeans
 
 from ...engine.config import CountConfig
-from ...engine.counting.count import count_fruit, fruit_size, select_gaussians
+from ...engine.counting.count import count_fruit
 from ...engine.counting.evidence.candidates import OVERLAP, SurfaceIndex, vote
 from ...engine.counting.evidence.size import FruitSize
 from ...engine.counting.evidence.surface_points import SurfacePoints, sample_enough
 from ...engine.counting.evidence.visibility import Visibility, find_visibility
 from ...engine.counting.geometry.sphere import REACH, fit_spheres
+from ...engine.counting.sizing import fruit_size, select_gaussians
 from ...engine.errors import CountingError
 from ...engine.scene.camera import Camera
 from ...engine.splatting.gaussians import Gaussians

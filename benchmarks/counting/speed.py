@@ -14,11 +14,11 @@ from ...engine.counting.accounts.audit import account_for
 from ...engine.counting.accounts.describe import describe
 from ...engine.counting.accounts.ids import number
 from ...engine.counting.accounts.interval import estimate, evidence_of
-from ...engine.counting.count import fruit_size, select_gaussians
 from ...engine.counting.evidence.cluster import Clusters, Search, find_fruit, search
 from ...engine.counting.evidence.surface_points import LARGEST_SCALE, sample_surface
 from ...engine.counting.evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from ...engine.counting.regions.ground import lying_on_ground
+from ...engine.counting.sizing import fruit_size, select_gaussians
 from ...engine.errors import CountingError
 from ...engine.progress import Progress, part, silent
 from ...engine.splatting.gaussians import Gaussians

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +26,11 @@ from .accounts.ids import NO_FRUIT, KnownFruit, number
 from .accounts.interval import Estimate, estimate, evidence_of
 from .accounts.zero import UNKNOWN, Matching, Quality
 from .evidence.cluster import Clusters, Search, find_fruit, search
-from .evidence.fruit_colours import colour_chances
+from .evidence.fruit_colours import FruitColours
 from .evidence.picture_size import size_from_pictures
 from .evidence.pixel_width import pixel_widths
-from .evidence.size import LEAST_EVIDENCE, FruitSize, estimate_diameter
-from .evidence.surface_points import LARGEST_SCALE, SURFACE, SurfacePoints, sample_enough, sample_surface, sample_volume
+from .evidence.size import FruitSize
+from .evidence.surface_points import SurfacePoints
 from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from .fruit import NO_TREE, AuditEntry, FruitCount
 from .geometry.sphere import Spheres
@@ -41,29 +41,25 @@ from .published.template_shape import read_template
 from .regions.ground import lying_on_ground
 from .regions.region import REACH, Region, keep_inside, region_of, spaced
 from .regions.row import check_trees, trees_of_row
+from .sizing import (
+    FAINT,
+    LEAST_OPACITY,
+    check_diameter,
+    fruit_size,
+    require_fine,
+    sampled,
+    select_gaussians,
+    why_no_points,
+    why_no_size,
+)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LEAST_OPACITY = 0.05
-FAINT = 1.0 / 3.0
-"""Share of the threshold above which a Gaussian may belong to a fruit whose other Gaussians are above the threshold."""
-SIZING_POINTS, SIZING_SHARE = 20_000, 0.5
-"""Points for the size estimate, or this many per Gaussian if that is more: ten per fruit are too few."""
-VOLUME_POINTS = 60_000
-"""Number of points of the paper's sampling."""
 ROUNDING = 1e-5
 """Tolerance of a probability outside 0…1: rounding of sums in float32."""
-DEFAULT_SPREAD = 0.2
-"""Standard deviation of log diameter between fruit if the diameter is given."""
 NO_SHAPE = "no candidate among the matching Gaussians has the shape of a fruit"
 """Reason of a 0 for which the audit lists the candidates."""
-FACELESS = "has a side that faces the cameras and is not inside another"
-"""Text for Gaussians that give no surface points: seen equally from opposite sides, they have no outer side."""
-UNLIKE = 1.6
-"""Ratio of the given diameter to that of the scene above which the user is notified."""
-FIRST_SPREADS = (0.15, 0.35)
-"""Least and largest standard deviation of log diameter to start from."""
 
 
 def count_fruit(
@@ -131,52 +127,39 @@ def count_fruit(
     own = seen[inside[seen]]
     if len(own) == 0:
         return nothing(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}", visible=False)
-    notices = _check_diameter(gaussians, probabilities, visibility, own, config, part(progress, 0.3, 0.4))
+    notices = check_diameter(gaussians, probabilities, visibility, own, config, part(progress, 0.3, 0.4))
     size = fruit_size(gaussians, probabilities, visibility, own, config, part(progress, 0.4, 0.5))
     pictures = draw(gaussians, probabilities, cameras, progress=part(progress, 0.5, 0.7))
     sized = size or size_from_pictures(pictures, config.threshold, region.contains)
     if sized is None or (size is None and matching.sharp(sized.diameter)):
-        return nothing(_why_no_size(gaussians, probabilities, visibility, own, config, label), points=len(own))
+        return nothing(why_no_size(gaussians, probabilities, visibility, own, config, label), points=len(own))
     if size is None:
         notices = [
             f"no surface of {label} is round, so the size of the fruit was estimated from the widths of its regions in "
             "the rendered views. Check the sizes and the count"
         ]
-    points = _sampled(gaussians, probabilities, visibility, seen, sized.diameter, config)
+    points = sampled(gaussians, probabilities, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        reason = _why_no_points(gaussians, own, sized.diameter, label)
-        _require_fine(gaussians, own, sized.diameter, config, reason, label)
+        reason = why_no_points(gaussians, own, sized.diameter, label)
+        require_fine(gaussians, own, sized.diameter, config, reason, label)
         none = nothing(reason, sized.diameter, points=len(own))
         return replace(none, notices=[*notices, *none.notices])
     evidence = None if photos is None else PhotoEvidence(gaussians, probabilities, photos)
     found, searched = _find(points, sized, pictures, evidence, config, part(progress, 0.7, 1.0))
     within = keep_inside(found, region)
-    colours = _Chosen(choice, gaussians, probabilities, visibility, pictures, photos, config)
+    weights = np.where(probabilities >= FAINT * config.threshold, visibility.weights, 0.0)
+    colours = FruitColours(choice, gaussians, weights, pictures, photos, config.threshold)
     clusters = colours.keep(within)
-    spheres = clusters.spheres
-    mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
-    numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)
-    account = account_for(clusters, numbers, beyond=len(found.spheres) - len(within.spheres))
-    view_evidence = gather_view_evidence(pictures, spheres.centers, spheres.radii, config.threshold)
-    counted = FruitCount(
-        fruits=describe(gaussians, seen, clusters, numbers, account.compound, view_evidence, label),
-        audit=account.entries,
-        max_probability=highest,
-        mean_diameter=mean,
-        last_id=max(known.last, int(numbers.max(initial=0))),
-        points=clusters.points.positions,
-        point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
-        point_fruit_ids=np.append(numbers, -1)[clusters.owners],
-        notices=notices,
-        pixel_width=_pixel_width(spheres, cameras, pictures),
-    )
+    spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
+    described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
+    counted = replace(described, notices=notices)
     others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
         candidates = searched.found.spheres
-        counts = region.contains(candidates.centers) * colours.chances(candidates)
+        counts = region.contains(candidates.centers) * colours.chances(candidates.centers, candidates.radii)
         placed = _with_intervals(placed, searched, counts, pictures, config.seed)
     if len(spheres):
         return placed
@@ -193,41 +176,38 @@ def count_fruit(
     return placed if estimated else matching.with_bounds(placed, sized.diameter)
 
 
-@dataclass(frozen=True, eq=False)
-class _Chosen:
-    """Which fruit have a colour that is asked for: all without a choice."""
+def _described(
+    gaussians: Gaussians,
+    seen: IntArray,
+    clusters: Clusters,
+    pictures: Sequence[Picture],
+    cameras: Sequence[Camera],
+    known: KnownFruit,
+    config: CountConfig,
+    label: str,
+    beyond: int,
+    highest: float,
+) -> FruitCount:
+    """The fruit with their numbers and descriptions, and the audit.
 
-    choice: ColourChoice | None
-    gaussians: Gaussians
-    probabilities: FloatArray
-    visibility: Visibility
-    pictures: Sequence[Picture]
-    maps: Sequence[PhotoMap] | None
-    config: CountConfig
-
-    @property
-    def refusal(self) -> str:
-        """Why a fruit of another colour is not counted."""
-        assert self.choice is not None
-        asked = [word for word, wanted in zip(self.choice.split.words, self.choice.split.asked, strict=True) if wanted]
-        return f"its fruit are not {' or '.join(asked)}"
-
-    def chances(self, spheres: Spheres) -> FloatArray:
-        """(F,) probability that each sphere has one of the colours."""
-        if self.choice is None:
-            return np.ones(len(spheres))
-        means = self.gaussians.means.detach().double().cpu().numpy()
-        weights = np.where(self.probabilities >= FAINT * self.config.threshold, self.visibility.weights, 0.0)
-        threshold = self.config.threshold
-        return colour_chances(
-            self.choice, spheres.centers, spheres.radii, means, weights, self.pictures, self.maps, threshold
-        )
-
-    def keep(self, clusters: Clusters) -> Clusters:
-        """The clusters without fruit of other colours."""
-        if self.choice is None:
-            return clusters
-        return clusters.keeping(self.chances(clusters.spheres) > 0.5, np.ones(len(clusters.points), bool), self.refusal)
+    beyond: number of fruit outside the region; highest: probability of a Gaussian in it.
+    """
+    spheres = clusters.spheres
+    mean = float(2.0 * spheres.radii.mean()) if len(spheres) else None
+    numbers = number(spheres.centers, _top_to_bottom(spheres.centers, cameras), mean or 0.0, known)
+    account = account_for(clusters, numbers, beyond=beyond)
+    view_evidence = gather_view_evidence(pictures, spheres.centers, spheres.radii, config.threshold)
+    return FruitCount(
+        fruits=describe(gaussians, seen, clusters, numbers, account.compound, view_evidence, label),
+        audit=account.entries,
+        max_probability=highest,
+        mean_diameter=mean,
+        last_id=max(known.last, int(numbers.max(initial=0))),
+        points=clusters.points.positions,
+        point_colors=np.round(point_colors(gaussians, clusters)).astype(np.uint8),
+        point_fruit_ids=np.append(numbers, -1)[clusters.owners],
+        pixel_width=_pixel_width(spheres, cameras, pictures),
+    )
 
 
 def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence[Picture]) -> float | None:
@@ -330,160 +310,6 @@ def _checked_up(up: FloatArray) -> FloatArray:
         raise CountingError(f"The direction up is {given.tolist()}. Give three finite numbers that are not all 0")
     upward: FloatArray = given / length
     return upward
-
-
-def select_gaussians(gaussians: Gaussians, probabilities: FloatArray, config: CountConfig) -> IntArray:
-    """Which Gaussians may give surface points: opaque, and with a high enough probability (N,)."""
-    opaque = gaussians.opacities.detach().double().cpu().numpy() >= LEAST_OPACITY
-    least = config.threshold * (FAINT if config.method == "voting" else 1.0)
-    return np.flatnonzero((probabilities >= least) & opaque)
-
-
-def fruit_size(
-    gaussians: Gaussians,
-    probabilities: FloatArray,
-    visibility: Visibility,
-    seen: IntArray,
-    config: CountConfig,
-    progress: Progress = silent,
-) -> FruitSize | None:
-    """The size of the fruit, given or estimated; None if no part of the scene is round or gives points.
-
-    probabilities: (N,) of the Gaussians; seen: those that may be fruit and that a view shows.
-    """
-    if config.diameter is not None:
-        return FruitSize(config.diameter, DEFAULT_SPREAD)
-    return _measured_size(gaussians, probabilities, visibility, seen, config, progress)
-
-
-def _measured_size(
-    gaussians: Gaussians,
-    probabilities: FloatArray,
-    visibility: Visibility,
-    seen: IntArray,
-    config: CountConfig,
-    progress: Progress = silent,
-) -> FruitSize | None:
-    """The size estimated from the scene."""
-    points = _sizing_points(gaussians, probabilities, visibility, seen, config)
-    typical = float(np.median(_widths(gaussians, seen)))
-    estimate = estimate_diameter(points, typical, progress=progress)
-    if estimate is None or estimate.evidence < LEAST_EVIDENCE:
-        return None
-    return FruitSize(estimate.diameter, float(np.clip(estimate.spread, *FIRST_SPREADS)))
-
-
-def _check_diameter(
-    gaussians: Gaussians,
-    probabilities: FloatArray,
-    visibility: Visibility,
-    seen: IntArray,
-    config: CountConfig,
-    progress: Progress = silent,
-) -> list[str]:
-    """Check a given diameter and return notices: one in another unit would find other objects, or nothing.
-
-    Raises:
-        CountingError: a fruit of that size is larger than all that may be fruit.
-    """
-    if config.diameter is None:
-        return []
-    places = gaussians.means.detach().double().cpu().numpy()[seen]
-    extent = float(np.linalg.norm(np.ptp(places, axis=0)) + 2.0 * SURFACE * _widths(gaussians, seen).max())
-    if config.diameter > extent:
-        raise CountingError(
-            f"--count.diameter {config.diameter:.4g} is larger than all that may be fruit, which extends over "
-            f"{extent:.4g} scene units. Give the diameter in scene units, or leave it out"
-        )
-    measured = _measured_size(gaussians, probabilities, visibility, seen, config, progress)
-    if measured is None or abs(np.log(config.diameter / measured.diameter)) < np.log(UNLIKE):
-        return []
-    return [
-        f"fruit of diameter {config.diameter:.4g} scene units were counted, as --count.diameter says, but those of "
-        f"the scene are {measured.diameter:.4g} wide. Without the setting these are counted"
-    ]
-
-
-def _sizing_points(
-    gaussians: Gaussians, probabilities: FloatArray, visibility: Visibility, seen: IntArray, config: CountConfig
-) -> SurfacePoints:
-    """The points for the size estimate."""
-    return sample_surface(
-        gaussians,
-        probabilities,
-        visibility,
-        seen,
-        budget=min(max(SIZING_POINTS, int(SIZING_SHARE * len(seen))), config.sample_budget),
-        seed=config.seed,
-        largest=8.0 * float(np.median(_widths(gaussians, seen))),
-    )
-
-
-def _widths(gaussians: Gaussians, index: IntArray) -> FloatArray:
-    """(G,) largest standard deviation of each of the Gaussians at `index` (G,), scene units."""
-    widths: FloatArray = gaussians.scales.detach().double().cpu().numpy()[index].max(axis=1)
-    return widths
-
-
-def _why_no_size(
-    gaussians: Gaussians,
-    probabilities: FloatArray,
-    visibility: Visibility,
-    seen: IntArray,
-    config: CountConfig,
-    label: str,
-) -> str:
-    """Why no size can be estimated from the visible Gaussians."""
-    if len(_sizing_points(gaussians, probabilities, visibility, seen, config)) == 0:
-        return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
-    return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
-
-
-def _require_fine(
-    gaussians: Gaussians, seen: IntArray, diameter: float, config: CountConfig, reason: str, label: str
-) -> None:
-    """Refuse a 0 that comes from Gaussians larger than the fruit, or from a diameter smaller than the Gaussians.
-
-    Raises:
-        CountingError: most of the visible Gaussians are larger than the expected fruit.
-    """
-    if np.mean(_widths(gaussians, seen) > LARGEST_SCALE * diameter) <= 0.5:
-        return
-    advice = (
-        "The reconstruction is too blurred: take sharper photos, read them larger (--scene.max-side), or train more "
-        "Gaussians for more steps (--train.max-gaussians, --train.steps)"
-        if config.diameter is None
-        else f"--count.diameter {diameter:.4g} is too small: give it in scene units, or leave it out"
-    )
-    raise CountingError(f"The 0 for {label} is not a count: {reason}. {advice}")
-
-
-def _why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:
-    """Why the visible Gaussians give no points."""
-    large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
-    if large == len(seen):
-        return f"all {large} Gaussians of {label} are larger than the expected fruit"
-    text = f"none of the {len(seen) - large} Gaussians of {label} {FACELESS}"
-    return text + (f"; {large} others are larger than the expected fruit" if large else "")
-
-
-def _sampled(
-    gaussians: Gaussians,
-    probabilities: FloatArray,
-    visibility: Visibility,
-    seen: IntArray,
-    diameter: float,
-    config: CountConfig,
-) -> SurfacePoints:
-    """The points to count in: on surfaces, or spread through the volume for the published methods."""
-    if config.method == "voting":
-        return sample_enough(
-            gaussians, probabilities, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed
-        )
-    return sample_volume(
-        gaussians, probabilities, visibility, seen,
-        budget=min(VOLUME_POINTS, config.sample_budget), seed=config.seed, largest=LARGEST_SCALE * diameter,
-    )  # fmt: skip
 
 
 def _find(

@@ -7,11 +7,12 @@ can be added. Lengths are in mean fruit diameters times `unit`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.counting.evidence.visibility import Visibility, frame_of
 from fruitlangs.engine.evaluation.truth import Truth
@@ -212,3 +213,23 @@ def _sheet(rng: np.random.Generator, centers: FloatArray, eyes: FloatArray) -> t
 def _directions(rng: np.random.Generator, count: int) -> FloatArray:
     directions = rng.normal(size=(count, 3))
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def moved_by(tree: Simulation, turn: np.ndarray, shift: np.ndarray, scale: float) -> Simulation:
+    """The same tree under x → scale · turn x + shift."""
+    turned = Rotation.from_matrix(turn) * Rotation.from_quat(tree.gaussians.quats.numpy(), scalar_first=True)
+    gaussians = replace(
+        tree.gaussians,
+        means=torch.tensor(scale * tree.gaussians.means.double().numpy() @ turn.T + shift, dtype=torch.float32),
+        log_scales=tree.gaussians.log_scales + float(np.log(scale)),
+        quats=torch.from_numpy(turned.as_quat(scalar_first=True)).float(),
+    )
+    cameras = []
+    for camera in tree.cameras:
+        pose = camera.world_to_camera.copy()
+        pose[:3, :3] = pose[:3, :3] @ turn.T
+        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
+        cameras.append(Camera(camera.K, pose, camera.width, camera.height))
+    directions = tree.visibility.directions @ turn.T
+    seen = replace(tree.visibility, directions=directions, frame=frame_of(cameras))
+    return replace(tree, gaussians=gaussians, cameras=cameras, visibility=seen)

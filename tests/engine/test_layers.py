@@ -35,7 +35,7 @@ LAYERS = (
     ("engine/language/prompts",),
     ("engine/counting/fruit", "engine/counting/geometry"),
     ("engine/counting/evidence",),
-    ("engine/counting/regions", "engine/counting/published", "engine/counting/photos"),
+    ("engine/counting/regions", "engine/counting/published", "engine/counting/photos", "engine/counting/sizing"),
     ("engine/counting/accounts",),
     ("engine/counting/count",),
     ("engine/report", "engine/compile_ahead"),

@@ -41,7 +41,7 @@ from fruitlangs.benchmarks.training.step_times import (
     orchard_like,
 )
 from fruitlangs.engine.config import CountConfig, EmbedConfig, SceneConfig, TrainConfig
-from fruitlangs.engine.counting.count import fruit_size
+from fruitlangs.engine.counting.sizing import fruit_size
 from fruitlangs.engine.errors import CountingError, SceneError
 from fruitlangs.engine.progress import silent
 from fruitlangs.engine.scene.read import read_scene

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,8 @@ from scipy.spatial import cKDTree
 
 from ...language.prompts.colour_choice import ColourChoice
 from ...language.prompts.photo_probability import PhotoMap
+from ...splatting.gaussians import Gaussians
+from .cluster import Clusters
 from .visibility import SPOTS, Picture, spiral
 
 FloatArray = NDArray[np.float64]
@@ -25,34 +29,55 @@ NEAR = (0.6, 1.3)
 """Distances in radii between which Gaussians are on the surface of a fruit."""
 
 
-def colour_chances(
-    choice: ColourChoice,
-    centers: FloatArray,
-    radii: FloatArray,
-    means: FloatArray,
-    weights: FloatArray,
-    pictures: Sequence[Picture],
-    maps: Sequence[PhotoMap] | None,
-    threshold: float,
-) -> FloatArray:
-    """(F,) probability that each fruit has a colour that is asked for; above ½ if the colour with its largest share is
-    one of them.
+@dataclass(frozen=True, eq=False)
+class FruitColours:
+    """The colours of fruit, of which some are asked for; without a choice all are.
 
-    centers: (F, 3), radii: (F,) of the fruit, scene units; means: (N, 3) of the Gaussians; weights: (N,) how much each
-    counts, 0 for those that are no fruit; pictures, maps: of the photos; threshold: probability from which a pixel
-    shows fruit.
+    weights: (N,) how much each of the Gaussians counts, 0 for those that are no fruit; pictures, maps: of the photos;
+    threshold: probability from which a pixel shows fruit.
     """
-    shares = np.zeros((len(centers), len(choice.asked)))
-    if maps is not None and choice.photos is not None:
-        for picture, shown, (rows, colours) in zip(pictures, maps, choice.pixels(), strict=True):
-            _add_pixels(shares, centers, radii, picture, shown, rows, colours, threshold)
-    bare = np.flatnonzero(shares.sum(axis=1) == 0.0)
-    _add_gaussians(shares, bare, centers, radii, means, weights, choice.gaussians)
-    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
-    asked = np.where(choice.asked, shares, 0.0).max(axis=1)
-    others = np.where(choice.asked, 0.0, shares).max(axis=1)
-    chances: FloatArray = 1.0 / (1.0 + np.exp((others - asked) / DOUBT))
-    return chances
+
+    choice: ColourChoice | None
+    gaussians: Gaussians
+    weights: FloatArray
+    pictures: Sequence[Picture]
+    maps: Sequence[PhotoMap] | None
+    threshold: float
+
+    @property
+    def refusal(self) -> str:
+        """Why a fruit of another colour is not counted."""
+        assert self.choice is not None
+        split = self.choice.split
+        return f"its fruit are not {' or '.join(itertools.compress(split.words, split.asked))}"
+
+    def keep(self, clusters: Clusters) -> Clusters:
+        """The clusters without fruit of other colours."""
+        chosen = self.chances(clusters.spheres.centers, clusters.spheres.radii) > 0.5
+        return clusters if chosen.all() else clusters.keeping(chosen, np.ones(len(clusters.points), bool), self.refusal)
+
+    def chances(self, centers: FloatArray, radii: FloatArray) -> FloatArray:
+        """(F,) probability that fruit at centers (F, 3) with radii (F,), scene units, have a colour that is asked for.
+
+        It is above ½ if the colour with the largest share of a fruit is one of them.
+        """
+        if self.choice is None:
+            return np.ones(len(centers))
+        shares, asked = self._shares(self.choice, centers, radii), self.choice.asked
+        difference = np.where(asked, 0.0, shares).max(axis=1) - np.where(asked, shares, 0.0).max(axis=1)
+        chances: FloatArray = 1.0 / (1.0 + np.exp(difference / DOUBT))
+        return chances
+
+    def _shares(self, choice: ColourChoice, centers: FloatArray, radii: FloatArray) -> FloatArray:
+        """(F, A) shares of the colours on each fruit."""
+        shares = np.zeros((len(centers), len(choice.asked)))
+        if self.maps is not None and choice.photos is not None:
+            for picture, shown, (rows, colours) in zip(self.pictures, self.maps, choice.pixels(), strict=True):
+                _add_pixels(shares, centers, radii, picture, shown, rows, colours, self.threshold)
+        bare = np.flatnonzero(shares.sum(axis=1) == 0.0)
+        means = self.gaussians.means.detach().double().cpu().numpy()
+        _add_gaussians(shares, bare, centers, radii, means, self.weights, choice.gaussians)
+        return shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
 
 
 def _add_pixels(

@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.evidence.cluster import SPREADS, UNTOLD
-from fruitlangs.engine.counting.evidence.visibility import Visibility, frame_of
+from fruitlangs.engine.counting.evidence.visibility import Visibility
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.errors import ConfigError, CountingError
 from fruitlangs.engine.evaluation.metrics import count_metrics
-from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians, harmonics_of
 
 CONFIG = CountConfig(sample_budget=4_000)
@@ -140,7 +139,7 @@ def test_moving_turning_and_scaling_the_scene_leaves_the_count_alone(
     small: sim.Simulation, small_count: FruitCount, seed: int, shift: float, scale: float
 ) -> None:
     turn = Rotation.random(random_state=seed).as_matrix()
-    moved = moved_by(small, turn, np.full(3, shift), scale)
+    moved = sim.moved_by(small, turn, np.full(3, shift), scale)
     expected = scale * centers_of(small_count) @ turn.T + shift
     found = centers_of(counted(moved))
     assert len(found) == len(expected)
@@ -153,7 +152,7 @@ def test_a_crown_of_mixed_sizes_is_counted_alike_however_it_is_turned_and_scaled
     crown = sim.simulate(dataclasses.replace(sim.MIXED, fruit=24, views=12), 6)
     turn = Rotation.random(random_state=1).as_matrix()
     expected = scale * centers_of(counted(crown)) @ turn.T + scale
-    found = centers_of(counted(moved_by(crown, turn, np.full(3, scale), scale)))
+    found = centers_of(counted(sim.moved_by(crown, turn, np.full(3, scale), scale)))
     assert len(found) == len(expected) > 10
     away = np.linalg.norm(found[:, None] - expected, axis=2).min(axis=0)
     assert away.max() < 0.02 * scale * crown.truth.mean_diameter
@@ -166,7 +165,7 @@ def test_a_far_isolated_fruit_adds_exactly_one(small: sim.Simulation, small_coun
     away = np.array([0.0, 0.0, 4.5]) - lonely.truth.centers[0]
     added = dataclasses.replace(
         small,
-        gaussians=joined(small.gaussians, moved_by(lonely, np.eye(3), away, 1.0).gaussians),
+        gaussians=joined(small.gaussians, sim.moved_by(lonely, np.eye(3), away, 1.0).gaussians),
         probability=np.concatenate([small.probability, lonely.probability]),
         visibility=Visibility(
             np.concatenate([small.visibility.weights, lonely.visibility.weights]),
@@ -370,26 +369,6 @@ def test_no_gaussians_and_no_cameras_are_refused(small: sim.Simulation) -> None:
         counted(dataclasses.replace(small, gaussians=none, probability=np.zeros(0)))
     with pytest.raises(CountingError, match="There are no cameras"):
         counted(dataclasses.replace(small, cameras=[]))
-
-
-def moved_by(tree: sim.Simulation, turn: np.ndarray, shift: np.ndarray, scale: float) -> sim.Simulation:
-    """The same tree under x → scale · turn x + shift."""
-    turned = Rotation.from_matrix(turn) * Rotation.from_quat(tree.gaussians.quats.numpy(), scalar_first=True)
-    gaussians = dataclasses.replace(
-        tree.gaussians,
-        means=torch.tensor(scale * tree.gaussians.means.double().numpy() @ turn.T + shift, dtype=torch.float32),
-        log_scales=tree.gaussians.log_scales + float(np.log(scale)),
-        quats=torch.from_numpy(turned.as_quat(scalar_first=True)).float(),
-    )
-    cameras = []
-    for camera in tree.cameras:
-        pose = camera.world_to_camera.copy()
-        pose[:3, :3] = pose[:3, :3] @ turn.T
-        pose[:3, 3] = scale * pose[:3, 3] - pose[:3, :3] @ shift
-        cameras.append(Camera(camera.K, pose, camera.width, camera.height))
-    directions = tree.visibility.directions @ turn.T
-    seen = dataclasses.replace(tree.visibility, directions=directions, frame=frame_of(cameras))
-    return dataclasses.replace(tree, gaussians=gaussians, cameras=cameras, visibility=seen)
 
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:

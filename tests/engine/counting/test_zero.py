@@ -11,7 +11,7 @@ import simulated_fruit as sim
 import torch
 
 from fruitlangs.engine.config import CountConfig
-from fruitlangs.engine.counting import count
+from fruitlangs.engine.counting import count, sizing
 from fruitlangs.engine.counting.accounts.zero import Quality, most_fruit, separate_groups
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.evidence.size import FruitSize
@@ -113,7 +113,7 @@ def test_without_a_round_surface_the_size_comes_from_the_pictures(
     tree: sim.Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usual = counted(tree)
-    monkeypatch.setattr(count, "estimate_diameter", lambda *args, **kwargs: None)
+    monkeypatch.setattr(sizing, "estimate_diameter", lambda *args, **kwargs: None)
     result = counted(tree)
     assert abs(result.count - usual.count) <= 1
     assert result.mean_diameter == pytest.approx(usual.mean_diameter, rel=0.1)
@@ -123,7 +123,7 @@ def test_without_a_round_surface_the_size_comes_from_the_pictures(
 def test_what_is_not_round_in_sharp_gaussians_is_no_fruit(
     tree: sim.Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(count, "estimate_diameter", lambda *args, **kwargs: None)
+    monkeypatch.setattr(sizing, "estimate_diameter", lambda *args, **kwargs: None)
     assert counted(tree, quality=BLURRED).count > 0
     result = counted(tree, quality=GOOD)
     assert (result.count, result.fruits) == (0, [])
@@ -136,7 +136,7 @@ def test_what_is_not_round_in_sharp_gaussians_is_no_fruit(
 def test_the_published_methods_use_a_size_from_the_pictures_too(
     tree: sim.Simulation, monkeypatch: pytest.MonkeyPatch, method: Any
 ) -> None:
-    monkeypatch.setattr(count, "estimate_diameter", lambda *args, **kwargs: None)
+    monkeypatch.setattr(sizing, "estimate_diameter", lambda *args, **kwargs: None)
     result = counted(tree, dataclasses.replace(CONFIG, method=method))
     assert result.count > 0
     assert "estimated from the widths of its regions" in result.notices[0]

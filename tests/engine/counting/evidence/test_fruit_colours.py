@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
-from fruitlangs.engine.counting.evidence.fruit_colours import colour_chances
+from fruitlangs.engine.counting.evidence.fruit_colours import FruitColours
 from fruitlangs.engine.counting.evidence.visibility import draw
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.language.encoders.encoder import ColourSplit
@@ -99,11 +99,10 @@ def test_photos_tell_the_colour_where_gaussians_are_wrong(tree: sim.Simulation) 
     )
     green = np.tile([0.0, 1.0, 0.0], (len(tree.gaussians), 1))
     centers, radii = tree.truth.centers, tree.truth.diameters / 2.0
-    means, weights = tree.gaussians.means.double().numpy(), probability
 
     def chances(maps: list[PhotoMap] | None) -> NDArray:
         choice = asking("red", gaussians=green, photos=None if maps is None else photos)
-        return colour_chances(choice, centers, radii, means, weights, pictures, maps, 0.5)
+        return FruitColours(choice, tree.gaussians, probability, pictures, maps, 0.5).chances(centers, radii)
 
     middle = [PhotoMap(picture.fruit, np.zeros((*picture.fruit.shape, 2), np.float32)) for picture in pictures]
     others = [PhotoMap(each.probability, each.offsets + 3.0) for each in middle]

@@ -7,8 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 import simulated_fruit as sim
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
@@ -86,3 +88,55 @@ def test_equal_photos_give_equal_counts(without: sim.Simulation, maps: Maps) -> 
     one, other = counted(without, maps), counted(without, maps)
     assert np.array_equal(one.centers, other.centers)
     assert [fruit.probability for fruit in one.fruits] == [fruit.probability for fruit in other.fruits]
+
+
+def shown(maps: Maps, probability: float) -> Maps:
+    """The maps with one probability everywhere."""
+    return [PhotoMap(np.full_like(each.probability, probability), each.offsets) for each in maps]
+
+
+def test_masks_that_say_fruit_everywhere_add_no_fruit_to_gaussians_that_are_right(
+    tree: sim.Simulation, maps: Maps
+) -> None:
+    assert abs(counted(tree, shown(maps, 1.0)).count - SETTING.fruit) <= 1
+
+
+def test_masks_and_gaussians_that_say_fruit_everywhere_are_no_confident_count(tree: sim.Simulation, maps: Maps) -> None:
+    everything = dataclasses.replace(tree, probability=np.ones(len(tree.gaussians)))
+    found = counted(everything, shown(maps, 1.0))
+    assert found.interval is not None
+    low, high = found.interval
+    assert low <= SETTING.fruit <= high
+    assert found.count > 0 or high > 2 * SETTING.fruit
+
+
+def test_masks_that_say_fruit_nowhere_are_no_confident_count(tree: sim.Simulation, maps: Maps) -> None:
+    found = counted(tree, shown(maps, 0.0))
+    assert found.interval is not None
+    assert found.interval[0] <= SETTING.fruit <= found.interval[1]
+
+
+def test_masks_of_other_views_make_the_interval_wider(tree: sim.Simulation, maps: Maps) -> None:
+    right, wrong = counted(tree, maps).interval, counted(tree, [*maps[5:], *maps[:5]]).interval
+    assert right is not None
+    assert wrong is not None
+    assert wrong[0] <= SETTING.fruit <= wrong[1]
+    assert wrong[1] - wrong[0] > right[1] - right[0]
+
+
+def test_moving_and_scaling_the_scene_leaves_a_count_with_photos_alone(without: sim.Simulation, maps: Maps) -> None:
+    turn, shift, scale = Rotation.random(random_state=2).as_matrix(), np.array([3.0, -2.0, 5.0]), 7.0
+    here, there = counted(without, maps), counted(sim.moved_by(without, turn, shift, scale), maps)
+    assert here.count == there.count
+    expected = scale * here.centers @ turn.T + shift
+    away = np.linalg.norm(there.centers[:, None] - expected, axis=2).min(axis=0)
+    assert away.max() < 0.05 * scale * without.truth.mean_diameter
+
+
+def test_shuffling_the_gaussians_leaves_a_count_with_photos_alone(without: sim.Simulation, maps: Maps) -> None:
+    order = np.random.default_rng(1).permutation(len(without.gaussians))
+    shuffled = dataclasses.replace(
+        without, gaussians=without.gaussians.select(torch.from_numpy(order)), probability=without.probability[order]
+    )
+    here, there = counted(without, maps), counted(shuffled, maps)
+    np.testing.assert_allclose(here.centers, there.centers, atol=1e-4)
