@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,18 +56,6 @@ def fruit_size(
     """
     if config.diameter is not None:
         return FruitSize(config.diameter, DEFAULT_SPREAD)
-    return _measured_size(gaussians, probabilities, visibility, seen, config, progress)
-
-
-def _measured_size(
-    gaussians: Gaussians,
-    probabilities: FloatArray,
-    visibility: Visibility,
-    seen: IntArray,
-    config: CountConfig,
-    progress: Progress = silent,
-) -> FruitSize | None:
-    """The size estimated from the scene."""
     points = _sizing_points(gaussians, probabilities, visibility, seen, config)
     typical = float(np.median(_widths(gaussians, seen)))
     estimate = estimate_diameter(points, typical, progress=progress)
@@ -96,7 +86,8 @@ def check_diameter(
             f"--count.diameter {config.diameter:.4g} is larger than all that may be fruit, which extends over "
             f"{extent:.4g} scene units. Give the diameter in scene units, or leave it out"
         )
-    measured = _measured_size(gaussians, probabilities, visibility, seen, config, progress)
+    without = replace(config, diameter=None)
+    measured = fruit_size(gaussians, probabilities, visibility, seen, without, progress)
     if measured is None or abs(np.log(config.diameter / measured.diameter)) < np.log(UNLIKE):
         return []
     return [
