@@ -91,7 +91,7 @@ def count_scene(
                 split = colour_split(encoder, prompts, negatives)
                 sought = (prompts, negatives) if split is None else (split.prompts, split.negatives)
                 if split is not None:
-                    choice = ColourChoice.of(split, made.features, made.photos)
+                    choice = ColourChoice.of(split, made.gaussians, made.photos)
                     found = select(made.features, encoder, *sought, config.count, made.gaussians.means)
                 if made.photos is not None:
                     maps = photo_probabilities(made.photos, made.features, encoder, *sought)

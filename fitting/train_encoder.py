@@ -21,7 +21,7 @@ from .encoder.card import write_card
 from .encoder.learning import Course, check_course, learn
 from .encoder.lifted import FRUIT_SHARE, calibrate_lifted, lifted_measures, lifted_scene, rendered_scenes
 from .encoder.measures import Unseen, halves, measure
-from .encoder.pasting import cut_fruit
+from .encoder.pasting import cut_fruit, cut_objects
 from .encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
 from .encoder.samples import sample
 from .encoder.widening import widened
@@ -87,9 +87,15 @@ def read_pictures(options: Options) -> Pictures:
     learnt, held_out = split_scenes(renders)
     rendered = [options.renders / name for name in {p.source for p in learnt}] if options.renders else []
     seeds = training_seeds([*rendered, *lifted])
-    material = Material(photos, learnt, cut_fruit([*photos, *learnt]))
+    material = Material(photos, learnt, cut_fruit([*photos, *learnt]), cut_objects(learnt))
     print(f"{len(photos)} photos, {len(learnt)} renders to train on, {len(held_out)} held out", flush=True)
-    print("cutouts by fruit:", [len(cutouts) for cutouts in material.bank], flush=True)
+    print(
+        "cutouts by fruit:",
+        [len(cutouts) for cutouts in material.bank],
+        "of objects:",
+        len(material.objects),
+        flush=True,
+    )
     return Pictures(material, read_photos(options.photos, "val"), held_out, lifted, seeds)
 
 

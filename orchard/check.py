@@ -23,6 +23,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "tags": (0, 10_000),
     "flowers": (0, 10_000),
     "things": (0, 1000),
+    "objects": (0, 1000),
     "posts": (-1, 1000),
     "views": (1, 9999),
     "rings": (1, math.inf),

@@ -70,6 +70,9 @@ class OrchardConfig:
     things: int = 0
     """Buckets, crates, ladders, stones and walls about each tree, which take turns."""
 
+    objects: int = 0
+    """Objects of no known word about each tree, of random shape, pattern and colour."""
+
     posts: int = -1
     """Stakes and posts; -1: drawn by the seed, from none to two."""
 

@@ -21,6 +21,7 @@ from .shapes.meshes import Mesh, fruit_mesh
 from .species import SPECIES, Species, Variant
 from .surroundings.distractors import hang_tags, scatter_flowers
 from .surroundings.neighbours import Neighbour, Prototype, plant_neighbours
+from .surroundings.objects import scatter_objects
 from .surroundings.things import SceneObject, place_objects
 
 FloatArray = NDArray[np.float64]
@@ -67,13 +68,14 @@ def plant(config: OrchardConfig) -> Orchard:
     """Generate the whole orchard from the seed. Each part has its own random stream, so parts do not affect each
     other."""
     species = species_of(config)
-    streams = [np.random.default_rng([config.seed, part]) for part in (*range(9), 11)]
+    streams = [np.random.default_rng([config.seed, part]) for part in (*range(9), 11, 12)]
     names = [v.name for v in species.variants]
     variant = species.variants[names.index(config.variant) if config.variant else int(streams[0].integers(len(names)))]
-    spacing = SPACING[config.form] * species.tree_height / 2.3
+    size = species.tree_height / 2.3
+    spacing = SPACING[config.form] * size
     feet = spacing * (np.arange(config.trees) - (config.trees - 1) / 2)
     half_row = float(feet[-1])
-    ground = lay_ground(streams[2], size=species.tree_height / 2.3, half_row=half_row, posts=config.posts)
+    ground = lay_ground(streams[2], size=size, half_row=half_row, posts=config.posts)
     trees = [_moved(grow(streams[1], species, config.form), x) for x in feet]
     part = choose_part(streams[7], config, species, trees[0])
     fruits = _bear(streams[3], config, species, trees, feet, ground, part)
@@ -102,7 +104,10 @@ def plant(config: OrchardConfig) -> Orchard:
         things=tuple(
             thing
             for tree, x in zip(trees, feet, strict=True)
-            for thing in place_objects(streams[9], tree, ground, species.tree_height / 2.3, config.things, float(x))
+            for thing in (
+                *place_objects(streams[9], tree, ground, size, config.things, float(x)),
+                *scatter_objects(streams[10], tree, fruits, ground, size, species.diameter, config.objects, float(x)),
+            )
         ),
         prototypes=prototypes,
         neighbours=neighbours,

@@ -9,7 +9,7 @@ from .species import SPECIES
 
 WALK_EVERY = 15
 """Every n-th scene is a whole tree, reserved for calibration on many views."""
-AROUND = 0.4
+AROUND = 0.6
 """Share of the other scenes with views from around the tree; the rest are close-ups."""
 WALK_VIEWS = 36
 """Pictures of such a tree."""
@@ -39,6 +39,8 @@ def training_config(seed: int) -> OrchardConfig:
     fruit_pixels = float(np.exp(rng.uniform(*np.log((11.0, 26.0)))))
     form = "spindle" if rng.random() < SPINDLES else str(rng.choice(FORMS[1:]))
     distractors = bool(rng.random() < 0.5)
+    things = int(rng.integers(1, 5)) if rng.random() < 0.7 else 0
+    objects = int(rng.integers(10, 50)) if rng.random() < 0.6 else 0
     if number % WALK_EVERY == WALK_EVERY - 1:
         return OrchardConfig(
             species=species.name,
@@ -64,7 +66,8 @@ def training_config(seed: int) -> OrchardConfig:
         leaves=leaves,
         tags=int(rng.integers(2, 9)) if distractors else 0,
         flowers=int(rng.integers(4, 25)) if distractors else 0,
-        things=int(rng.integers(1, 5)) if rng.random() < 0.7 else 0,
+        things=things,
+        objects=objects,
         views=6 if close_ups else 8,
         width=320 if close_ups else 480,
         height=320 if close_ups else 360,

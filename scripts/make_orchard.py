@@ -58,7 +58,7 @@ class Command:
     """Render only this many views of the camera path; 0: all."""
 
     scenes: str = ""
-    """FIRST:LAST, the seeds of a training set, from 1000 up: small scenes, three in five close-ups and two in five
+    """FIRST:LAST, the seeds of a training set, from 1000 up: small scenes, two in five close-ups and three in five
     whole trees; their other settings are random by seed."""
 
     config: Annotated[OrchardConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=OrchardConfig)

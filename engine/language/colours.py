@@ -1,11 +1,13 @@
-"""The colour words of a pixel, by its colour."""
+"""The colour words of a pixel by its colour, and of the fruit that it shows."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import torch
 from torch import Tensor
 
-from .vocabulary import COLOURS
+from .vocabulary import COLOURS, FRUIT_COLOURS
 
 _PROTOTYPES = {
     "red": (190, 30, 40, 110, 20, 25, 150, 50, 45),
@@ -25,6 +27,18 @@ _SPREAD = 14.0
 """Standard deviation of a colour word about an example, in CIELAB units."""
 _LIGHTNESS = 0.6
 """Weight of a difference in lightness, which shade changes, against one in hue and chroma."""
+_HUES = {"red": 0.0, "orange": 44.0, "yellow": 75.0, "green": 114.0, "blue": 200.0, "purple": 300.0, "pink": 340.0}
+"""Hue in CIELAB at which the colours of fruit begin, degrees; each ends where the next begins."""
+_OF_APPLES = {"orange": 62.0, "yellow": 62.0, "green": 84.0}
+"""The same for apples, where it differs: their cheeks are called red, never orange, and greenish yellow ones green."""
+_SOFT = 3.0
+"""Logistic width of these borders, degrees."""
+_DARKEST = 5.0
+"""Added to the lightness that a and b are divided by, because dark pixels are noisy."""
+_TREE_LIGHT = (-0.05, 0.15)
+"""a / L and b / L of something white among leaves, which the light through and from them colours."""
+_LEAST = 1e-3
+"""Weight of a pixel without any colour."""
 
 
 def colour_words(image: Tensor) -> Tensor:
@@ -37,6 +51,24 @@ def colour_words(image: Tensor) -> Tensor:
     examples = (torch.tensor(_PROTOTYPES[word]).reshape(-1, 3) / 255.0 for word in COLOURS)
     nearest = torch.stack([torch.cdist(colours, _lab(own) * weight).amin(-1) for own in examples], dim=-1)
     return torch.softmax(-0.5 * (nearest / _SPREAD) ** 2, dim=-1).reshape(*image.shape[:-1], len(COLOURS))
+
+
+def fruit_colours(pixels: Tensor, kinds: Collection[str] = ()) -> Tensor:
+    """(…, 3) sRGB in [0, 1] → (…, len(FRUIT_COLOURS)) how much a pixel says for each colour of the fruit it shows.
+    kinds: what the fruit may be.
+
+    Shade changes lightness, but neither hue nor chroma / lightness. A pixel speaks for the colour of its hue, the more
+    the more colourful and the brighter it is: gloss, haze and deep shade say little.
+    """
+    lightness, a, b = _lab(pixels).unbind(-1)
+    a, b = (each / (lightness + _DARKEST) - white for each, white in zip((a, b), _TREE_LIGHT, strict=True))
+    weight = (torch.hypot(a, b) * lightness.clamp_min(0.0).sqrt()).clamp_min(_LEAST)
+    hues = {**_HUES, **_OF_APPLES} if set(kinds) == {"apple"} else _HUES
+    first = torch.tensor([hues[word] for word in FRUIT_COLOURS])
+    width = (first.roll(-1) - first) % 360.0
+    off = (torch.atan2(b, a).rad2deg()[..., None] - first - width / 2.0 + 180.0) % 360.0 - 180.0
+    own = ((width / 2.0 - off.abs()) / _SOFT).sigmoid() * (width > 0.0)
+    return weight[..., None] * own / own.sum(-1, keepdim=True)
 
 
 def _lab(image: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from .words import by_name, fold
 FRUITS = ("apple", "pear", "cherry", "plum", "lemon", "orange", "peach", "mango")
 SURROUNDINGS = (
     *("leaf", "branch", "trunk", "flower", "hedge", "soil", "grass", "sky"),
-    *("post", "tag", "bucket", "crate", "ladder", "stone", "wall", "background"),
+    *("post", "tag", "bucket", "crate", "ladder", "stone", "wall", "object", "background"),
 )
 CONCEPTS = FRUITS + SURROUNDINGS
 """What a pixel can show; exactly one of them."""

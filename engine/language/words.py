@@ -45,6 +45,7 @@ THINGS: Mapping[str, str] = {
     "ladder": "stepladder leiter leitern echelle echelles escalera escaleras",
     "stone": "rock boulder stein steine pierre pierres rocher rochers piedra piedras roca rocas",
     "wall": "mauer mauern wand wande waende muret murets muraille murailles muro muros pared paredes",
+    "object": "item toy ball gegenstand gegenstande gegenstaende objekt objekte objet objets objeto objetos",
     "background": "backdrop floor table cloth hintergrund fond fondo",
     "fruit": "fruitlet frucht fruchte fruechte obst fruta frutas fruto frutos",
     "citrus": "citruses zitrusfrucht zitrusfruchte agrume agrumes citrico citricos",

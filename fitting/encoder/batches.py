@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from ...engine.language.vocabulary import CONCEPTS
+from ...engine.language.vocabulary import CONCEPTS, FRUITS
 from .pasting import Cutout, paste
 from .pictures import Labels, Picture, plain_picture, put_object
 
@@ -23,19 +23,23 @@ PHOTO_ZOOMS, RENDER_ZOOMS, USUAL_ZOOMS = (0.4, 1.8), (0.8, 3.5), (1.6, 2.5)
 """Range of enlargement of crops; USUAL_ZOOMS are those of renders as the encoder gets them in use."""
 USUAL = 0.7
 """Share of the crops from renders with one of USUAL_ZOOMS."""
-FOCUS = 0.5
-"""Share of the crops from renders that are centred on one of their words: tags and ladders are rare, leaves are not."""
+FOCUS, FOCUS_ON_FRUIT = 0.7, 0.5
+"""Share of the crops from renders that are centred on one of their words, because tags and ladders are rare and leaves
+are not, and share of these that are centred on fruit."""
+OBJECTS = 0.25
+"""Share of objects that no word names among what is pasted."""
 PASTED = (12, 160)
 """Sizes of pasted fruit that do not keep their own, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """The sources of batches; `bank` contains cutouts by fruit concept."""
+    """The sources of batches; bank: cutouts by fruit concept; objects: cutouts of what no word names."""
 
     photos: Sequence[Picture]
     renders: Sequence[Picture]
     bank: Sequence[Sequence[Cutout]]
+    objects: Sequence[Cutout] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,7 @@ def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple
 def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float], *, focus: float = 0.0) -> Crop:
     """A window of the picture shown at CROP × CROP, zoomed log-uniformly, slightly stretched, sometimes mirrored.
 
-    focus: probability that it is centred on a pixel of one of the picture's words, chosen uniformly.
+    focus: probability that it is centred on a pixel of one of the picture's words: of fruit, or of any, all alike.
     """
     height, width = picture.labels.shape
     zoom = float(np.exp(rng.uniform(*np.log(zooms))))
@@ -79,10 +83,10 @@ def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float]
     if rng.random() < focus:
         words = np.flatnonzero(np.bincount(picture.labels.ravel(), minlength=256)[: len(CONCEPTS)])
         if len(words):
-            places = np.flatnonzero(picture.labels.ravel() == rng.choice(words))
-            y, x = divmod(int(places[rng.integers(len(places))]), width)
-            left = int(np.clip(x - rng.integers(0, w), 0, width - w))
-            top = int(np.clip(y - rng.integers(0, h), 0, height - h))
+            fruit = words[words < len(FRUITS)]
+            chosen = fruit if len(fruit) and rng.random() < FOCUS_ON_FRUIT else words
+            places = np.flatnonzero(picture.labels.ravel() == rng.choice(chosen))
+            top, left = window_around(places, picture.labels.shape, (h, w), rng)
     region = np.s_[top : top + h, left : left + w]
     shape = (CROP, CROP)
     resampling = Image.Resampling.BILINEAR if rng.random() < 0.5 else Image.Resampling.BICUBIC
@@ -93,11 +97,24 @@ def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float]
     return Crop(pixels.copy(), labels.copy(), CROP / float(np.sqrt(w * h)))
 
 
+def window_around(
+    places: NDArray[np.int64], shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Generator
+) -> tuple[int, int]:
+    """Row and column of the first pixel of a random window of a size that shows one of the places of a picture of a
+    shape. places: row · width + column; sizes and shapes: height and width."""
+    start = divmod(int(places[rng.integers(len(places))]), shape[1])
+    top, left = (
+        int(np.clip(at - rng.integers(0, length), 0, whole - length))
+        for at, length, whole in zip(start, size, shape, strict=True)
+    )
+    return top, left
+
+
 def _plain(material: Material, rng: np.random.Generator) -> Crop:
     picture = plain_picture(rng, CROP)
     crop = Crop(picture.pixels.copy(), picture.labels.copy())
     for _ in range(rng.integers(0, 3)):
-        put_object(crop.pixels, rng)
+        put_object(crop.pixels, crop.labels, rng)
     _paste_some(crop, material, rng, probability=0.9, native=0.0)
     return crop
 
@@ -110,6 +127,8 @@ def _paste_some(crop: Crop, material: Material, rng: np.random.Generator, *, pro
     probabilities = np.sqrt([len(cutouts) for cutouts in kinds])
     for _ in range(rng.integers(1, 6)):
         cutouts = kinds[rng.choice(len(kinds), p=probabilities / probabilities.sum())]
+        if material.objects and rng.random() < OBJECTS:
+            cutouts = material.objects
         cutout = cutouts[rng.integers(len(cutouts))]
         if rng.random() < native:
             size = max(cutout.labels.shape) * crop.zoom * float(np.exp(rng.normal(0.0, 0.2)))

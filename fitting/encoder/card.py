@@ -69,8 +69,13 @@ those); {held_out} renders were held out from the last one, of scenes whose seed
 
 Two commands generate the renders, train on them, and calibrate on the whole trees among them:
 
-    python scripts/make_orchard.py --scenes 1300:1404 --out RENDERS
+    python scripts/make_orchard.py --scenes 1500:1604 --out RENDERS
     python scripts/train_encoder.py --renders RENDERS --photos PHOTOS --steps 6000 --out NEW/embedded.safetensors
+
+A second output says where on its fruit each pixel lies, in radii from the centre. It is a network of its own on the
+features of this one (`offsets.safetensors`), learnt afterwards from rendered scenes and the same photos:
+
+    python scripts/developer/fit_offsets.py --renders RENDERS --photos PHOTOS
 
 The seeds of the rendered scenes are listed in the JSON file next to the weights and in their header; they start at
 1000, and the sample orchard and the test scenes are not among them.
@@ -106,7 +111,8 @@ dropped; for training they were cropped, scaled, recoloured, blurred and mixed b
 - It finds fruit better than it names them: bicoloured apples, plums, peaches and mangoes are confused with each other.
   If a tree has one kind, the word `fruit` finds more.
 - It recognises fruit of 10 to 250 pixels; fruit below about 8 pixels is not found.
-- Any other object is "background" or one of the words above; there is no word for people, nets, tools or animals.
+- Every other object should be "object", which it learnt from random shapes, patterns and colours; there is no word for
+  people, nets, tools or animals.
 """
 
 

@@ -60,10 +60,14 @@ class LiftedMeasures:
     iou: float
 
 
+def finished_scenes(folder: Path) -> list[Path]:
+    """Every finished scene below `folder`."""
+    return [path.parent for path in sorted(folder.glob("*/truth.json"))]
+
+
 def rendered_scenes(folder: Path) -> list[Path]:
     """Every finished scene below `folder` with enough pictures to train Gaussians."""
-    scenes = (path.parent for path in sorted(folder.glob("*/truth.json")))
-    return [scene for scene in scenes if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
+    return [scene for scene in finished_scenes(folder) if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
 
 
 def trained(folder: Path) -> Gaussians:

@@ -20,9 +20,9 @@ from ...engine.language.encoders.network import Network, normalise
 from ...engine.language.encoders.offsets import OffsetNetwork
 from ...engine.scene.camera import Camera
 from ...engine.scene.read import read_scene
-from .batches import USUAL, changed_light
+from .batches import USUAL, changed_light, window_around
 from .learning import ahead, rate_share
-from .lifted import rendered_scenes
+from .lifted import finished_scenes
 from .pictures import POSITIVE_SHARE, Picture, inside
 
 FloatArray = NDArray[np.float32]
@@ -54,12 +54,12 @@ class OffsetPicture:
 
 
 def offset_renders(renders: Path) -> Iterator[OffsetPicture]:
-    """Every view of the rendered trees below a folder.
+    """Every view of the rendered scenes below a folder.
 
     Raises:
         FormatError: a mask or a truth cannot be read.
     """
-    for folder in rendered_scenes(renders):
+    for folder in finished_scenes(renders):
         scene = read_scene(folder, SceneConfig())
         truth = read_truth(folder / TRUTH, true_labels([read_origin(folder).species]))
         for photo, camera, ids in zip(scene.images, scene.cameras, read_instances(folder, scene), strict=True):
@@ -157,9 +157,7 @@ def _crop(
     top, left = int(rng.integers(0, height - side + 1)), int(rng.integers(0, width - side + 1))
     places = np.flatnonzero(picture.fruit)
     if len(places) and rng.random() < FOCUS:
-        y, x = divmod(int(places[rng.integers(len(places))]), width)
-        top = int(np.clip(y - rng.integers(0, side), 0, height - side))
-        left = int(np.clip(x - rng.integers(0, side), 0, width - side))
+        top, left = window_around(places, picture.fruit.shape, (side, side), rng)
     resampling = Image.Resampling.BILINEAR if rng.random() < 0.5 else Image.Resampling.BICUBIC
     window = Image.fromarray(picture.pixels[top : top + side, left : left + side])
     pixels = np.asarray(window.resize((CROP, CROP), resampling))

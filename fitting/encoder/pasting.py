@@ -1,4 +1,5 @@
-"""Fruit cut out of one picture and pasted into another, so that the network learns the fruit and not its tree."""
+"""Fruit and objects cut out of one picture and pasted into another, so that the network learns the fruit and not its
+tree."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy import ndimage
 
 from ...engine.language.vocabulary import CONCEPTS, FRUITS
 from .pictures import IGNORED, Box, Labels, Picture
@@ -20,7 +22,7 @@ TURNS = (None, Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_90, Image
 
 @dataclass(frozen=True, eq=False)
 class Cutout:
-    """pixels: (h, w, 4) sRGB and opacity; labels: (h, w) the index of the fruit where certain, else IGNORED."""
+    """pixels: (h, w, 4) sRGB and opacity; labels: (h, w) the index of its word where certain, else IGNORED."""
 
     pixels: NDArray[np.uint8]
     labels: Labels
@@ -57,26 +59,36 @@ def _from_boxes(picture: Picture, smallest: int) -> list[Cutout]:
     return cutouts
 
 
-def _from_masks(picture: Picture, smallest: int, *, fullest: float = 0.8) -> list[Cutout]:
+def _from_masks(picture: Picture, smallest: int) -> list[Cutout]:
     assert picture.instances is not None
+    found = _regions(picture, picture.instances, smallest, fullest=0.8 * np.pi / 4.0)
+    return [cutout for cutout in found if cutout.concept < len(FRUITS)]
+
+
+def cut_objects(pictures: Sequence[Picture], *, smallest: int = 14) -> list[Cutout]:
+    """What is visible of the objects in renders that no word names."""
+    word = CONCEPTS.index("object")
+    renders = (picture for picture in pictures if picture.instances is not None)
+    return [
+        cutout
+        for picture in renders
+        for cutout in _regions(picture, ndimage.label(picture.labels == word)[0], smallest, fullest=0.3)
+    ]
+
+
+def _regions(picture: Picture, ids: NDArray[np.integer], smallest: int, *, fullest: float) -> list[Cutout]:
+    """Every region (H, W) of one id above 0 that is not cut off, not small, and fills this share of its box."""
     height, width = picture.labels.shape
     cutouts = []
-    for fruit in np.unique(picture.instances):
-        if fruit == 0:
+    for number, box in enumerate(ndimage.find_objects(ids.astype(np.int32)), start=1):
+        if box is None:
             continue
-        mask = picture.instances == fruit
-        rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-        whole = np.pi / 4.0 * (bottom - top) * (right - left)
-        cut = min(top, left) == 0 or bottom == height or right == width
-        if cut or min(bottom - top, right - left) < smallest or mask.sum() < fullest * whole:
+        inside = ids[box] == number
+        cut = min(box[0].start, box[1].start) == 0 or box[0].stop == height or box[1].stop == width
+        if cut or min(inside.shape) < smallest or inside.mean() < fullest:
             continue
-        inside = mask[top:bottom, left:right]
-        concept = int(np.bincount(picture.labels[top:bottom, left:right][inside]).argmax())
-        if concept >= len(FRUITS):
-            continue
-        colors = picture.pixels[top:bottom, left:right]
-        pixels = np.concatenate([colors, (inside * np.uint8(255))[..., None]], axis=-1)
+        concept = int(np.bincount(picture.labels[box][inside]).argmax())
+        pixels = np.concatenate([picture.pixels[box], (inside * np.uint8(255))[..., None]], axis=-1)
         labels = np.where(inside, concept, IGNORED).astype(np.uint8)
         cutouts.append(Cutout(pixels, labels, concept, picture.source))
     return cutouts
@@ -116,7 +128,7 @@ def paste(
     opaque = alpha[..., 0]
     edge = np.where(opaque < 0.05, labels[region], IGNORED)
     labels[region] = np.where((opaque > 0.5) & (mark != IGNORED), mark, np.where(opaque < 0.5, edge, IGNORED))
-    return Box(FRUITS[cutout.concept], left, top, left + shape[0], top + shape[1])
+    return Box(CONCEPTS[cutout.concept], left, top, left + shape[0], top + shape[1])
 
 
 def _uncovered(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:

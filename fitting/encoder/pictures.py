@@ -228,12 +228,12 @@ def plain_pictures() -> list[Picture]:
     rng = np.random.default_rng(23)
     pictures = [plain_picture(rng, 256) for _ in range(24)]
     for picture in pictures:
-        put_object(picture.pixels, rng)
+        put_object(picture.pixels, picture.labels, rng)
     return pictures
 
 
-def put_object(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Draw a long bent object in place, round in section and of any colour, that is not a fruit."""
+def put_object(pixels: NDArray[np.uint8], labels: Labels, rng: np.random.Generator) -> None:
+    """Draw a long bent object in place, round in section and of any colour, that no word names."""
     size = pixels.shape[0]
     y, x = np.mgrid[:size, :size].astype(np.float32)
     radius = rng.uniform(0.25, 1.5) * size
@@ -249,3 +249,6 @@ def put_object(pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
     drawn = np.clip(255.0 * shade[..., None] * hue * rng.uniform(0.4, 1.0), 0.0, 255.0)
     alpha = np.clip((1.0 - section) * thickness / 2.0, 0.0, 1.0)[..., None]
     pixels[:] = (drawn * alpha + pixels * (1.0 - alpha)).astype(np.uint8)
+    opaque = alpha[..., 0]
+    labels[opaque > 0.05] = IGNORED
+    labels[opaque > 0.5] = CONCEPTS.index("object")

@@ -9,8 +9,8 @@ import bpy
 from ..classes import CLASSES
 
 
-def distractor_material(word: str, *, translucency: float) -> Any:
-    """The mesh's own colours, matte; this share of the light passes through."""
+def distractor_material(word: str, *, translucency: float, gloss: float = 0.0) -> Any:
+    """The mesh's own colours; these shares of the light pass through, and are mirrored as by a smooth paint."""
     material = bpy.data.materials.new(word)
     material.use_nodes = True
     material.pass_index = CLASSES.index(word)
@@ -21,8 +21,16 @@ def distractor_material(word: str, *, translucency: float) -> Any:
     mix = nodes.new("ShaderNodeMixShader")
     mix.inputs[0].default_value = translucency
     for slot, kind in ((1, "ShaderNodeBsdfDiffuse"), (2, "ShaderNodeBsdfTranslucent")):
-        surface = nodes.new(kind)
-        links.new(color.outputs["Color"], surface.inputs["Color"])
-        links.new(surface.outputs[0], mix.inputs[slot])
-    links.new(mix.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+        matte = nodes.new(kind)
+        links.new(color.outputs["Color"], matte.inputs["Color"])
+        links.new(matte.outputs[0], mix.inputs[slot])
+    surface = mix
+    if gloss > 0.0:
+        mirror = nodes.new("ShaderNodeBsdfGlossy")
+        mirror.inputs["Roughness"].default_value = 0.2
+        surface = nodes.new("ShaderNodeMixShader")
+        surface.inputs[0].default_value = gloss
+        links.new(mix.outputs[0], surface.inputs[1])
+        links.new(mirror.outputs[0], surface.inputs[2])
+    links.new(surface.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
     return material

@@ -183,8 +183,8 @@ def _distractors(orchard: Orchard) -> None:
             material = distractor_material(word, translucency=translucency)
             add_object(word, mesh_data(word, joined(meshes), material, smooth=False))
     for thing in orchard.things:
-        smooth = thing.word in ("bucket", "stone")
-        material = distractor_material(thing.word, translucency=0.0)
+        smooth = thing.word in ("bucket", "stone", "object")
+        material = distractor_material(thing.word, translucency=0.0, gloss=thing.gloss)
         add_object(thing.word, mesh_data(thing.word, thing.mesh, material, smooth=smooth))
 
 

@@ -25,10 +25,11 @@ _WALLS = ("#c9c1b0", "#a9523a", "#d8d5cc", "#8c8a84", "#b98a5e")
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject:
-    """One object in the world: its word and its surface, metres."""
+    """One object in the world: its word, its surface in metres, and the share of light that it mirrors."""
 
     word: str
     mesh: Mesh
+    gloss: float = 0.0
 
 
 def place_objects(
@@ -83,12 +84,12 @@ def _crates(rng: np.random.Generator, ground: Ground, size: float, x0: float) ->
     stack = [
         _placed(crate, rng, np.array([*rng.normal(0, 0.01, 2), k * high]), 0.03) for k in range(rng.integers(1, 5))
     ]
-    return _placed(joined(stack), rng, _spot(rng, ground, size, x0, 0.35, 1.0))
+    return _placed(joined(stack), rng, spot(rng, ground, size, x0, 0.35, 1.0))
 
 
 def _ladder(rng: np.random.Generator, ground: Ground, size: float, x0: float) -> Mesh:
     """Leans into the crown."""
-    foot = _spot(rng, ground, size, x0, 0.7, 1.0)
+    foot = spot(rng, ground, size, x0, 0.7, 1.0)
     head = np.array([x0, 0, 0]) + [*0.15 * (foot[:2] - [x0, 0]), size * rng.uniform(1.3, 2.0)]
     side = 0.2 * unit(np.cross(head - foot, [0.0, 0.0, 1.0]))
     thick = rng.uniform(0.015, 0.025)
@@ -102,7 +103,7 @@ def _ladder(rng: np.random.Generator, ground: Ground, size: float, x0: float) ->
 
 def _stones(rng: np.random.Generator, ground: Ground, size: float, x0: float) -> Mesh:
     """A few round stones of 10 to 40 cm together."""
-    middle = _spot(rng, ground, size, x0, 0.3, 1.1)
+    middle = spot(rng, ground, size, x0, 0.3, 1.1)
     turns, rises = np.linspace(0, 2 * np.pi, 20, endpoint=False), np.linspace(-np.pi / 2, np.pi / 2, 11)
     ball = np.stack([np.outer(np.cos(rises), f(turns)) for f in (np.cos, np.sin)], axis=2)
     ball = np.concatenate([ball, np.broadcast_to(np.sin(rises)[:, None, None], (11, 20, 1))], axis=2).reshape(-1, 3)
@@ -138,9 +139,10 @@ def _wall(rng: np.random.Generator, size: float, x0: float) -> Mesh:
     )
 
 
-def _spot(
+def spot(
     rng: np.random.Generator, ground: Ground, size: float, x0: float, nearest: float, farthest: float
 ) -> FloatArray:
+    """A place on the ground around x = x0, between these distances in metres times `size`."""
     turn, away = rng.uniform(0, 2 * np.pi), size * rng.uniform(nearest, farthest)
     x, y = x0 + away * np.cos(turn), away * np.sin(turn)
     return np.array([x, y, float(ground.relief(x, y))])

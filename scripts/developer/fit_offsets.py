@@ -2,8 +2,8 @@
 
     python scripts/developer/fit_offsets.py --renders RENDERS --photos PHOTOS
 
-Learns from the views of rendered trees and from photos with boxes, on features of the package's encoder, which stays as
-it is. Train it again after scripts/train_encoder.py.
+Learns from the views of rendered scenes and from photos with boxes, on features of the package's encoder, which stays
+as it is. Train it again after scripts/train_encoder.py.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 from _terminal import import_tyro, run, say
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.offsets import STORED, save_offsets
-from fruitlangs.fitting.encoder.lifted import rendered_scenes
+from fruitlangs.fitting.encoder.lifted import finished_scenes
 from fruitlangs.fitting.encoder.offset_learning import learn_offsets, offset_photos, offset_renders
 from fruitlangs.fitting.encoder.pictures import read_photos, training_seeds
 
@@ -31,7 +31,7 @@ class Options:
     """What to learn from, and how long."""
 
     renders: Path
-    """Folder of rendered trees, written by `make_orchard.py`."""
+    """Folder of rendered scenes and trees, written by `make_orchard.py`."""
     photos: Path
     """Folder of photo sets with annotations.csv."""
     out: Path = STORED
@@ -43,10 +43,10 @@ class Options:
 
 
 def main(options: Options) -> None:
-    trees = rendered_scenes(options.renders)
-    seeds = training_seeds(trees)
+    scenes = finished_scenes(options.renders)
+    seeds = training_seeds(scenes)
     renders, photos = list(offset_renders(options.renders)), offset_photos(read_photos(options.photos, "train"))
-    say(f"{len(renders)} views of {len(trees)} trees, {len(photos)} photos")
+    say(f"{len(renders)} views of {len(scenes)} scenes, {len(photos)} photos")
     encoder = EmbeddedEncoder.open()
     network = learn_offsets(encoder.network, renders, photos, steps=options.steps, seed=options.seed, report=say)
     save_offsets(options.out, network, encoder.identity, seeds=seeds, steps=options.steps)

@@ -33,6 +33,8 @@ from fruitlangs.engine.splatting.training.train import train
 from fruitlangs.engine.storage import lock
 
 NO_FRUIT_COUNT = FruitCount(fruits=[], audit=[], max_probability=0.0, mean_diameter=None)
+NOTHING = CountConfig(threshold=0.999999)
+"""No Gaussian is so certain, so the count has no notices of its own."""
 TINY = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0))
 
 
@@ -58,16 +60,15 @@ def copied(counted: Path, tmp_path: Path) -> Path:
 
 
 def test_a_result_of_a_transforms_file_finds_its_photos_again(copied: Path) -> None:
-    again = count_scene(copied, ["apple"], copied)
+    again = count_scene(copied, ["apple"], copied, config=Config(count=NOTHING))
     assert list((copied / "pictures").iterdir())
     assert again.notices == []
 
 
 def test_cameras_that_training_moved_are_those_of_the_next_prompt_too(few_photos: Path, tmp_path: Path) -> None:
-    nothing = CountConfig(threshold=0.999999)
-    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0, refine_poses=True), count=nothing)
+    config = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0, refine_poses=True), count=NOTHING)
     first = count_scene(few_photos, ["fruit"], tmp_path, config=config)
-    again = count_scene(tmp_path, ["apple"], tmp_path, config=Config(count=nothing))
+    again = count_scene(tmp_path, ["apple"], tmp_path, config=Config(count=NOTHING))
     for ours, theirs in zip(again.scene.cameras, first.scene.cameras, strict=True):
         assert (ours.world_to_camera == theirs.world_to_camera).all()
 
@@ -76,7 +77,7 @@ def test_pictures_that_cannot_be_made_are_reported(copied: Path) -> None:
     content = json.loads((copied / "fruits.json").read_text())
     content["provenance"]["source"] = "/gone/photos"
     (copied / "fruits.json").write_text(json.dumps(content))
-    again = count_scene(copied, ["apple"], copied)
+    again = count_scene(copied, ["apple"], copied, config=Config(count=NOTHING))
     assert list((copied / "pictures").iterdir()) == []
     assert again.notices == ["no pictures were made: The photos at /gone/photos are missing"]
 
@@ -85,7 +86,7 @@ def test_photos_that_have_changed_are_said_to_have_changed(copied: Path, few_pho
     photos = shutil.copytree(few_photos, tmp_path / "photos")
     Image.new("RGB", (8, 8)).save(sorted(photos.glob("*.jpg"))[0])
     (copied / "cache" / "source.txt").write_text(str(photos / "transforms.json"))
-    (notice,) = count_scene(copied, ["apple"], copied).notices
+    (notice,) = count_scene(copied, ["apple"], copied, config=Config(count=NOTHING)).notices
     assert "have changed since they were counted" in notice
 
 
@@ -94,7 +95,7 @@ def test_a_photo_that_cannot_be_read_is_named(copied: Path, few_photos: Path, tm
     first = sorted(photos.glob("*.jpg"))[0]
     first.unlink()
     (copied / "cache" / "source.txt").write_text(str(photos / "transforms.json"))
-    (notice,) = count_scene(copied, ["apple"], copied).notices
+    (notice,) = count_scene(copied, ["apple"], copied, config=Config(count=NOTHING)).notices
     assert first.name in notice
 
 

@@ -25,6 +25,7 @@ from fruitlangs.orchard.scene_file import find_scene, presets, read_scene
 from fruitlangs.orchard.shapes.ground import lay_ground
 from fruitlangs.orchard.species import SPECIES
 from fruitlangs.orchard.surroundings.distractors import hang_tags
+from fruitlangs.orchard.surroundings.objects import SIZES, pattern
 from fruitlangs.orchard.surroundings.things import WORDS
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "make_orchard.py"
@@ -121,6 +122,24 @@ def test_objects_take_turns_stand_or_hang_about_their_tree_and_move_nothing_else
     assert all(np.linalg.norm(thing.mesh.vertices.mean(axis=0)[:2]) < 5 for thing in full.things)
     assert all(thing.mesh.colors.shape == thing.mesh.vertices.shape for thing in full.things)
     assert [f.body.center.tolist() for f in bare.fruits] == [f.body.center.tolist() for f in full.fruits]
+
+
+def test_objects_of_no_word_are_clear_of_the_fruit_and_move_nothing_else() -> None:
+    bare, full = (plant(OrchardConfig(trees=2, fruits=20, leaves=20, objects=count)) for count in (0, 12))
+    assert [thing.word for thing in full.things] == ["object"] * 24
+    assert [f.body.center.tolist() for f in bare.fruits] == [f.body.center.tolist() for f in full.fruits]
+    for thing in full.things:
+        vertices = thing.mesh.vertices
+        assert thing.mesh.colors.shape == vertices.shape
+        assert np.ptp(vertices, axis=0).max() <= 1.01 * SIZES[1] * full.species.diameter
+        assert all(np.linalg.norm(vertices - f.body.center, axis=1).min() > 0.2 * f.diameter for f in full.fruits)
+
+
+def test_a_ball_is_never_painted_like_a_fruit_alone() -> None:
+    ball = np.random.default_rng(1).normal(size=(50, 3))
+    for seed in range(200):
+        colors = pattern(np.random.default_rng(seed), ball, is_ball=True)
+        assert (colors[:, 2] > 0.5 * colors[:, :2].max(axis=1)).mean() > 0.05
 
 
 def test_every_third_close_up_looks_at_an_object() -> None:

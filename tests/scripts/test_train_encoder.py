@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from fruitlangs.fitting.encoder.lifted import (
     rendered_scenes,
 )
 from fruitlangs.fitting.encoder.losses import concept_loss, overlap_loss
-from fruitlangs.fitting.encoder.pasting import cut_fruit, paste
+from fruitlangs.fitting.encoder.pasting import cut_fruit, cut_objects, paste
 from fruitlangs.fitting.encoder.photo_scores import photo_scores
 from fruitlangs.fitting.encoder.pictures import (
     IGNORED,
@@ -38,6 +39,7 @@ from fruitlangs.fitting.encoder.pictures import (
     Box,
     Picture,
     box_labels,
+    put_object,
     read_photos,
     read_renders,
     training_seeds,
@@ -47,7 +49,7 @@ from fruitlangs.fitting.encoder.samples import Sample
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 from fruitlangs.orchard.training_scenes import is_held_out, training_config
 
-APPLE, LEAF = CONCEPTS.index("apple"), CONCEPTS.index("leaf")
+APPLE, LEAF, OBJECT, BACKGROUND = map(CONCEPTS.index, ("apple", "leaf", "object", "background"))
 
 
 @pytest.fixture(scope="module")
@@ -172,6 +174,27 @@ def test_pasted_fruit_brings_its_label(renders: Path):
     assert labels[int(box.top) + 10, int(box.left) + 10] == APPLE
     assert pixels[int(box.top) + 10, int(box.left) + 10, 0] > 90
     assert labels[int(box.top) - 1, int(box.left) - 1] == LEAF
+
+
+def test_objects_that_no_word_names_are_cut_out_with_their_own_label(renders: Path):
+    picture = read_renders(renders)[0]
+    labels = np.where(picture.labels == APPLE, OBJECT, picture.labels).astype(np.uint8)
+    cutouts = cut_objects([replace(picture, labels=labels)])
+    assert [cutout.concept for cutout in cutouts] == [OBJECT]
+    pixels, marks = np.zeros((64, 64, 3), np.uint8), np.full((64, 64), NOT_FRUIT, np.uint8)
+    box = paste(pixels, marks, cutouts[0], 20, np.random.default_rng(0), occlude=False)
+    assert box is not None
+    assert box.label == "object"
+    assert marks[int(box.top) + 10, int(box.left) + 10] == OBJECT
+
+
+def test_a_drawn_object_is_labelled_as_one():
+    pixels, labels = np.zeros((128, 128, 3), np.uint8), np.full((128, 128), BACKGROUND, np.uint8)
+    put_object(pixels, labels, np.random.default_rng(5))
+    drawn = pixels.any(-1)
+    assert drawn.any()
+    assert (labels[drawn] != BACKGROUND).mean() > 0.9
+    assert (labels == OBJECT).sum() > 0.8 * drawn.sum()
 
 
 def test_a_batch_depends_on_its_seed_alone(photos: Path, renders: Path):

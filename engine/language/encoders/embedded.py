@@ -168,8 +168,8 @@ class EmbeddedEncoder:
         return ColourSplit(
             prompts=(sought[0].text.split()[-1],),
             negatives=[text for text, chooses in zip(negatives, choosing, strict=True) if not chooses],
+            kinds=fruit,
             words=words,
-            colours=_basis(words, COLOURS),
             asked=[word in asked for word in words],
         )
 

@@ -69,14 +69,14 @@ class Encoder(Protocol):
 class ColourSplit:
     """Prompts for fruit of some colours, in two parts: fruit of a kind, and their colour.
 
-    prompts, negatives: without colours; words: A colours, of which every fruit has one; colours: (A, D) their text
-    vectors; asked: (A,) which of them the prompts ask for.
+    prompts, negatives: without colours; kinds: what the fruit may be; words: A colours, of which every fruit has one;
+    asked: (A,) which of them the prompts ask for.
     """
 
     prompts: Sequence[str]
     negatives: Sequence[str]
+    kinds: Sequence[str]
     words: Sequence[str]
-    colours: Tensor
     asked: Sequence[bool]
 
 

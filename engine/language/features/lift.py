@@ -62,14 +62,14 @@ def encode_photos(
     """The targets of `lift_features`: the features of each photo as the encoder gives them, zero where its mask
     excludes it. recorder: keeps what an encoder that distinguishes single fruit says about every pixel."""
     for photo in scene.images:
-        offsets: Tensor | None = None
+        pixels, offsets = photo.pixels(), None
         if recorder is not None and sees_fruit(encoder):
-            features, offsets = encoder.encode_fruit(photo.pixels())
+            features, offsets = encoder.encode_fruit(pixels)
         else:
-            features = encoder.encode_dense(photo.pixels())
+            features = encoder.encode_dense(pixels)
         if (mask := photo.mask()) is not None:
             usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
             features = features * usable[..., None]
         if recorder is not None and offsets is not None:
-            recorder.keep(features, offsets)
+            recorder.keep(features, offsets, pixels)
         yield features.contiguous()

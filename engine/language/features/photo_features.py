@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
@@ -14,13 +18,15 @@ from ...errors import FormatError
 from ...storage.files import read_tensors, write_tensors
 from ..encoders.network import resized
 
-FORMAT = "fruitlangs-photo-features-2"
+FORMAT = "fruitlangs-photo-features-3"
 MOST_SIDE = 480
 """Longest side of what is kept of a photo, pixels: the encoder does not distinguish more."""
 LEAST_FRUIT = 0.15
 """Probability of any fruit below which a pixel is not kept."""
 STEPS, OFFSET_STEPS = 255.0, 80.0
 """Numbers, and offsets, are kept in steps of one of this."""
+TENSORS = ("shapes", "counts", "places", "values", "offsets", "colours")
+"""Names of the tensors in the file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +36,7 @@ class PhotoFeatures:
     shapes: (V, 2) int64 height and width of what was kept of each photo; counts: (V,) int64 kept pixels of each;
     places: (n,) int32 row · width + column of each; values: (n, D) uint8, unit features in steps of 1 / STEPS;
     offsets: (n, 2) int8, where on its fruit each pixel lies, see `OffsetNetwork`, in steps of 1 / OFFSET_STEPS;
-    encoder_id: identity of the encoder.
+    colours: (n, 3) uint8 sRGB; encoder_id: identity of the encoder.
     """
 
     shapes: Tensor
@@ -38,6 +44,7 @@ class PhotoFeatures:
     places: Tensor
     values: Tensor
     offsets: Tensor
+    colours: Tensor
     encoder_id: str
 
     def __len__(self) -> int:
@@ -46,11 +53,19 @@ class PhotoFeatures:
     def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor, Tensor]]:
         """Of each photo its height and width, the places (k,) of its kept pixels, their unit features (k, D) and their
         offsets (k, 2)."""
+        for shape, places, values, offsets in self._parts(self.values, self.offsets):
+            yield shape, places.long(), functional.normalize(values.float(), dim=-1), offsets.float() / OFFSET_STEPS
+
+    def coloured(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor]]:
+        """Of each photo its height and width, the places (k,) of its kept pixels and their sRGB (k, 3) in [0, 1]."""
+        for shape, places, colours in self._parts(self.colours):
+            yield shape, places.long(), colours.float() / STEPS
+
+    def _parts(self, *kept: Tensor) -> Iterator[tuple[Any, ...]]:
+        """Of each photo its shape, the places of its pixels and its rows of each tensor in `kept`."""
         counts = self.counts.tolist()
-        parts = (each.split(counts) for each in (self.places, self.values, self.offsets))
-        for (height, width), places, values, offsets in zip(self.shapes.tolist(), *parts, strict=True):
-            vectors = functional.normalize(values.float(), dim=-1)
-            yield (height, width), places.long(), vectors, offsets.float() / OFFSET_STEPS
+        shapes = ((height, width) for height, width in self.shapes.tolist())
+        return zip(shapes, *(each.split(counts) for each in (self.places, *kept)), strict=True)
 
 
 class PhotoFeaturesRecorder:
@@ -63,6 +78,7 @@ class PhotoFeaturesRecorder:
         self._places: list[Tensor] = []
         self._values: list[Tensor] = []
         self._offsets: list[Tensor] = []
+        self._colours: list[Tensor] = []
 
     def kept(self) -> PhotoFeatures:
         """What was kept of all photos that were passed on."""
@@ -73,11 +89,13 @@ class PhotoFeaturesRecorder:
             torch.cat([*self._places, torch.zeros(0, dtype=torch.int32)]),
             torch.cat([*self._values, torch.zeros(0, width, dtype=torch.uint8)]),
             torch.cat([*self._offsets, torch.zeros(0, 2, dtype=torch.int8)]),
+            torch.cat([*self._colours, torch.zeros(0, 3, dtype=torch.uint8)]),
             self._encoder_id,
         )
 
-    def keep(self, photo: Tensor, offsets: Tensor) -> None:
-        """The features (H, W, D) of the next photo, and where on its fruit each pixel lies (H, W, 2)."""
+    def keep(self, photo: Tensor, offsets: Tensor, pixels: NDArray[np.uint8]) -> None:
+        """The features (H, W, D) of the next photo, where on its fruit each pixel lies (H, W, 2), and the photo in sRGB
+        (h, w, 3) of any size."""
         shrink = min(1.0, MOST_SIDE / max(photo.shape[:2]))
         if shrink < 1.0:
             photo, offsets = (resized(each.permute(2, 0, 1), shrink).permute(1, 2, 0) for each in (photo, offsets))
@@ -87,6 +105,8 @@ class PhotoFeaturesRecorder:
         self._shapes.append((photo.shape[0], photo.shape[1]))
         self._places.append(places.int())
         self._values.append((values.clamp(0.0, 1.0) * STEPS).round().to(torch.uint8))
+        small = Image.fromarray(pixels).resize((photo.shape[1], photo.shape[0]), Image.Resampling.BOX)
+        self._colours.append(torch.from_numpy(np.array(small)).reshape(-1, 3)[places])
         steps = (offsets.reshape(-1, 2)[places] * OFFSET_STEPS).round()
         self._offsets.append(steps.clamp(-127, 127).to(torch.int8))
 
@@ -102,7 +122,7 @@ def save_photo_features(path: Path, kept: PhotoFeatures) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    tensors = {name: getattr(kept, name).contiguous() for name in ("shapes", "counts", "places", "values", "offsets")}
+    tensors = {name: getattr(kept, name).contiguous() for name in TENSORS}
     write_tensors(path, tensors, {"format": FORMAT, "encoder_id": kept.encoder_id})
 
 
@@ -120,6 +140,7 @@ def load_photo_features(path: Path) -> PhotoFeatures:
         pixels = int(kept.counts.sum())
         fits = kept.shapes.shape == (len(kept), 2) and len(kept.places) == len(kept.values) == pixels
         fits &= kept.offsets.shape == (pixels, 2) and kept.offsets.dtype == torch.int8
+        fits &= kept.colours.shape == (pixels, 3) and kept.colours.dtype == torch.uint8
         if not fits or kept.values.dtype != torch.uint8 or kept.values.ndim != 2:
             raise ValueError("its tensors do not fit")
         ends = kept.shapes.prod(1).repeat_interleave(kept.counts)

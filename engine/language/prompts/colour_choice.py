@@ -1,6 +1,6 @@
 """Prompts such as "red apple": fruit are found by their kind, and then chosen by their colour.
 
-Every fruit has one colour, that with the largest share of what shows it. So the counts of all colours add up to the
+Every fruit has one colour, the one that most of what shows it speaks for. So the counts of all colours add up to the
 count of the kind.
 """
 
@@ -10,32 +10,29 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ...splatting.gaussians import Gaussians
+from ..colours import colour_words, fruit_colours
 from ..encoders.encoder import ColourSplit, Encoder, splits_colours
-from ..features.features import Features, blocks
 from ..features.photo_features import PhotoFeatures
-
-ROWS = 65_536
-"""Gaussians whose colours are looked up at a time."""
+from ..vocabulary import COLOURS, FRUIT_COLOURS
 
 
 @dataclass(frozen=True, eq=False)
 class ColourChoice:
-    """split: the A colours, and which of them are asked for; gaussians: (N, A) their shares of each Gaussian; photos:
-    the features of pixels that may be fruit, None without photos."""
+    """split: the A colours, and which of them are asked for; gaussians: (N, A) how much each Gaussian says for them;
+    photos: the pixels that may be fruit, None without photos."""
 
     split: ColourSplit
     gaussians: NDArray[np.float32]
     photos: PhotoFeatures | None
 
     @classmethod
-    def of(cls, split: ColourSplit, features: Features, photos: PhotoFeatures | None) -> ColourChoice:
-        """The choice among the fruit of a scene. features: of its Gaussians."""
-        parts = [_shares(features.unit(0, rows), split.colours) for rows in blocks(len(features), ROWS)]
-        return cls(split, torch.cat(parts).numpy(), photos)
+    def of(cls, split: ColourSplit, gaussians: Gaussians, photos: PhotoFeatures | None) -> ColourChoice:
+        """The choice among the fruit of a scene."""
+        return cls(split, _said(gaussians.base_colors, split), photos)
 
     @property
     def asked(self) -> NDArray[np.bool_]:
@@ -43,15 +40,15 @@ class ColourChoice:
         return np.array(self.split.asked, bool)
 
     def pixels(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-        """Of each photo the rows (H, W) of its pixels in its shares (k + 1, A); pixels that were not kept have the last
-        row, of zeros."""
+        """Of each photo the rows (H, W) of its pixels in what they say for the colours (k + 1, A); pixels that were not
+        kept have the last row, of zeros."""
         if self.photos is None:
             return
-        for (height, width), places, vectors, _ in self.photos.photos():
+        for (height, width), places, pixels in self.photos.coloured():
             rows = np.full(height * width, len(places))
             rows[places.numpy()] = np.arange(len(places))
-            shares = _shares(vectors, self.split.colours).numpy()
-            yield rows.reshape(height, width), np.concatenate([shares, np.zeros((1, shares.shape[1]), np.float32)])
+            said = _said(pixels, self.split)
+            yield rows.reshape(height, width), np.concatenate([said, np.zeros((1, said.shape[1]), np.float32)])
 
 
 def colour_split(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
@@ -63,7 +60,8 @@ def colour_split(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[s
     return encoder.split_colours(prompts, negatives) if splits_colours(encoder) else None
 
 
-def _shares(vectors: Tensor, colours: Tensor) -> Tensor:
-    """(N, A) shares of the colours (A, D) in unit features (N, D); they sum to 1, also where it is too dark for any."""
-    shares = (vectors.float() @ colours.T).square()
-    return shares / shares.sum(-1, keepdim=True).clamp_min(1e-12)
+def _said(pixels: Tensor, split: ColourSplit) -> NDArray[np.float32]:
+    """(N, A) how much pixels (N, 3) say for each word, for the colour of fruit if all are colours of fruit."""
+    pixels, of_fruit = pixels.detach().float().cpu(), set(split.words) <= set(FRUIT_COLOURS)
+    said, known = (fruit_colours(pixels, split.kinds), FRUIT_COLOURS) if of_fruit else (colour_words(pixels), COLOURS)
+    return said[:, [known.index(word) for word in split.words]].numpy()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 import torch
+from matplotlib.colors import XKCD_COLORS, to_rgb
 
 from fruitlangs.engine.config import EmbedConfig
-from fruitlangs.engine.language.colours import colour_words
+from fruitlangs.engine.language.colours import colour_words, fruit_colours
 from fruitlangs.engine.language.encoders.open_encoder import open_encoder
 from fruitlangs.engine.language.prompts.relevancy import answer
-from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS
+from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS
 
 
 @pytest.mark.parametrize(
@@ -40,3 +41,37 @@ def test_fruit_in_shade_keeps_the_colour_that_people_give_it(prompt: str, rgb: t
     colours = colour_words(torch.tensor(rgb) / 255.0)
     features = torch.cat([torch.zeros(len(CONCEPTS)), colours]).mul(0.5).sqrt()
     assert (float(answer(features, open_encoder(EmbedConfig()).questions(prompt)[-1:])) > 0.5) == is_so
+
+
+@pytest.mark.parametrize(
+    ("word", "rgb"),
+    [("red", (172, 46, 38)), ("orange", (217, 122, 28)), ("yellow", (222, 188, 50)), ("yellow", (179, 181, 47)),
+     ("green", (115, 150, 52)), ("blue", (60, 70, 130)), ("purple", (85, 45, 100)), ("pink", (230, 120, 170))],
+)  # fmt: skip
+@pytest.mark.parametrize("light", [1.0, 0.3, 0.1])
+def test_fruit_has_the_same_colour_in_sun_and_in_shade(word: str, rgb: tuple[int, int, int], light: float):
+    linear = (torch.tensor(rgb) / 255.0) ** 2.2 * light
+    assert FRUIT_COLOURS[int(fruit_colours(linear ** (1.0 / 2.2)).argmax())] == word
+
+
+def test_the_cheek_of_an_apple_is_red_and_its_greenish_yellow_side_green():
+    cheek, side = torch.tensor([[200, 110, 60], [198, 184, 90]]) / 255.0
+    words = [
+        FRUIT_COLOURS[int(fruit_colours(each, kinds).argmax())] for each in (cheek, side) for kinds in (["apple"], [])
+    ]
+    assert words == ["red", "orange", "green", "yellow"]
+
+
+def test_gloss_and_deep_shade_say_little_about_the_colour_of_fruit():
+    red, gloss, shade = fruit_colours(torch.tensor([[172, 46, 38], [240, 240, 235], [14, 15, 10]]) / 255.0)
+    assert red.sum() > 4.0 * gloss.sum()
+    assert red.sum() > 4.0 * shade.sum()
+    assert min(gloss.min(), shade.min()) >= 0.0 < min(gloss.sum(), shade.sum())
+
+
+def test_the_hues_of_fruit_agree_with_what_people_call_colours():
+    named = [name for name in XKCD_COLORS if name.removeprefix("xkcd:").split()[-1] in ("red", "yellow", "green")]
+    said = fruit_colours(torch.tensor([to_rgb(XKCD_COLORS[name]) for name in named])).argmax(dim=-1)
+    agree = [name.endswith(FRUIT_COLOURS[word]) for name, word in zip(named, said.tolist(), strict=True)]
+    assert len(agree) > 200
+    assert sum(agree) / len(agree) > 0.85

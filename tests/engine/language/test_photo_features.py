@@ -13,6 +13,7 @@ from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.features.features import Features
 from fruitlangs.engine.language.features.photo_features import (
     MOST_SIDE,
+    TENSORS,
     PhotoFeatures,
     PhotoFeaturesRecorder,
     load_photo_features,
@@ -39,7 +40,7 @@ def photo_of(encoder: EmbeddedEncoder, height: int = 6, width: int = 8) -> torch
 def kept(encoder: EmbeddedEncoder, *photos: torch.Tensor) -> PhotoFeatures:
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
     for photo in photos:
-        recorder.keep(photo, offsets_of(photo))
+        recorder.keep(photo, offsets_of(photo), pixels_of(photo))
     return recorder.kept()
 
 
@@ -48,6 +49,13 @@ def offsets_of(photo: torch.Tensor) -> torch.Tensor:
     height, width = photo.shape[:2]
     down, right = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
     return torch.stack([right, down], dim=-1)
+
+
+def pixels_of(photo: torch.Tensor) -> np.ndarray:
+    """Twice as large: each pixel of a feature has a colour that tells its row and column."""
+    height, width = photo.shape[:2]
+    down, right = np.mgrid[:height, :width]
+    return np.stack([down, right, right + down], axis=-1).astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
 
 
 def features_of(encoder: EmbeddedEncoder, photo: torch.Tensor) -> Features:
@@ -78,6 +86,13 @@ def test_the_offset_of_a_pixel_is_kept_with_it(encoder: EmbeddedEncoder) -> None
     assert np.abs(maps[0].offsets - offsets_of(photo).numpy())[fruit].max() < 0.01
 
 
+def test_the_colour_of_a_pixel_is_kept_with_it(encoder: EmbeddedEncoder) -> None:
+    photo = photo_of(encoder)
+    ((_, places, colours),) = kept(encoder, photo).coloured()
+    whole = pixels_of(photo)[::2, ::2].reshape(-1, 3)
+    assert np.array_equal((colours * 255.0).round().numpy(), whole[places])
+
+
 def test_only_pixels_that_may_be_fruit_are_kept(encoder: EmbeddedEncoder) -> None:
     photo = photo_of(encoder)
     assert kept(encoder, photo, photo).counts.tolist() == [12, 12]
@@ -97,7 +112,7 @@ def test_what_is_written_is_read(encoder: EmbeddedEncoder, tmp_path: Path) -> No
     before = kept(encoder, photo_of(encoder), photo_of(encoder, 5, 4) * 0.0)
     save_photo_features(tmp_path / "photos.safetensors", before)
     after = load_photo_features(tmp_path / "photos.safetensors")
-    for name in ("shapes", "counts", "places", "values", "offsets"):
+    for name in TENSORS:
         assert torch.equal(getattr(before, name), getattr(after, name))
     assert after.encoder_id == encoder.identity
 

@@ -35,7 +35,7 @@ def owners_of(tree: sim.Simulation) -> NDArray[np.int64]:
 
 
 def asking(*words: str, gaussians: NDArray, photos: PhotoFeatures | None = None) -> ColourChoice:
-    split = ColourSplit(("apple",), (), WORDS, torch.eye(len(WORDS)), [word in words for word in WORDS])
+    split = ColourSplit(("apple",), (), ("apple",), WORDS, [word in words for word in WORDS])
     return ColourChoice(split, gaussians.astype(np.float32), photos)
 
 
@@ -93,8 +93,9 @@ def test_photos_tell_the_colour_where_gaussians_are_wrong(tree: sim.Simulation) 
         shapes=torch.tensor(shapes),
         counts=torch.tensor(pixels),
         places=torch.cat([torch.arange(each, dtype=torch.int32) for each in pixels]),
-        values=torch.tensor([255, 0, 0], dtype=torch.uint8).repeat(sum(pixels), 1),
+        values=torch.full((sum(pixels), 1), 255, dtype=torch.uint8),
         offsets=torch.zeros(sum(pixels), 2, dtype=torch.int8),
+        colours=torch.tensor([190, 30, 40], dtype=torch.uint8).repeat(sum(pixels), 1),
         encoder_id="test",
     )
     green = np.tile([0.0, 1.0, 0.0], (len(tree.gaussians), 1))
