@@ -89,13 +89,8 @@ def read_pictures(options: Options) -> Pictures:
     seeds = training_seeds([*rendered, *lifted])
     material = Material(photos, learnt, cut_fruit([*photos, *learnt]), cut_objects(learnt))
     print(f"{len(photos)} photos, {len(learnt)} renders to train on, {len(held_out)} held out", flush=True)
-    print(
-        "cutouts by fruit:",
-        [len(cutouts) for cutouts in material.bank],
-        "of objects:",
-        len(material.objects),
-        flush=True,
-    )
+    by_fruit = [len(cutouts) for cutouts in material.bank]
+    print(f"cutouts by fruit: {by_fruit} of objects: {len(material.objects)}", flush=True)
     return Pictures(material, read_photos(options.photos, "val"), held_out, lifted, seeds)
 
 

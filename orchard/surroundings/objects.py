@@ -6,8 +6,7 @@ An encoder that has seen only fruit, plants and tools takes every other round ob
 from __future__ import annotations
 
 import colorsys
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +46,9 @@ def scatter_objects(
     reaches = np.array([f.body.reach for f in fruits])
     twigs = [b for b in branches if b.generation >= 2 and b.points[-1][2] > 0.3]
     objects: list[SceneObject] = []
-    for tries in itertools.count():
-        if len(objects) == count or tries == TRIES * count:
-            return objects
+    for _ in range(TRIES * count):
+        if len(objects) == count:
+            break
         reach = 0.5 * diameter * float(np.exp(rng.uniform(*np.log(SIZES))))
         if rng.random() < HANGING:
             place, _ = twigs[int(rng.integers(len(twigs)))].at(float(rng.uniform(0.6, 1.0)))
@@ -61,19 +60,13 @@ def scatter_objects(
             continue
         gloss = float(rng.uniform(0.02, 0.25)) if rng.random() < 0.6 else 0.0
         objects.append(SceneObject(word=WORD, mesh=_placed(rng, _object(rng), place, reach), gloss=gloss))
-    raise AssertionError("the loop ends by its conditions")
+    return objects
 
 
 def _object(rng: np.random.Generator) -> Mesh:
     """A coloured object around the origin, not larger than a ball of radius 1."""
-    shapes: tuple[Callable[[], tuple[FloatArray, bool]], ...] = (
-        lambda: _superellipsoid(rng),
-        lambda: _superellipsoid(rng),
-        lambda: _turned(rng),
-        lambda: _bent(rng),
-        lambda: _ring(rng),
-    )
-    vertices, is_ball = shapes[int(rng.integers(len(shapes)))]()
+    shapes = (_superellipsoid, _superellipsoid, _turned, _bent, _ring)
+    vertices, is_ball = shapes[int(rng.integers(len(shapes)))](rng)
     vertices = vertices - (vertices.max(axis=0) + vertices.min(axis=0)) / 2.0
     vertices = vertices / np.linalg.norm(vertices, axis=1).max()
     quads = grid_quads(len(vertices) // COLUMNS, COLUMNS, wrap=True)

@@ -17,7 +17,7 @@ from fruitlangs.engine.language.encoders.embedded import WEIGHTS, Calibration, E
 from fruitlangs.engine.language.encoders.network import Network, normalise
 from fruitlangs.engine.language.encoders.open_encoder import open_encoder
 from fruitlangs.engine.language.prompts.relevancy import answer, scene_answers, understood
-from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS
+from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, parse
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
 WIDTHS, DEPTHS = (4, 6, 8, 10), (1, 1, 1, 1)
@@ -181,6 +181,7 @@ def test_a_colour_chooses_among_the_fruit_of_a_kind(
     split = tiny.split_colours(prompts, negatives)
     assert split is not None
     assert list(split.prompts) == [sought]
+    assert set(split.kinds) == set(parse(sought).concepts)
     assert {word for word, wanted in zip(split.words, split.asked, strict=True) if wanted} == asked
     assert list(split.negatives) == left
 
