@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,16 @@ class ColourChoice:
         kept have the last row, of zeros."""
         if self.photos is None:
             return
-        for (height, width), places, pixels in self.photos.coloured():
+        for ((height, width), places, _), said in zip(self.photos.coloured(), self._said_by_photos, strict=True):
             rows = np.full(height * width, len(places))
             rows[places.numpy()] = np.arange(len(places))
-            said = _said(pixels, self.split)
-            yield rows.reshape(height, width), np.concatenate([said, np.zeros((1, said.shape[1]), np.float32)])
+            yield rows.reshape(height, width), said
+
+    @cached_property
+    def _said_by_photos(self) -> list[NDArray[np.float32]]:
+        """Of each photo what its pixels say for the colours, and a last row of zeros (k + 1, A)."""
+        photos = self.photos.coloured() if self.photos is not None else ()
+        return [np.pad(_said(pixels, self.split), ((0, 1), (0, 0))) for _, _, pixels in photos]
 
 
 def colour_split(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
