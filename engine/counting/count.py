@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from .photos.join import PhotoEvidence, with_photos
 from .published.fruitnerf import cluster_as_fruitnerf
 from .published.template import split_by_template
 from .published.template_shape import read_template
-from .regions.ground import lying_on_ground
+from .regions.ground import doubt_sunken, lying_on_ground
 from .regions.region import REACH, Region, keep_inside, region_of, spaced
 from .regions.row import check_trees, trees_of_row
 from .sizing import (
@@ -146,7 +147,9 @@ def count_fruit(
         none = nothing(reason, sized.diameter, points=len(own))
         return replace(none, notices=[*notices, *none.notices])
     evidence = None if photos is None else PhotoEvidence(gaussians, probabilities, photos)
-    found, searched = _find(points, sized, pictures, evidence, config, part(progress, 0.7, 1.0))
+    others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
+    doubt = partial(doubt_sunken, gaussians=others, cameras=cameras, up=up)
+    found, searched = _find(points, sized, pictures, evidence, doubt, config, part(progress, 0.7, 1.0))
     within = keep_inside(found, region)
     weights = np.where(probabilities >= FAINT * config.threshold, visibility.weights, 0.0)
     colours = FruitColours(choice, gaussians, weights, pictures, photos, config.threshold)
@@ -154,7 +157,6 @@ def count_fruit(
     spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
     described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
     counted = replace(described, notices=notices)
-    others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
@@ -317,11 +319,12 @@ def _find(
     size: FruitSize,
     pictures: Sequence[Picture],
     photos: PhotoEvidence | None,
+    doubt: Callable[[Search], Search],
     config: CountConfig,
     progress: Progress,
 ) -> tuple[Clusters, Search | None]:
     """What the points became, and the candidates with their probabilities, which the published methods do not have;
-    those use no photos."""
+    those use no photos. doubt: lowers the probabilities of candidates in the ground."""
     if config.method != "voting":
         template = read_template(Path(config.template), seed=config.seed) if config.template else None
         road = split_by_template if config.method == "template" else cluster_as_fruitnerf
@@ -331,6 +334,7 @@ def _find(
     found = search(points, size, pictures, config.threshold, given=given, progress=alone)
     if photos is not None:
         found = with_photos(found, photos, pictures, config.threshold, progress=part(progress, 0.3, 1.0))
+    found = doubt(found)
     return find_fruit(found), found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ from numpy.typing import NDArray
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
+from fruitlangs.engine.counting.evidence.cluster import Search
+from fruitlangs.engine.counting.evidence.size import FruitSize
 from fruitlangs.engine.counting.evidence.visibility import Visibility
-from fruitlangs.engine.counting.regions.ground import lying_on_ground
+from fruitlangs.engine.counting.regions.ground import doubt_sunken, lying_on_ground
+from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -62,11 +66,16 @@ def fallen_on(slope: float = 0.0, bump: float = 0.0) -> FloatArray:
     return np.stack([x, y, relief(x, y, slope, bump) + 0.5 * DIAMETER], axis=1)
 
 
-def told(gaussians: Gaussians, centers: FloatArray, up: FloatArray = UP, scale: float = 1.0) -> list[bool | None]:
-    """Whether fruit lie on the ground, seen from a ring about the first of them that hang."""
+def around(middle: FloatArray, up: FloatArray, scale: float = 1.0) -> list[Camera]:
+    """A ring of cameras about a place."""
     turn = np.linalg.svd(up[None])[2][1:]
-    places = [centers.mean(axis=0) + 2.5 * scale * (np.cos(a) * turn[0] + np.sin(a) * turn[1]) for a in range(6)]
-    cameras = [sim.look_at(place, centers.mean(axis=0)) for place in places]
+    places = [middle + 2.5 * scale * (np.cos(a) * turn[0] + np.sin(a) * turn[1]) for a in range(6)]
+    return [sim.look_at(place, middle) for place in places]
+
+
+def told(gaussians: Gaussians, centers: FloatArray, up: FloatArray = UP, scale: float = 1.0) -> list[bool | None]:
+    """Whether fruit lie on the ground, seen from a ring about their middle."""
+    cameras = around(centers.mean(axis=0), up, scale)
     return lying_on_ground(gaussians, cameras, centers, np.full(len(centers), DIAMETER * scale), up)
 
 
@@ -103,6 +112,26 @@ def test_without_a_ground_nothing_is_reported() -> None:
 
 def test_a_fruit_far_beyond_the_ground_that_is_seen_is_not_reported() -> None:
     assert told(orchard(), np.vstack([CROWN, fallen_on(), [[40.0, 0.0, 0.04]]])) == [*EXPECTED, None]
+
+
+@pytest.mark.parametrize(("slope", "bump"), [(0.0, 0.0), (0.3, 0.0), (0.0, 0.12)])
+def test_candidates_in_the_ground_are_doubted_and_fallen_and_hanging_ones_are_not(slope: float, bump: float) -> None:
+    fallen = fallen_on(slope, bump)
+    centers = np.vstack([CROWN, fallen, fallen - 0.5 * DIAMETER * UP])
+    candidates = SimpleNamespace(spheres=SimpleNamespace(centers=centers))
+    probabilities = np.array([0.99] * 4 + [0.7] * 6)
+    found = Search(None, FruitSize(DIAMETER, 0.1), candidates, {}, probabilities)
+    doubted = doubt_sunken(found, orchard(slope, bump), around(CROWN.mean(axis=0), UP), UP).probabilities
+    assert (doubted[:7] == probabilities[:7]).all()
+    assert (doubted[7:] < 0.5).all()
+
+
+def test_a_ground_that_clear_fruit_lie_in_is_none() -> None:
+    centers = np.vstack([CROWN, fallen_on() - 0.5 * DIAMETER * UP])
+    candidates = SimpleNamespace(spheres=SimpleNamespace(centers=centers))
+    found = Search(None, FruitSize(DIAMETER, 0.1), candidates, {}, np.array([0.99] * 5 + [0.7] * 2))
+    doubted = doubt_sunken(found, orchard(), around(CROWN.mean(axis=0), UP), UP)
+    assert np.array_equal(doubted.probabilities, found.probabilities)
 
 
 def test_counted_fruit_say_whether_they_lie_on_the_ground() -> None:
