@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import expit, logit
 
 from ...scene.camera import Camera
 from ...splatting.gaussians import Gaussians
@@ -55,15 +56,15 @@ def doubt_sunken(found: Search, gaussians: Gaussians, cameras: Sequence[Camera],
 
     Unchanged if no candidate is clear, or if clear fruit lie in what seems to be the ground: then it is none.
     """
-    centers, likely = found.found.spheres.centers, found.probabilities > LIKELY
-    if not (found.probabilities > CLEAR).any():
+    centers, probabilities = found.found.spheres.centers, found.probabilities
+    clear = probabilities > CLEAR
+    if not clear.any():
         return found
-    heights = heights_above_ground(gaussians, cameras, centers, np.median(centers[likely], axis=0), up)
-    sunken = heights < SUNKEN * found.size.diameter
-    if sunken[found.probabilities > CLEAR].mean() > FEW:
+    middle = np.median(centers[probabilities > LIKELY], axis=0)
+    sunken = heights_above_ground(gaussians, cameras, centers, middle, up) < SUNKEN * found.size.diameter
+    if sunken[clear].mean() > FEW:
         return found
-    doubted = found.probabilities / (found.probabilities + np.exp(DOUBT) * (1.0 - found.probabilities))
-    return replace(found, probabilities=np.where(sunken, doubted, found.probabilities))
+    return replace(found, probabilities=np.where(sunken, expit(logit(probabilities) - DOUBT), probabilities))
 
 
 def heights_above_ground(

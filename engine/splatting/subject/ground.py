@@ -56,7 +56,7 @@ def ground_plane(
     random = np.random.default_rng(seed)
     places = (gaussians.means.detach().double().numpy() - subject.center) / subject.radius
     near = np.flatnonzero(np.linalg.norm(places, axis=1) <= REACH)
-    near = near[np.lexsort(places[near].T)]  # their order does not matter
+    near = near[np.lexsort(places[near].T)]  # the same draws in any order of the Gaussians
     if len(near) > MOST_LOOKED_AT:
         near = np.sort(random.choice(near, MOST_LOOKED_AT, replace=False))
     widths = gaussians.scales.detach().double().numpy()[near].max(axis=1) / subject.radius

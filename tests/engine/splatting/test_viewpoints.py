@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -61,6 +62,18 @@ def test_up_is_away_from_the_ground_however_the_frame_is_turned(up: np.ndarray) 
     found = up_from_ground(gaussians, find_subject(gaussians))
     assert found is not None
     assert found @ up > math.cos(math.radians(2))
+
+
+def test_the_order_of_the_gaussians_does_not_change_the_ground() -> None:
+    smooth = tree_on_lawn(UPS[0])
+    rough = torch.randn(smooth.means.shape, generator=torch.Generator().manual_seed(0)) * 0.1
+    gaussians = dataclasses.replace(smooth, means=smooth.means + rough)
+    subject = find_subject(gaussians)
+    shuffled = gaussians.select(torch.from_numpy(np.random.default_rng(1).permutation(len(gaussians))))
+    here, there = up_from_ground(gaussians, subject), up_from_ground(shuffled, subject)
+    assert here is not None
+    assert there is not None
+    np.testing.assert_allclose(here, there, atol=1e-9)
 
 
 def test_a_cloud_without_a_ground_gives_no_up() -> None:
