@@ -156,7 +156,7 @@ def count_fruit(
     clusters = colours.keep(within)
     spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
     described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
-    counted = replace(described, notices=notices)
+    counted = replace(described, notices=[*quality.notices, *notices])
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:

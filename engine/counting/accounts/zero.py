@@ -1,4 +1,5 @@
 """Whether a count of 0 is an answer: with Gaussians that match the prompt, or in a poor reconstruction, it may not be.
+Other counts in a poor reconstruction have a notice.
 
 A known cause of the 0 is an error. Otherwise the 0 is an answer, and its interval admits what may be there.
 """
@@ -57,6 +58,16 @@ class Quality:
         return self.poor or (
             (self.ssim is not None and self.ssim < BLURRED_SSIM) or (self.psnr is not None and self.psnr < BLURRED_PSNR)
         )
+
+    @property
+    def notices(self) -> list[str]:
+        """What the user should know about any count in these Gaussians."""
+        if not self.blurred:
+            return []
+        return [
+            f"held-out photos are reproduced poorly ({self}), so fruit may be missing or in wrong places. Check the "
+            "cameras and the photos"
+        ]
 
     def __str__(self) -> str:
         parts = [

@@ -194,6 +194,11 @@ def test_quality_without_held_out_photos_is_no_cause() -> None:
     assert not Quality(18.4, 0.51).blurred  # a scene of the ladder that is counted
 
 
+def test_a_count_in_a_blurred_reconstruction_says_so(tree: sim.Simulation) -> None:
+    assert "PSNR 17.7 dB, SSIM 0.55" in counted(tree, quality=BLURRED).notices[0]
+    assert list(counted(tree, quality=GOOD).notices) == []
+
+
 def test_places_a_diameter_apart_are_counted_once() -> None:
     balls = np.array([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [9.0, 0.0, 0.0]])
     around = np.random.default_rng(0).normal(size=(600, 3))
