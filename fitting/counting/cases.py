@@ -3,8 +3,9 @@ true surfaces."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from _terminal import terminal_progress
 from ...benchmarks.counting.baselines import surface_of
 from ...benchmarks.counting.simulated import Setting, simulate
 from ...benchmarks.orchards import TRUTH, read_origin
-from ...engine.config import CountConfig, SceneConfig
+from ...engine.config import PRESETS, CountConfig, SceneConfig
 from ...engine.counting.evidence.cluster import Search, search
 from ...engine.counting.evidence.visibility import Picture, draw
 from ...engine.counting.photos.join import PhotoEvidence, with_photos
@@ -32,7 +33,10 @@ from ...engine.language.prompts.relevancy import relevancy
 from ...engine.scene.camera import Camera, Scene
 from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
+from ...engine.splatting.ply import read_ply, write_ply
+from ...engine.splatting.training.train import train
 from ...orchard.config import FIRST_TRAINING_SEED
+from ...orchard.files.truth import LEAST_FRACTION, LEAST_PIXELS, LEAST_VIEWS
 from ..encoder.lifted import rendered_scenes, trained, true_fruit
 from ..encoder.pictures import training_seeds
 
@@ -85,6 +89,33 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
         for kind, probability, shown in kinds:
             family = f"walk {folder.name}"
             yield Case(kind, family, gaussians, probability, scene.cameras, truth, truth.visible, shown)
+
+
+def halved_cases(renders: Path) -> Iterator[Case]:
+    """Gaussians trained in the quick preset on every second photo of rendered trees, with the package's encoder and
+    what these photos show. The Gaussians are kept in the tree's folder."""
+    encoder = EmbeddedEncoder.open()
+    for folder, whole, species, truth in rendered_trees(renders):
+        scene = replace(whole, cameras=whole.cameras[::2], images=whole.images[::2])
+        kept = folder / "gaussians-half.ply"
+        if not kept.is_file():
+            write_ply(kept, train(scene, PRESETS["quick"]).gaussians)
+        gaussians = read_ply(kept)
+        probability, maps = encoded(gaussians, scene, species, encoder)
+        shown = shown_in(folder / TRUTH, truth, [photo.name for photo in scene.images])
+        family = f"walk {folder.name}"
+        yield Case("walk, half of the photos", family, gaussians, probability, scene.cameras, truth, shown, maps)
+
+
+def shown_in(path: Path, truth: Truth, photos: Sequence[str]) -> NDArray[np.bool_]:
+    """(M,) which true fruit of the `truth.json` at `path` enough of these photos show."""
+    assert truth.ids is not None
+    shown = np.zeros(int(truth.ids.max(initial=0)) + 1, bool)
+    for fruit in json.loads(path.read_text(encoding="utf-8"))["fruits"]:
+        pixels, shares = fruit["visible_pixels"], fruit["visible_fractions"]
+        clear = [pixels.get(name, 0) >= LEAST_PIXELS and shares[name] >= LEAST_FRACTION for name in photos]
+        shown[fruit["id"] : fruit["id"] + 1] = sum(clear) >= LEAST_VIEWS
+    return shown[truth.ids]
 
 
 def encoded(

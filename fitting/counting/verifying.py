@@ -16,13 +16,16 @@ from torch.nn import functional
 from ...engine.config import CountConfig
 from ...engine.counting.evidence.cluster import LIKELY
 from ...engine.counting.evidence.visibility import frame_of
-from ...engine.counting.photos.search import likely_places, search_photos
-from ...engine.counting.photos.surroundings import Surroundings
+from ...engine.counting.photos.search import UNLIKELY, likely_places, search_photos
+from ...engine.counting.photos.surroundings import FARTHEST, Surroundings
+from ...engine.counting.photos.surroundings import NUMBERS as SURROUNDINGS
 from ...engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, known_near, look
 from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
+from ...engine.evaluation.judgement import judge
 from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
+from ..encoder.calibration import logistic
 from ..encoder.lifted import trained
 from .cases import Case, encoded, rendered_trees, searched
 
@@ -47,7 +50,11 @@ STILL_FREE = 0.35
 """Share of the places near a fruit to which this fruit is not known."""
 MINED_SD = 0.06
 """Deviation in diameters by which found places are moved in their second copy."""
-BATCH, RATE, DECAY, SHIFT_WEIGHT, DROPPED = 128, 2e-3, 1e-3, 0.3, 0.15
+BATCH, RATE, DECAY, SHIFT_WEIGHT = 128, 2e-3, 1e-3, 0.3
+MOST_DROPPED = 0.5
+"""Largest share of its views that are left out of a place; the share is random."""
+UNMATCHED = 0.15
+"""Share of the places around which no Gaussian matches the prompt, as where trained Gaussians lose a fruit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +217,10 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
         for number in range(batches):
             rows = order[number * BATCH : (number + 1) * BATCH]
             crops, shifts = _turned(samples.crops[rows].float(), samples.shifts[rows], generator)
-            exists = samples.exists[rows] & (torch.rand(samples.exists[rows].shape, generator=generator) >= DROPPED)
-            odds, guesses, errors = network(crops, exists, samples.scene[rows])
+            dropped = MOST_DROPPED * torch.rand(len(rows), 1, generator=generator)
+            exists = samples.exists[rows]
+            exists = exists & (torch.rand(exists.shape, generator=generator) >= dropped)
+            odds, guesses, errors = network(crops, exists, _unmatched(samples.scene[rows], generator))
             verdict = functional.binary_cross_entropy_with_logits(
                 odds, samples.fruit[rows], weight=samples.weights[rows]
             )
@@ -225,6 +234,39 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
             losses = [losses[0] + float(verdict.detach()) / batches, losses[1] + float(shift.detach()) / batches]
         report(f"epoch {epoch + 1} of {epochs}: verdict {losses[0]:.3f}, shift {losses[1]:.3f}")
     return network.eval()
+
+
+def _unmatched(scene: Tensor, generator: torch.Generator) -> Tensor:
+    """Numbers of the scene (n, SCENE), some of them as if the Gaussians around did not match the prompt."""
+    numbers = scene[:, -SURROUNDINGS:]
+    _, _, around, within, _ = numbers.unbind(1)
+    nothing = torch.zeros_like(around)
+    lost = torch.stack([nothing + FARTHEST, nothing, nothing, torch.maximum(around, within), nothing], dim=1)
+    some = torch.rand(len(scene), 1, generator=generator) < UNMATCHED
+    return torch.cat([scene[:, :-SURROUNDINGS], torch.where(some, lost, numbers)], dim=1)
+
+
+def calibrate(network: Network, trees: Sequence[Tree]) -> None:
+    """Scale and shift the log odds, in place, to those with which the places found in trees are fruit; the trees are
+    not learnt from."""
+    odds, fruit = [], []
+    for tree in trees:
+        found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
+        diameters = np.full(len(found.centers), tree.diameter)
+        judged = judge(found.centers, diameters, tree.truth, 0.5)
+        matched = np.zeros(len(diameters), bool)
+        matched[judged.pairs.predicted] = True
+        counts = found.log_odds > UNLIKELY
+        counts[judged.ignored] = False
+        odds.append(found.log_odds[counts])
+        fruit.append(matched[counts])
+    said, true = np.concatenate(odds), np.concatenate(fruit)
+    temperature, bias = logistic(said, true, np.ones(len(said)))
+    with torch.no_grad():
+        last = network.together[-1]
+        assert isinstance(last, torch.nn.Linear)
+        last.weight.copy_(last.weight / temperature)
+        last.bias.copy_(last.bias / temperature - bias)
 
 
 def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -38,7 +38,7 @@ PHOTOS = 0.2
 SQUARE = 1.25
 """Most that a side of a box may be longer than the other: longer boxes are of fruit that is cut off or covered."""
 RATE, DECAY = 2e-3, 1e-3
-"""Highest learning rate, and weight decay."""
+"""Highest learning rate from scratch, and weight decay."""
 REPORT_EVERY = 100
 
 
@@ -103,18 +103,20 @@ def learn_offsets(
     *,
     steps: int,
     seed: int,
+    start: OffsetNetwork | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> OffsetNetwork:
-    """Train a network from scratch on features of the encoder's, which stays as it is. Returned unfused."""
+    """Train a network, from scratch or on from `start` with half of the rate, on features of the encoder's, which stays
+    as it is. Returned unfused."""
     torch.manual_seed(seed)
-    network = OffsetNetwork()
+    network, highest = (OffsetNetwork(), RATE) if start is None else (start, RATE / 2.0)
     torch.nn.Module.to(network, memory_format=torch.channels_last)  # type: ignore[call-overload]
     network.train()
-    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=highest, weight_decay=DECAY)
     rng, losses = np.random.default_rng([seed, 1]), []
     drawn = np.random.default_rng([seed, 0])
     for step, (images, fruit, wanted) in zip(range(steps), ahead(lambda: _batch(renders, photos, drawn)), strict=False):
-        optimiser.param_groups[0]["lr"] = RATE * rate_share(step / steps)
+        optimiser.param_groups[0]["lr"] = highest * rate_share(step / steps)
         with torch.autocast("cpu", torch.bfloat16):
             with torch.no_grad():
                 levels = encoder.levels(normalise(images).contiguous(memory_format=torch.channels_last))

@@ -2,10 +2,11 @@
 
     python scripts/developer/fit_interval.py --renders RENDERS
 
-Simulated crowns of the six named settings and of random settings, and, with RENDERS, Gaussians trained on its
-rendered trees, are searched for fruit; the number of true fruit over the sum of the candidates' probabilities is then
-predicted from what a scene shows. Prints in how many scenes the 90 % intervals cover the truth, each by ratios
-that were fitted without it. Visible fruit are those that three views show and others that were found.
+Simulated crowns of the six named settings and of random settings, and, with RENDERS, Gaussians trained on all and on
+half of the photos of its rendered trees, are searched for fruit; the number of true fruit over the sum of the
+candidates' probabilities is then predicted from what a scene shows. Prints in how many scenes the 90 % intervals cover
+the truth, each by ratios that were fitted without it. Visible fruit are those that three views show and others that
+were found.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from fruitlangs.engine.counting.accounts.interval import (
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.storage.files import write_text
-from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched
+from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, halved_cases, rendered_cases, searched
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
@@ -93,7 +94,8 @@ def main(options: Options) -> None:
     check_seed(options.first)
     named = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
     drawn = drawn_cases(options.first + 1000, options.drawn)
-    cases = itertools.chain(named, drawn, rendered_cases(options.renders) if options.renders else ())
+    rendered = (rendered_cases(options.renders), halved_cases(options.renders)) if options.renders else ()
+    cases = itertools.chain(named, drawn, *rendered)
     examples = [found for case in cases for found in example(case)]
     document = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
     for part, own in ((ALONE, False), (WITH_PHOTOS, True)):

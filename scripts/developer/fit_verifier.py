@@ -4,8 +4,8 @@
 
 Learns from places in rendered trees, with Gaussians that are trained on each once and kept in its folder, and with the
 package's encoder. After a first training the network searches every tree itself, and what it found, right or wrong, is
-learnt too. Trees whose seed ends in the digit --check are left out and measured: F1 of surfaces alone, and of the
-photos at several log odds.
+learnt too. Trees whose seed ends in the digit --check are left out: its log odds are calibrated on them, and they are
+measured: F1 of surfaces alone, and of the photos at several log odds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fruitlangs.engine.counting.photos.search import search_photos
 from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.storage.files import halved, write_tensors
-from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, fit, mined, prepared
+from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, calibrate, fit, mined, prepared
 
 tyro = import_tyro()
 
@@ -43,7 +43,7 @@ class Options:
     out: Path = STORED
     """File to write."""
     check: int | None = None
-    """Last digit of the seeds of trees that are measured and not learnt from."""
+    """Last digit of the seeds of trees that are calibrated on and measured, and not learnt from."""
     rounds: int = 2
     """Times that mistakes are added and the network is trained again."""
     epochs: int = 8
@@ -64,11 +64,11 @@ def main(options: Options) -> None:
         together = Samples.join(samples)
         say(f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees")
         network = fit(together, epochs=options.epochs, seed=options.seed, report=say)
-        write_tensors(
-            options.out, halved(network.state_dict()), {"format": FORMAT, "trees": [tree.name for tree in learnt]}
-        )
         if checked:
+            calibrate(network, checked)
             say(table(checked, network))
+        used = {"trees": [tree.name for tree in learnt], "calibrated on": [tree.name for tree in checked]}
+        write_tensors(options.out, halved(network.state_dict()), {"format": FORMAT, **used})
 
 
 def table(trees: list[Tree], network: Network) -> str:

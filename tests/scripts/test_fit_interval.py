@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,8 @@ import pytest
 
 from fruitlangs.benchmarks.counting.simulated import SETTINGS, Setting, any_setting, simulate
 from fruitlangs.engine.counting.accounts.interval import COVARIATES, TRAINED, Evidence
-from fruitlangs.fitting.counting.cases import Case
+from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.fitting.counting.cases import Case, shown_in
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -87,3 +89,21 @@ def test_seeds_of_tests_and_tables_are_refused(tmp_path: Path):
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: Seeds below 1000 are for tests and tables")
     assert not (tmp_path / "i").exists()
+
+
+def test_a_fruit_is_visible_in_half_of_the_photos_if_three_of_these_show_enough(tmp_path: Path):
+    photos = [f"{number}.jpg" for number in range(6)]
+    shown = {1: [90, 5, 90, 5, 90, 5], 2: [90, 90, 90, 90, 0, 0], 3: [90, 0, 90, 0, 11, 0]}  # of 200 pixels
+    fruits = [
+        {
+            "id": number, "label": "apple", "center": [0, 0, 0], "diameter": 1.0, "visible": True,
+            "visible_pixels": dict(zip(photos, pixels, strict=True)), "visible_fraction": 0.45,
+            "visible_fractions": {name: count / 200 for name, count in zip(photos, pixels, strict=True)},
+        }
+        for number, pixels in shown.items()
+    ]  # fmt: skip
+    path = tmp_path / "truth.json"
+    path.write_text(json.dumps({"fruits": fruits}))
+    truth = read_truth(path)
+    assert shown_in(path, truth, photos).tolist() == [True, True, False]
+    assert shown_in(path, truth, photos[::2]).tolist() == [True, False, False]

@@ -41,12 +41,13 @@ QUANTILE = 1.645
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What a scene shows about its count. expected, variance: sum and variance of the number of fruit by the candidate
-    probabilities; covariates: (3,) in the order of COVARIATES; photos: whether fruit were searched in photos too."""
+    probabilities; covariates: (3,) in the order of COVARIATES; photos, dissent: as of `Search`."""
 
     expected: float
     variance: float
     covariates: FloatArray
     photos: bool = False
+    dissent: float = 0.0
 
     @property
     def faint(self) -> float:
@@ -82,11 +83,12 @@ class Ratio:
         return self.bias + float(self.weights @ evidence.covariates)
 
     def deviation(self, evidence: Evidence) -> float:
-        """Standard deviation of the log ratio."""
+        """Standard deviation of the log ratio, at least the dissent: if photos refuse what surfaces show, either may be
+        wrong."""
         variance_share = evidence.variance / max(evidence.expected, 1.0) ** 2
         spread = ((self.slopes * evidence.covariates) ** 2).sum()
         stretch = float(np.interp(evidence.faint, [0.0, TRAINED], self.stretches))
-        return stretch * float(np.sqrt(self.floor**2 + variance_share + spread))
+        return max(stretch * float(np.sqrt(self.floor**2 + variance_share + spread)), evidence.dissent)
 
     def likeliest(self, evidence: Evidence) -> float:
         """The predicted number of fruit."""
@@ -133,14 +135,14 @@ def evidence_of(found: Search, counts: FloatArray, pictures: Sequence[Picture], 
     probabilities = counts * found.probabilities
     expected = float(probabilities.sum())
     if expected <= 0.0:
-        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos)
+        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos, found.dissent)
     variance = float((probabilities * (1.0 - probabilities)).sum())
     faint = 1.0 - float(probabilities @ found.features["mean"]) / expected
     kept = probabilities > LIKELY
     amid = _within(found.found.spheres.centers[kept], np.random.default_rng(seed))
     unseen = hull_share(int(kept.sum())) * (1.0 - _shown(pictures, amid, found.size.diameter / 2.0))
     covariates = np.array([variance / expected, faint, -np.log(1.0 - unseen)])
-    return Evidence(expected, variance, covariates, found.photos)
+    return Evidence(expected, variance, covariates, found.photos, found.dissent)
 
 
 def hull_share(count: int) -> float:

@@ -104,7 +104,8 @@ class Clusters:
 @dataclass(frozen=True, eq=False)
 class Search:
     """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit;
-    photos: whether fruit were searched in photos too."""
+    photos: whether fruit were searched in photos too; dissent: logarithm of how many times more fruit were expected
+    without them, 0 if not more."""
 
     surface: SurfaceIndex
     size: FruitSize
@@ -112,6 +113,7 @@ class Search:
     features: Features
     probabilities: FloatArray
     photos: bool = False
+    dissent: float = 0.0
 
 
 def search(

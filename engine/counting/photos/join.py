@@ -29,6 +29,8 @@ SAME = 0.35
 """Diameters within which a sphere of the surfaces is the same fruit: its radius is used."""
 LEAST = 0.01
 """Probability below which a place is no candidate."""
+HALF = 0.5
+"""Fruit that are added to two expected numbers before they are compared, so that none may be 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +53,18 @@ def with_photos(
     *,
     progress: Progress = silent,
 ) -> Search:
-    """The search with the fruit that photos show. found: on surfaces of the Gaussians; pictures: their views, one for
-    each map; threshold: of the probabilities."""
+    """The search with the fruit that photos show, and its dissent. found: on surfaces of the Gaussians; pictures: their
+    views, one for each map; threshold: of the probabilities."""
     centers, diameter = found.found.spheres.centers, found.size.diameter
     likely = centers[found.probabilities > LIKELY]
     surroundings = Surroundings.of(photos.gaussians, photos.probabilities, likely, diameter, threshold)
     verifier = Verifier(stored_network(), PhotoViews.of(pictures, photos.maps), surroundings)
     cameras = [picture.camera for picture in pictures]
-    return joined(found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold)
+    together = joined(
+        found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold
+    )
+    ratio = (found.probabilities.sum() + HALF) / (together.probabilities.sum() + HALF)
+    return replace(together, dissent=max(float(np.log(ratio)), 0.0))
 
 
 def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ...progress import Progress, silent
 from ..geometry.cells import separated
 from .verifier import Verifier
-from .views import FEW, PhotoViews
+from .views import FEW, PhotoViews, cubes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,8 +27,11 @@ PEAK, LEAST_SCORE = 0.25, 0.15
 PROMISING = 0.15
 """Share of the places that are scored by all spots, the best by few: all of the sample's best 1,500 places by all spots
 were among its best 1.4 % by few."""
-PEAKS, PEAKS_OF_FRUIT = 1500, 15
+PEAKS, PEAKS_OF_FRUIT = 1800, 18
 """How many places are verified, at least, and for each fruit that was found on surfaces."""
+FIRST = 5
+"""Places in a cube of a diameter that come before other places: a fruit that few photos show has lower scores than
+many places around one that all photos show."""
 GIVEN_UP, UNLIKELY, LIKELY = -2.5, -3.0, 1.0
 """Log odds below which a place is given up at once, below which it is after fruit are known, and from which a fruit is
 known to the others."""
@@ -79,11 +82,23 @@ def search_photos(
 
 
 def likely_places(views: PhotoViews, diameter: float, frame: FloatArray) -> FloatArray:
-    """(S, 3) places where photos may show fruit of a diameter, the likeliest first; frame: as of `search_photos`."""
+    """(S, 3) places where photos may show fruit of a diameter: the FIRST of every cube, then the others, each the
+    likeliest first. frame: as of `search_photos`."""
     places = views.places(diameter / 2.0, [push * diameter for push in PUSHES], STEP * diameter, frame)
     guesses = views.score(places, diameter / 2.0, FEW)
     places = places[guesses >= np.quantile(guesses, 1.0 - PROMISING)] if len(places) else places
-    return places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
+    places = places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
+    later = _earlier(cubes(places, diameter, frame)) >= FIRST
+    return places[np.argsort(later, kind="stable")]
+
+
+def _earlier(owners: IntArray) -> IntArray:
+    """(S,) how many before each have the same owner."""
+    order = np.argsort(owners, kind="stable")
+    starts = np.searchsorted(owners[order], owners[order])
+    earlier = np.empty(len(owners), np.int64)
+    earlier[order] = np.arange(len(owners)) - starts
+    return earlier
 
 
 def _settled(verifier: Verifier, known: FloatArray, diameter: float) -> FloatArray:

@@ -20,6 +20,8 @@ FARTHEST = 1.2
 """Distance of the nearest fruit, in diameters, above which it is not near."""
 NEAR = 0.3
 """Diameters within which a fruit is the same one."""
+NUMBERS = 5
+"""How many numbers `Surroundings.numbers` gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +52,9 @@ class Surroundings:
         return cls(means[own], opacities[own], scaled[own], means[~own], opacities[~own], fruit, diameter)
 
     def numbers(self, centers: FloatArray, radii: FloatArray) -> FloatArray:
-        """(C, 5) about spheres, centers (C, 3) and radii (C,): distance of the nearest fruit in diameters, whether it
-        is the same, opacity of the matching Gaussians around, of the others within, and mean probability of the
-        former."""
+        """(C, NUMBERS) about spheres, centers (C, 3) and radii (C,): distance of the nearest fruit in diameters,
+        whether it is the same, opacity of the matching Gaussians around, of the others within, and mean probability of
+        the former."""
         distances = np.full(len(centers), FARTHEST)
         if len(self.fruit):
             distances = cKDTree(self.fruit).query(centers)[0] / self.diameter

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STORED = Path(__file__).with_name("verifier.safetensors")
-FORMAT = "fruitlangs-verifier-2"
+FORMAT = "fruitlangs-verifier-3"
 CELLS, SPAN = 16, 2.0
 """Cells along each side of a crop, and radii to each side that it covers."""
 VIEWS = 16
@@ -40,7 +40,7 @@ KNOWN_REACH = 2.6
 """Diameters within which known fruit are drawn into the crops."""
 NUMBERS = 24
 """Numbers that a view gives besides shift, error and weight."""
-SCENE = 10
+SCENE = 14
 """Numbers about a sphere that do not come from crops: of all views, and of the Gaussians."""
 STIFF = 0.1
 """Weight, as an error of a pixel's square over a radius' square, that keeps a centre which no view locates."""
@@ -104,8 +104,9 @@ def look(
     centers, radii = np.ascontiguousarray(centers), np.ascontiguousarray(radii)
     chosen, sums = views.choose(centers, radii, VIEWS)
     crops = views.crops(centers, radii, chosen, others, other_radii, near, cells=CELLS, span=SPAN)
-    scene = np.concatenate([np.log1p(sums), surroundings.numbers(centers, radii)], axis=1).astype(np.float32)
-    return Looked(crops, chosen, scene)
+    shares = sums[:, :4] / np.maximum(sums[:, 4:], 1.0)
+    scene = np.concatenate([np.log1p(sums), shares, surroundings.numbers(centers, radii)], axis=1)
+    return Looked(crops, chosen, scene.astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)

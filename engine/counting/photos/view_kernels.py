@@ -25,8 +25,9 @@ THROUGH = 0.5
 """Radii behind the centre of a sphere from which a pixel without fruit shows what is behind the sphere."""
 AGREEING = 0.4
 """Radii by which the centre of a pixel's fruit may be off: half of the width of a Gaussian weight."""
-FRAMED = 0.5
-"""Share of the disc that a view must frame to be chosen."""
+BEYOND = 0.7
+"""Radii by which the centre of a sphere may lie outside a view that shows the rest of it: a fruit at the edge of a
+photo is often hidden in all others."""
 SHOWS = 0.12
 """Share of the disc with this fruit from which a view shows the sphere."""
 LEAST_RANK = 0.08
@@ -83,8 +84,8 @@ def agreement(square: float) -> float:
 def look(
     views: Views, view: int, u: float, v: float, z: float, radius: float, disc: FloatArray
 ) -> tuple[float, float, float, float]:
-    """What a view shows at a sphere: the share of its disc that the view frames, and the shares of these spots that
-    show fruit, fruit with this centre, and what is behind."""
+    """What a view shows at a sphere: the shares of its disc that the view frames, and that show fruit, fruit with this
+    centre, and what is behind."""
     probabilities, offsets, depths, starts, sizes, _, lenses = views
     start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
     pixels = lenses[view, 0] * radius / z
@@ -104,16 +105,19 @@ def look(
             own += weight * agreement(right * right + down * down)
         elif depth > z + THROUGH * radius:
             through += 1.0
-    spots = max(framed, 1.0)
-    return framed / len(disc), fruit / spots, own / spots, through / spots
+    spots = len(disc)
+    return framed / spots, fruit / spots, own / spots, through / spots
 
 
 @njit
 def visible_from(views: Views, view: int, center: FloatArray, radius: float) -> tuple[float, float, float]:
     """Pixel and depth of a sphere's centre; depth 0 if the view does not show it."""
     u, v, z = place(views[5][view], views[6][view], center)
-    inside = 0.0 <= u < views[4][view, 1] and 0.0 <= v < views[4][view, 0]
-    return u, v, z if inside and z > NEAREST * radius else 0.0
+    if z <= NEAREST * radius:
+        return u, v, 0.0
+    beyond = BEYOND * radius * views[6][view, 0] / z
+    inside = -beyond <= u < views[4][view, 1] + beyond and -beyond <= v < views[4][view, 0] + beyond
+    return u, v, z if inside else 0.0
 
 
 @kernel
@@ -149,7 +153,7 @@ def choose_views(
 ) -> None:
     """Fill chosen (C, K) with the views that show most of each sphere, best first, -1 where there are fewer, and sums
     (C, 5) over all views: shares of fruit, of what is seen through and of fruit with this centre, views with enough of
-    it, and views that frame the sphere."""
+    it, and the shares that they frame."""
     for c in prange(len(centers)):
         ranks = np.full(len(views[3]), -1.0)
         for view in range(len(ranks)):
@@ -157,14 +161,12 @@ def choose_views(
             if z <= 0.0:
                 continue
             framed, fruit, own, through = look(views, view, u, v, z, radii[c], disc)
-            if framed <= FRAMED:
-                continue
             ranks[view] = own + 0.3 * fruit + 0.1 * through
             sums[c, 0] += fruit
             sums[c, 1] += through
             sums[c, 2] += own
             sums[c, 3] += own >= SHOWS
-            sums[c, 4] += 1.0
+            sums[c, 4] += framed
         for k in range(chosen.shape[1]):
             best = -1
             for view in range(len(ranks)):

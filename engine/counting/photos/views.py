@@ -23,6 +23,7 @@ DISC, FEW = 0.9 * spiral(40), 0.9 * spiral(8)
 """(S, 2) spots tested on the disc of a sphere, in radii; FEW are enough to leave out most places."""
 FARTHEST = 2**19
 """Places are searched up to this many steps from the origin of their frame, so that three of them make one number."""
+SIDES = (2 * FARTHEST,) * 3
 OWN, FOREIGN, THROUGH = 1.5, 0.3, 1.0
 """Weights of what a view shows of a sphere: pixels of a fruit with this centre count for it, those of other fruit and
 what is seen through it against it."""
@@ -137,16 +138,21 @@ class PhotoViews:
 
 
 def distinct(places: FloatArray, step: float, frame: FloatArray) -> FloatArray:
-    """The centres of the cubes of side `step` that places (S, 3) lie in, cut along the axes of `frame` (3, 4); those at
-    FARTHEST cubes from its origin or more are left out."""
+    """The centres of the cubes of side `step` that places (S, 3) lie in, see `cubes`; those at FARTHEST cubes from the
+    origin of the frame or more are left out."""
     scale = float(np.linalg.norm(frame[0, :3]))
-    side = step * scale
-    cubes = np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64)
-    cubes = cubes[(np.abs(cubes) < FARTHEST).all(axis=1)] + FARTHEST
-    sides = (2 * FARTHEST,) * 3  # sorted as single numbers, five times as fast as rows
-    cubes = np.stack(np.unravel_index(np.unique(np.ravel_multi_index(tuple(cubes.T), sides)), sides), axis=1) - FARTHEST
-    centers: FloatArray = ((cubes + 0.5) * side - frame[:, 3]) @ frame[:, :3] / scale**2
+    near = (np.abs(places @ frame[:, :3].T + frame[:, 3]) < FARTHEST * step * scale).all(axis=1)
+    found = np.stack(np.unravel_index(np.unique(cubes(places[near], step, frame)), SIDES), axis=1) - FARTHEST
+    centers: FloatArray = ((found + 0.5) * step * scale - frame[:, 3]) @ frame[:, :3] / scale**2
     return centers
+
+
+def cubes(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
+    """(S,) the number of the cube of side `step`, scene units, that each place (S, 3) lies in, cut along the axes of
+    `frame` (3, 4). Single numbers are sorted five times as fast as rows."""
+    side = step * float(np.linalg.norm(frame[0, :3]))
+    rows = np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64)
+    return np.ravel_multi_index(tuple(rows.T + FARTHEST), SIDES, mode="clip").astype(np.int64)
 
 
 def _picked(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:

@@ -61,6 +61,15 @@ def stored_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
     Raises:
         EncoderError: the weights are missing, damaged, or made for another encoder.
     """
+    return read_offsets(encoder, path).fuse()
+
+
+def read_offsets(encoder: str, path: Path) -> OffsetNetwork:
+    """A network that `save_offsets` wrote, unfused.
+
+    Raises:
+        EncoderError: the weights are missing, damaged, or made for another encoder.
+    """
     try:
         tensors, header = read_tensors(path)
         if header["format"] != FORMAT or header["encoder"] != encoder:
@@ -72,7 +81,7 @@ def stored_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
             f"The weights {path} do not fit the encoder {encoder} ({str(error).splitlines()[0]}). "
             "Install the package again, or train them again with scripts/developer/fit_offsets.py"
         ) from error
-    return network.fuse()
+    return network
 
 
 def save_offsets(path: Path, network: OffsetNetwork, encoder: str, **notes: object) -> None:

@@ -11,6 +11,7 @@ import torch
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, save_offsets, stored_offsets
+from fruitlangs.fitting.encoder.offset_learning import OffsetPicture, learn_offsets
 
 SIDE, MIDDLE, RADIUS = 160, np.array([70.0, 90.0]), 18.0
 
@@ -73,3 +74,11 @@ def test_damaged_weights_are_refused(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(EncoderError, match="Install the package again"):
         stored_offsets("one", path)
+
+
+def test_training_on_begins_with_the_weights_that_are_given(encoder: EmbeddedEncoder, ball: np.ndarray) -> None:
+    picture = OffsetPicture(ball, np.ones((SIDE, SIDE), bool), *np.ones((2, SIDE, SIDE, 2), np.float32))
+    start = OffsetNetwork()
+    before = {name: tensor.clone() for name, tensor in start.state_dict().items()}
+    after = learn_offsets(encoder.network, [picture], [], steps=0, seed=1, start=start).state_dict()
+    assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())

@@ -73,9 +73,22 @@ def test_places_move_with_the_scene() -> None:
 def test_views_that_frame_the_ball_are_chosen(views: PhotoViews) -> None:
     chosen, sums = views.choose(np.array([BALL, [50.0, 0.0, 0.0]]), np.full(2, RADIUS), 4)
     assert (chosen[0] >= 0).all()
-    assert sums[0, 4] == 6
+    assert sums[0, 4] == pytest.approx(6)
     assert (chosen[1] == -1).all()
     assert (sums[1] == 0).all()
+
+
+@pytest.mark.parametrize(("aside", "chosen"), [(0.5, True), (1.2, False)])
+def test_a_view_that_cuts_the_ball_is_chosen_if_it_shows_a_part(aside: float, chosen: bool) -> None:
+    picture, shown = picture_of(camera_at(0.0))
+    cut = WIDTH // 2 + round(aside * FOCAL * RADIUS / 2.0)  # first column: the middle of the ball lies left of it
+    lens = np.array([[FOCAL, 0.0, WIDTH / 2 - cut], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    camera = Camera(width=WIDTH - cut, height=HEIGHT, K=lens, world_to_camera=picture.camera.world_to_camera)
+    half = Picture(camera, picture.depth[:, cut:], picture.fruit[:, cut:])
+    views = PhotoViews.of([half], [PhotoMap(shown.probability[:, cut:], shown.offsets[:, cut:])])
+    views_of_ball, sums = views.choose(BALL[None], np.array([RADIUS]), 1)
+    assert (views_of_ball[0, 0] == 0) == chosen
+    assert sums[0, 4] < 0.5
 
 
 def test_a_crop_shows_the_ball_in_its_middle(views: PhotoViews) -> None:
