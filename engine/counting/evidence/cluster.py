@@ -105,7 +105,7 @@ class Clusters:
 class Search:
     """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit;
     photos: whether fruit were searched in photos too; dissent: logarithm of how many times more fruit were expected
-    without them, 0 if not more."""
+    without them, less what is usual, 0 if not more."""
 
     surface: SurfaceIndex
     size: FruitSize
