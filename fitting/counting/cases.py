@@ -17,7 +17,7 @@ from _terminal import terminal_progress
 from ...benchmarks.counting.baselines import surface_of
 from ...benchmarks.counting.simulated import Setting, simulate
 from ...benchmarks.orchards import TRUTH, read_origin
-from ...engine.config import PRESETS, CountConfig, SceneConfig
+from ...engine.config import CountConfig, SceneConfig
 from ...engine.counting.evidence.cluster import Search, search
 from ...engine.counting.evidence.visibility import Picture, draw
 from ...engine.counting.photos.join import PhotoEvidence, with_photos
@@ -33,11 +33,9 @@ from ...engine.language.prompts.relevancy import relevancy
 from ...engine.scene.camera import Camera, Scene
 from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
-from ...engine.splatting.ply import read_ply, write_ply
-from ...engine.splatting.training.train import train
 from ...orchard.config import FIRST_TRAINING_SEED
-from ...orchard.files.truth import LEAST_FRACTION, LEAST_PIXELS, LEAST_VIEWS
-from ..encoder.lifted import rendered_scenes, trained, true_fruit
+from ...orchard.files.truth import is_visible
+from ..encoder.lifted import KEPT, rendered_scenes, trained, true_fruit
 from ..encoder.pictures import training_seeds
 
 
@@ -79,7 +77,7 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
     """Gaussians trained on rendered trees, with true masks and with the package's encoder."""
     encoder = EmbeddedEncoder.open()
     for folder, scene, species, truth in rendered_trees(renders):
-        gaussians = trained(folder)
+        gaussians = trained(folder / KEPT, scene)
         said, maps = encoded(gaussians, scene, species, encoder)
         kinds = [
             ("walk, true masks", true_fruit(folder, scene, gaussians), None),
@@ -97,10 +95,7 @@ def halved_cases(renders: Path) -> Iterator[Case]:
     encoder = EmbeddedEncoder.open()
     for folder, whole, species, truth in rendered_trees(renders):
         scene = replace(whole, cameras=whole.cameras[::2], images=whole.images[::2])
-        kept = folder / "gaussians-half.ply"
-        if not kept.is_file():
-            write_ply(kept, train(scene, PRESETS["quick"]).gaussians)
-        gaussians = read_ply(kept)
+        gaussians = trained(folder / "gaussians-half.ply", scene, "quick")
         probability, maps = encoded(gaussians, scene, species, encoder)
         shown = shown_in(folder / TRUTH, truth, [photo.name for photo in scene.images])
         family = f"walk {folder.name}"
@@ -110,12 +105,13 @@ def halved_cases(renders: Path) -> Iterator[Case]:
 def shown_in(path: Path, truth: Truth, photos: Sequence[str]) -> NDArray[np.bool_]:
     """(M,) which true fruit of the `truth.json` at `path` enough of these photos show."""
     assert truth.ids is not None
-    shown = np.zeros(int(truth.ids.max(initial=0)) + 1, bool)
+    shown = set()
     for fruit in json.loads(path.read_text(encoding="utf-8"))["fruits"]:
-        pixels, shares = fruit["visible_pixels"], fruit["visible_fractions"]
-        clear = [pixels.get(name, 0) >= LEAST_PIXELS and shares[name] >= LEAST_FRACTION for name in photos]
-        shown[fruit["id"] : fruit["id"] + 1] = sum(clear) >= LEAST_VIEWS
-    return shown[truth.ids]
+        pixels = [fruit["visible_pixels"].get(name, 0) for name in photos]
+        fractions = [fruit["visible_fractions"].get(name, 0.0) for name in photos]
+        if is_visible(pixels, fractions):
+            shown.add(fruit["id"])
+    return np.isin(truth.ids, list(shown))
 
 
 def encoded(

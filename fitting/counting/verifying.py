@@ -26,7 +26,7 @@ from ...engine.evaluation.judgement import judge
 from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ..encoder.calibration import logistic
-from ..encoder.lifted import trained
+from ..encoder.lifted import KEPT, trained
 from .cases import Case, encoded, rendered_trees, searched
 
 FloatArray = NDArray[np.float64]
@@ -83,7 +83,7 @@ def prepared(renders: Path) -> Iterator[Tree]:
     """
     encoder, threshold = EmbeddedEncoder.open(), CountConfig().threshold
     for folder, scene, species, truth in rendered_trees(renders):
-        gaussians = trained(folder)
+        gaussians = trained(folder / KEPT, scene)
         probability, maps = encoded(gaussians, scene, species, encoder)
         family = f"walk {folder.name}"
         result = searched(Case("photos", family, gaussians, probability, scene.cameras, truth, truth.visible))
@@ -254,12 +254,9 @@ def calibrate(network: Network, trees: Sequence[Tree]) -> None:
         found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
         diameters = np.full(len(found.centers), tree.diameter)
         judged = judge(found.centers, diameters, tree.truth, 0.5)
-        matched = np.zeros(len(diameters), bool)
-        matched[judged.pairs.predicted] = True
-        counts = found.log_odds > UNLIKELY
-        counts[judged.ignored] = False
-        odds.append(found.log_odds[counts])
-        fruit.append(matched[counts])
+        own = np.setdiff1d(np.flatnonzero(found.log_odds > UNLIKELY), judged.ignored)
+        odds.append(found.log_odds[own])
+        fruit.append(np.isin(own, judged.pairs.predicted))
     said, true = np.concatenate(odds), np.concatenate(fruit)
     temperature, bias = logistic(said, true, np.ones(len(said)))
     with torch.no_grad():

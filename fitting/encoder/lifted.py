@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...engine.config import PRESETS, SceneConfig
+from ...engine.config import PRESETS, Preset, SceneConfig
 from ...engine.evaluation.calibration import balanced_weights
 from ...engine.evaluation.renders import read_instances
 from ...engine.language.encoders.embedded import Calibration, EmbeddedEncoder
@@ -30,6 +30,9 @@ FloatArray = NDArray[np.float64]
 
 SHARPEST = 0.4
 """Lowest temperature: rendered scenes are easier than real ones and must not make the encoder overconfident."""
+
+KEPT = "gaussians.ply"
+"""File in the folder of a rendered tree with Gaussians of all its photos."""
 
 FRUIT_SHARE = 0.15
 """Share of fruit, by pixels, that lifted features are calibrated for: the value with the best counts on rendered trees
@@ -70,18 +73,17 @@ def rendered_scenes(folder: Path) -> list[Path]:
     return [scene for scene in finished_scenes(folder) if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
 
 
-def trained(folder: Path) -> Gaussians:
-    """The Gaussians of a rendered tree, trained once and kept in its folder."""
-    kept = folder / "gaussians.ply"
+def trained(kept: Path, scene: Scene, preset: Preset = "standard") -> Gaussians:
+    """The Gaussians of a rendered tree, trained once and kept in a file."""
     if not kept.is_file():
-        training = train(read_scene(folder, SceneConfig()), PRESETS["standard"])
-        write_ply(kept, training.gaussians)
+        write_ply(kept, train(scene, PRESETS[preset]).gaussians)
     return read_ply(kept)
 
 
 def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     """One of the `rendered_scenes` with lifted features."""
-    scene, gaussians = read_scene(folder, SceneConfig()), trained(folder)
+    scene = read_scene(folder, SceneConfig())
+    gaussians = trained(folder / KEPT, scene)
     features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
     fruit = true_fruit(folder, scene, gaussians)
     weights = features.weights[:, 0]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..cameras.viewpoint import Viewpoint
 from ..plants.crop import PlacedFruit
@@ -45,8 +45,13 @@ class Visibility:
     @property
     def visible(self) -> bool:
         """Whether enough views show enough of it."""
-        shown = (self.fractions >= LEAST_FRACTION) & (np.array(self.visible_pixels) >= LEAST_PIXELS)
-        return int(shown.sum()) >= LEAST_VIEWS
+        return is_visible(self.visible_pixels, self.fractions)
+
+
+def is_visible(pixels: ArrayLike, fractions: ArrayLike) -> bool:
+    """Whether enough views show enough of a fruit, by its visible pixels (V,) and what share these are (V,)."""
+    shown = (np.asarray(fractions) >= LEAST_FRACTION) & (np.asarray(pixels) >= LEAST_PIXELS)
+    return int(shown.sum()) >= LEAST_VIEWS
 
 
 def silhouette_pixels(view: Viewpoint, mesh: Mesh) -> int:

@@ -82,6 +82,7 @@ def test_a_result_is_shown_with_its_answer_where_its_encoder_is_missing(counted,
     opened = open_result(counted.out)
     torch.testing.assert_close(opened.probability, counted.probability, rtol=0, atol=0)
     assert opened.notices == []
+    assert all("reproduced poorly" in notice for notice in counted.notices)
 
 
 def test_an_older_result_whose_encoder_is_missing_is_still_shown(counted, before_selections, without_encoder):

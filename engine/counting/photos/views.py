@@ -141,18 +141,28 @@ def distinct(places: FloatArray, step: float, frame: FloatArray) -> FloatArray:
     """The centres of the cubes of side `step` that places (S, 3) lie in, see `cubes`; those at FARTHEST cubes from the
     origin of the frame or more are left out."""
     scale = float(np.linalg.norm(frame[0, :3]))
-    near = (np.abs(places @ frame[:, :3].T + frame[:, 3]) < FARTHEST * step * scale).all(axis=1)
-    found = np.stack(np.unravel_index(np.unique(cubes(places[near], step, frame)), SIDES), axis=1) - FARTHEST
+    steps = _steps(places, step, frame)
+    numbers = np.unique(_numbered(steps[(np.abs(steps) < FARTHEST).all(axis=1)]))
+    found = np.stack(np.unravel_index(numbers, SIDES), axis=1) - FARTHEST
     centers: FloatArray = ((found + 0.5) * step * scale - frame[:, 3]) @ frame[:, :3] / scale**2
     return centers
 
 
 def cubes(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
     """(S,) the number of the cube of side `step`, scene units, that each place (S, 3) lies in, cut along the axes of
-    `frame` (3, 4). Single numbers are sorted five times as fast as rows."""
+    `frame` (3, 4)."""
+    return _numbered(_steps(places, step, frame))
+
+
+def _steps(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
+    """(S, 3) which cube along each axis of the frame each place lies in."""
     side = step * float(np.linalg.norm(frame[0, :3]))
-    rows = np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64)
-    return np.ravel_multi_index(tuple(rows.T + FARTHEST), SIDES, mode="clip").astype(np.int64)
+    return np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64)
+
+
+def _numbered(steps: IntArray) -> IntArray:
+    """(S,) one number for each cube (S, 3): numbers are sorted five times as fast as rows."""
+    return np.ravel_multi_index(tuple(steps.T + FARTHEST), SIDES, mode="clip").astype(np.int64)
 
 
 def _picked(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:
