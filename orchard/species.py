@@ -97,6 +97,15 @@ _MANGO = (
     (-0.66, 0.12), (-0.71, 0.04), (-0.72, 0.0),
 )  # fmt: skip
 
+_FIG = (
+    (0.68, 0.0), (0.68, 0.05), (0.62, 0.085), (0.50, 0.13), (0.34, 0.24), (0.14, 0.37), (-0.08, 0.465), (-0.26, 0.45),
+    (-0.40, 0.34), (-0.47, 0.19), (-0.48, 0.07), (-0.475, 0.0),
+)  # fmt: skip
+_EGGPLANT = (
+    (2.0, 0.0), (2.0, 0.16), (1.90, 0.33), (1.6, 0.45), (1.0, 0.50), (0.2, 0.54), (-0.6, 0.56), (-1.3, 0.53),
+    (-1.75, 0.42), (-1.95, 0.24), (-2.0, 0.08), (-2.0, 0.0),
+)  # fmt: skip
+
 SPECIES: dict[str, Species] = {
     each.name: each
     for each in (
@@ -205,8 +214,34 @@ SPECIES: dict[str, Species] = {
             leaf_length=0.150, leaf_width=0.038, leaf_tip=0.5, leaf_colors=("#2b5522", "#5d8836"),
             tree_height=2.7, roughness=0.42, lenticels=0.3,
         ),
+        Species(
+            name="fig", profile=_FIG, diameter=0.050, spread=0.09, stalk=(0.006, 0.014),
+            clump_sizes=(0.60, 0.28, 0.12),
+            variants=(
+                Variant(name="striped", top="#9aa562", middle="#c9be8f", bottom="#b8a096", blush="#5a3068",
+                        blush_strength=(0.85, 0.99), blush_width=1.0, stripes=1.0),
+                Variant(name="green", top="#7d9440", middle="#93a551", bottom="#9fae5f", blush="#6a4a5c",
+                        blush_strength=(0.0, 0.4), blush_width=0.6, stripes=0.6),
+            ),
+            leaf_length=0.110, leaf_width=0.075, leaf_tip=0.5, leaf_colors=("#3a6128", "#71913f"),
+            tree_height=2.2, roughness=0.55, lenticels=0.35, bloom=0.15,
+        ),
+        Species(
+            name="eggplant", profile=_EGGPLANT, diameter=0.068, spread=0.08, stalk=(0.015, 0.030),
+            clump_sizes=(0.80, 0.20),
+            variants=(
+                Variant(name="purple", top="#3c1d4a", middle="#34173f", bottom="#2f1538", blush="#6d3a80",
+                        blush_strength=(0.0, 0.5), blush_width=0.6),
+                Variant(name="white", top="#d8d6c2", middle="#e6e2d4", bottom="#e2dccb", blush="#a87fb8",
+                        blush_strength=(0.0, 0.5), blush_width=0.6, stripes=0.4),
+            ),
+            leaf_length=0.140, leaf_width=0.090, leaf_tip=0.45, leaf_colors=("#4b6b38", "#7f9a58"),
+            tree_height=2.1, roughness=0.22,
+        ),
     )
 }  # fmt: skip
+UNNAMED = ("fig", "eggplant")
+"""Species that the encoder has no word for and never learns from: for words that are taught."""
 
 
 def linear_rgb(hex_color: str) -> FloatArray:

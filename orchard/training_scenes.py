@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .config import FIRST_TRAINING_SEED, FORMS, OrchardConfig
-from .species import SPECIES
+from .species import SPECIES, UNNAMED
 
 WALK_EVERY = 15
 """Every n-th scene is a whole tree, reserved for calibration on many views."""
@@ -18,19 +18,20 @@ SPINDLES = 0.55
 ROUNDS, HELD_OUT_ROUND = 11, 9
 """Of this many rounds through all species, one is held out (the first round is 0). Every variety has its turn: no
 species has eleven."""
+_LEARNT = tuple(species for name, species in SPECIES.items() if name not in UNNAMED)
 
 
 def is_held_out(seed: int) -> bool:
     """Whether this seed's scene is reserved for measurement, in any set of scenes."""
-    return (seed - FIRST_TRAINING_SEED) // len(SPECIES) % ROUNDS == HELD_OUT_ROUND
+    return (seed - FIRST_TRAINING_SEED) // len(_LEARNT) % ROUNDS == HELD_OUT_ROUND
 
 
 def training_config(seed: int) -> OrchardConfig:
     """A small scene for training the encoder: species and varieties take turns, the rest is random by seed."""
     rng = np.random.default_rng([seed, 99])
     number = seed - FIRST_TRAINING_SEED
-    species = list(SPECIES.values())[number % len(SPECIES)]
-    variant = species.variants[number // len(SPECIES) % len(species.variants)]
+    species = _LEARNT[number % len(_LEARNT)]
+    variant = species.variants[number // len(_LEARNT) % len(species.variants)]
     # The number of leaves that covers the crown of this tree as 3600 leaves cover that of the apple.
     cover = (species.tree_height / 2.1) ** 2 * (0.078 * 0.046) / (species.leaf_length * species.leaf_width)
     fruits, fallen = int(rng.integers(25, 90)), int(rng.integers(0, 8))

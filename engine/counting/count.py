@@ -149,19 +149,21 @@ def count_fruit(
     evidence = None if photos is None else PhotoEvidence(gaussians, probabilities, photos)
     others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
     doubt = partial(doubt_sunken, gaussians=others, cameras=cameras, up=up)
-    found, searched = _find(points, sized, pictures, evidence, doubt, config, part(progress, 0.7, 1.0))
+    lengthwise = config.diameter is None or not notices  # small spheres on large fruit look like a long one
+    found, searched = _find(points, sized, pictures, evidence, doubt, lengthwise, config, part(progress, 0.7, 1.0))
     within = keep_inside(found, region)
     weights = np.where(probabilities >= FAINT * config.threshold, visibility.weights, 0.0)
     colours = FruitColours(choice, gaussians, weights, pictures, photos, config.threshold)
     clusters = colours.keep(within)
     spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
     described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
-    counted = replace(described, notices=[*quality.notices, *notices])
+    counted = replace(described, notices=[*quality.notices, *notices, *_long(found)])
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
         candidates = searched.found.spheres
         counts = region.contains(candidates.centers) * colours.chances(candidates.centers, candidates.radii)
+        counts = counts if found.parts is None else counts * found.parts.shares(candidates.centers)
         placed = _with_intervals(placed, searched, counts, pictures, config.seed)
     if len(spheres):
         return placed
@@ -210,6 +212,17 @@ def _described(
         point_fruit_ids=np.append(numbers, -1)[clusters.owners],
         pixel_width=_pixel_width(spheres, cameras, pictures),
     )
+
+
+def _long(found: Clusters) -> list[str]:
+    """A message if the fruit are long."""
+    if found.parts is None or found.axes is None:
+        return []
+    lengths = np.linalg.norm(found.axes, axis=2)
+    return [
+        f"the fruit are about {np.median(lengths[:, 0] / lengths[:, 1]):.1f} times as long as wide: "
+        f"{len(found.parts.owners)} spheres along them were joined to {len(found.spheres)} fruit"
+    ]
 
 
 def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence[Picture]) -> float | None:
@@ -320,11 +333,13 @@ def _find(
     pictures: Sequence[Picture],
     photos: PhotoEvidence | None,
     doubt: Callable[[Search], Search],
+    lengthwise: bool,
     config: CountConfig,
     progress: Progress,
 ) -> tuple[Clusters, Search | None]:
     """What the points became, and the candidates with their probabilities, which the published methods do not have;
-    those use no photos. doubt: lowers the probabilities of candidates in the ground."""
+    those use no photos. doubt: lowers the probabilities of candidates in the ground; lengthwise: whether fruit may be
+    long."""
     if config.method != "voting":
         template = read_template(Path(config.template), seed=config.seed) if config.template else None
         road = split_by_template if config.method == "template" else cluster_as_fruitnerf
@@ -335,7 +350,7 @@ def _find(
     if photos is not None:
         found = with_photos(found, photos, pictures, config.threshold, progress=part(progress, 0.3, 1.0))
     found = doubt(found)
-    return find_fruit(found), found
+    return find_fruit(found, lengthwise=lengthwise), found
 
 
 def _mean_top(cameras: Sequence[Camera]) -> FloatArray:

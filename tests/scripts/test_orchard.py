@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from orchard_runs import read_grey
 
+from fruitlangs.engine.errors import VocabularyError
+from fruitlangs.engine.language.vocabulary import CONCEPTS, parse
 from fruitlangs.orchard.cameras.viewpoint import Viewpoint, look_at
 from fruitlangs.orchard.check import check
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED, OrchardConfig
@@ -24,8 +26,8 @@ from fruitlangs.orchard.plants.tree import grow
 from fruitlangs.orchard.shapes.body import Body, gap, signed_distance, smooth_profile, surface_points
 from fruitlangs.orchard.shapes.branch import wood_samples
 from fruitlangs.orchard.shapes.meshes import Mesh
-from fruitlangs.orchard.species import SPECIES
-from fruitlangs.orchard.training_scenes import WALK_VIEWS, training_config
+from fruitlangs.orchard.species import SPECIES, UNNAMED
+from fruitlangs.orchard.training_scenes import ROUNDS, WALK_VIEWS, is_held_out, training_config
 
 
 def front_view(width: int = 40, height: int = 30) -> Viewpoint:
@@ -173,7 +175,7 @@ def test_png_of_16_bits_keeps_its_values(tmp_path: Path) -> None:
 
 def test_training_scenes_take_species_in_turn_and_start_at_their_own_seeds() -> None:
     configs = [training_config(FIRST_TRAINING_SEED + i) for i in range(24)]
-    assert {c.species for c in configs} == set(SPECIES)
+    assert {c.species for c in configs} == set(SPECIES) - set(UNNAMED)
     assert [i for i, c in enumerate(configs) if c.views == WALK_VIEWS] == [14]
     assert all(c.seed >= 1000 for c in configs)
     assert {c.close_ups for c in configs} == {True, False}
@@ -181,6 +183,45 @@ def test_training_scenes_take_species_in_turn_and_start_at_their_own_seeds() -> 
     assert len({c.form for c in configs}) > 2
     for config in configs:
         check(config)
+
+
+NAMED = ("apple", "pear", "cherry", "plum", "lemon", "orange", "peach", "mango")
+"""The species that training scenes take turns with, as they always did."""
+
+
+def test_training_seeds_give_the_same_species_as_before_there_were_unnamed_ones() -> None:
+    species = [training_config(FIRST_TRAINING_SEED + i).species for i in range(3 * len(NAMED))]
+    assert species == list(NAMED) * 3
+
+
+def test_species_that_the_encoder_has_no_word_for_are_never_learnt_from() -> None:
+    seeds = range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + 40 * len(SPECIES))
+    assert {training_config(seed).species for seed in seeds} == set(SPECIES) - set(UNNAMED)
+    assert set(UNNAMED) == {"fig", "eggplant"}
+    assert set(UNNAMED) <= set(SPECIES)
+    assert not set(UNNAMED) & set(CONCEPTS)
+    for name in UNNAMED:
+        with pytest.raises(VocabularyError):
+            parse(name)
+
+
+def test_whole_rounds_through_the_named_species_are_held_out() -> None:
+    seeds = range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + 2 * ROUNDS * len(NAMED))
+    held_out = [training_config(seed).species for seed in seeds if is_held_out(seed)]
+    assert held_out == list(NAMED) * 2
+
+
+def test_every_variety_of_the_unnamed_species_makes_sense_and_is_planted() -> None:
+    for name in UNNAMED:
+        for variant in SPECIES[name].variants:
+            config = OrchardConfig(species=name, variant=variant.name, seed=2, fruits=6, fallen=0, leaves=20)
+            check(config)
+            assert len(plant(config).fruits) == 6
+
+
+def test_an_eggplant_is_more_than_three_times_as_long_as_wide() -> None:
+    profile = smooth_profile(SPECIES["eggplant"].profile, 400)
+    assert np.ptp(profile[:, 0]) / (2.0 * profile[:, 1].max()) > 3.0
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def describe(
     spheres, colors = clusters.spheres, point_colors(gaussians, clusters)
     mean = float(2.0 * spheres.radii.mean()) if len(spheres) else 0.0
     means = gaussians.means.detach().double().cpu().numpy()[seen]
-    near = members(nearest_sphere(means, spheres.centers, spheres.radii), len(spheres))
+    near = members(_owners(means, clusters), len(spheres))
     own = members(clusters.owners, len(spheres))
     shades = [colors[each] for each in own]
     for index in (index for index, each in enumerate(own) if len(each) == 0):
@@ -100,6 +100,14 @@ def colors_of(gaussians: Gaussians, index: IntArray) -> FloatArray:
     """(K, 3) sRGB in 0…255 of the Gaussians at `index` (K,): their base colours."""
     colors: FloatArray = 255.0 * gaussians.base_colors.detach().double().cpu().numpy()[index]
     return colors
+
+
+def _owners(means: FloatArray, clusters: Clusters) -> IntArray:
+    """(N,) index of the fruit in or near which each mean (N, 3) lies; -1 for none."""
+    if clusters.parts is None:
+        return nearest_sphere(means, clusters.spheres.centers, clusters.spheres.radii)
+    parts = clusters.parts
+    return np.append(parts.owners, -1)[nearest_sphere(means, parts.centers, parts.radii)]
 
 
 def nearest_sphere(means: FloatArray, centers: FloatArray, radii: FloatArray) -> IntArray:

@@ -15,6 +15,7 @@ from ..geometry.sphere import REACH, Spheres, fit_spheres
 from .candidates import Candidates, SurfaceIndex, find_candidates
 from .claims import commonest, members
 from .gate import Features, features_of, stored_gate
+from .long_fruit import Parts, bodies, joined
 from .size import FruitSize
 from .surface_points import SurfacePoints
 from .visibility import Picture, distance_of
@@ -63,7 +64,7 @@ class Clusters:
     that a sphere is a fruit of the prompt; refusals: by cluster, why the most probable candidate of a cluster without
     fruit was refused; findings: by cluster, why a cluster with fruit was kept, if not by its spheres; small: spheres of
     kind small, whatever their size; axes: (F, 3, 3), rows are half axes in radii as in `ellipsoid.Ellipsoids`, None if
-    fruit are spheres.
+    fruit are spheres; parts: the spheres along long fruit, None if fruit are not long.
     """
 
     points: SurfacePoints
@@ -75,6 +76,7 @@ class Clusters:
     findings: Mapping[int, str] = field(default_factory=dict)
     small: Collection[int] = ()
     axes: FloatArray | None = None
+    parts: Parts | None = None
 
     def keeping(self, kept: NDArray[np.bool_], shown: NDArray[np.bool_], reason: str) -> Clusters:
         """Only the fruit that are `kept` (F,), and the points that are `shown` (P,); reason: for leaving out the
@@ -94,6 +96,7 @@ class Clusters:
             findings={new: self.findings[old] for new, old in enumerate(names.tolist()) if old in self.findings},
             small=frozenset(int(numbers[index]) for index in self.small if kept[index]),
             axes=None if self.axes is None else self.axes[kept],
+            parts=None if self.parts is None else self.parts.keeping(numbers[:-1]),
         )
 
     def refusal(self, component: int) -> str:
@@ -153,8 +156,9 @@ def _searched(surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture
     return Search(surface, size, found, features, stored_gate().probabilities(features))
 
 
-def find_fruit(result: Search) -> Clusters:
-    """The likely fruit among the candidates, and what every cluster of points became."""
+def find_fruit(result: Search, *, lengthwise: bool = True) -> Clusters:
+    """The likely fruit among the candidates, and what every cluster of points became. lengthwise: whether spheres may
+    be parts of long fruit."""
     found, probabilities = result.found, result.probabilities
     components = connected(result.surface.points, LINK * result.size.diameter)
     kept = probabilities > LIKELY
@@ -162,7 +166,7 @@ def find_fruit(result: Search) -> Clusters:
     settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
     fitted = fit_ellipsoids(result.surface.cells, result.surface.normals, owners, settled)
     untold = UNTOLD * result.size.spread * fitted.spheres.radii
-    return Clusters(
+    found_fruit = Clusters(
         result.surface.points,
         replace(fitted.spheres, radius_sds=np.hypot(fitted.spheres.radius_sds, untold)),
         owners,
@@ -171,6 +175,18 @@ def find_fruit(result: Search) -> Clusters:
         _refusals(result, kept, components),
         axes=fitted.axes,
     )
+    numbers = bodies(result.surface.points.positions, settled) if lengthwise else None
+    return found_fruit if numbers is None else _lengthwise(found_fruit, settled, numbers)
+
+
+def _lengthwise(clusters: Clusters, spheres: Spheres, numbers: IntArray) -> Clusters:
+    """Long fruit instead of the spheres along them. numbers: (F,) the body of each sphere."""
+    together, axes, parts = joined(spheres, numbers)
+    chances = 1.0 - clusters.probabilities
+    unlikely = np.ones(len(together))
+    np.multiply.at(unlikely, numbers, chances)
+    owners = np.append(numbers, -1)[clusters.owners]
+    return replace(clusters, spheres=together, owners=owners, probabilities=1.0 - unlikely, axes=axes, parts=parts)
 
 
 def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
