@@ -190,6 +190,8 @@ class EmbedConfig(_Checked):
     """SAM checkpoint of masks sam: a local folder or a name on the Hugging Face hub."""
     allow_download: bool = False
     """Allow the download of a missing checkpoint from the Hugging Face hub."""
+    words: str = path("", "folder")
+    """Folder of taught words (.fruitword); if not given, the user's own."""
     features: Literal["lift", "joint"] = option("lift", level="experimental")
     """Features of masks: 'lift' averages full features into the Gaussians, 'joint' trains the paper's short codes."""
     rounds: int = number(0, 0, 100, level="experimental")
@@ -383,7 +385,7 @@ STAGES: dict[str, Any] = {stage.name: stage.default_factory for stage in fields(
 """{stage: class of its settings}, in the order of the stages."""
 WITHOUT_EFFECT: dict[type, tuple[str, ...]] = {
     TrainConfig: ("checkpoint_every",),
-    EmbedConfig: ("clip", "sam", "allow_download"),
+    EmbedConfig: ("clip", "sam", "allow_download", "words"),
 }
 """{settings: names} of those that do not change a result: paths, which differ between computers, and checkpoints."""
 REMOVED: dict[str, dict[str, float]] = {

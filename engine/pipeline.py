@@ -18,13 +18,14 @@ from .counting.accounts.zero import Quality
 from .counting.count import count_fruit
 from .counting.fruit import FruitCount
 from .counting.published.template_shape import read_template
-from .errors import ConfigError, FruitLangsError, OutputError, VocabularyError
+from .errors import ConfigError, FruitLangsError, OutputError
+from .language.encoders.encoder import Encoder, sees_fruit
 from .language.features.embedder import Embedder
+from .language.features.photo_features import PhotoFeatures
 from .language.prompts.colour_choice import ColourChoice, colour_split
-from .language.prompts.photo_probability import photo_probabilities
-from .language.prompts.relevancy import check_prompts
+from .language.prompts.photo_probability import photo_probabilities, photos_for
+from .language.prompts.relevancy import check_prompts, taught_words
 from .language.prompts.selection import select
-from .language.vocabulary import parse
 from .photo_size import width_notices
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
@@ -74,6 +75,7 @@ def count_scene(
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # an unknown word must not cost a training run
+    words = taught_words(encoder, [*prompts, *negatives])
     template: dict[str, str] = {}
     if config.count.template:
         read_template(Path(config.count.template))  # nor must an invalid template
@@ -90,17 +92,18 @@ def count_scene(
             if config.count.method == "voting" and config.count.select != "dual":
                 split = colour_split(encoder, prompts, negatives)
                 sought = (prompts, negatives) if split is None else (split.prompts, split.negatives)
+                photos = _photos_for(sought, made, encoder, run.log, part(progress, 0.9, 0.92))
                 if split is not None:
-                    choice = ColourChoice.of(split, made.gaussians, made.photos)
+                    choice = ColourChoice.of(split, made.gaussians, photos)
                     found = select(made.features, encoder, *sought, config.count, made.gaussians.means)
-                if made.photos is not None:
-                    maps = photo_probabilities(made.photos, made.features, encoder, *sought)
+                if photos is not None:
+                    maps = photo_probabilities(photos, made.features, encoder, *sought)
             fruit_count = count_fruit(
                 made.gaussians,
                 found,
                 made.scene.cameras,
                 config.count,
-                label=_label(prompts),
+                label=_label(prompts, encoder),
                 known=known,
                 up=made.scene.up,
                 quality=Quality.of(made.origin["training"]),
@@ -115,7 +118,7 @@ def count_scene(
             probability=probability,
             fruit_count=fruit_count,
             known=known,
-            origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives), **template},
+            origin={**made.origin, "prompts": list(prompts), "negatives": list(negatives), **words, **template},
             config=made.config,
             seconds=run.log.seconds,
             reused=run.log.reused,
@@ -200,6 +203,20 @@ def _before_prompts(
     return scaled(made, encoder, run.config.units, run.log)
 
 
+def _photos_for(
+    sought: tuple[Sequence[str], Sequence[str]], made: Reconstruction, encoder: Encoder, log: RunLog, progress: Progress
+) -> PhotoFeatures | None:
+    """What the pixels of the photos say about the prompts and negatives; None if there are no photos."""
+    if made.photos is None or not sees_fruit(encoder):
+        return made.photos
+    photos = photos_for(made.photos, made.scene, made.features, encoder, *sought, progress=progress)
+    if photos is None:
+        log.notices.append(
+            "a taught word is searched in the photos, and they are missing: fruit that Gaussians lose were not counted"
+        )
+    return photos
+
+
 def _narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
     """A message if the photos that were trained on were scaled down until the fruit became too narrow."""
     if "imported" in made.origin:
@@ -217,14 +234,6 @@ def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
     return NO_FRUIT
 
 
-def _label(prompts: Sequence[str]) -> str:
+def _label(prompts: Sequence[str], encoder: Encoder) -> str:
     """The label of the counted fruit: "Apples" → "apple"; several prompts are joined."""
-    return " or ".join(dict.fromkeys(_name(prompt) for prompt in prompts))
-
-
-def _name(prompt: str) -> str:
-    """A prompt as in the vocabulary; unchanged if only CLIP knows the word."""
-    try:
-        return parse(prompt).text
-    except VocabularyError:
-        return " ".join(prompt.casefold().split())
+    return " or ".join(dict.fromkeys(encoder.label(prompt) for prompt in prompts))

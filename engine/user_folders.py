@@ -27,13 +27,24 @@ def checkpoints_folder() -> Path:
     chosen = os.environ.get("FRUITLANGS_CHECKPOINTS")
     if chosen:
         return Path(chosen)
+    return _data_folder() / "checkpoints"
+
+
+def words_folder() -> Path:
+    """The folder of taught words: $FRUITLANGS_WORDS, else in the user's data folder."""
+    chosen = os.environ.get("FRUITLANGS_WORDS")
+    return Path(chosen) if chosen else _data_folder() / "words"
+
+
+def _data_folder() -> Path:
+    """The folder of this user for data of FruitLangs."""
     if sys.platform == "win32":
         home = _local_data()
     elif sys.platform == "darwin":
         home = Path.home() / "Library" / "Application Support"
     else:
         home = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-    return home / "fruitlangs" / "checkpoints"
+    return home / "fruitlangs"
 
 
 def _local_data() -> Path:

@@ -16,6 +16,7 @@ from ..operators.steps.ask import suggestions, threshold_changed, words_changed
 from ..operators.viewport.gaussian_nodes import DIMMING
 from . import check_properties as check
 from . import review_properties as review
+from . import teach_properties as teach
 from .photo_properties import FRUITLANGS_PG_photos
 from .review_properties import FRUITLANGS_PG_review
 
@@ -197,6 +198,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     review: PointerProperty(type=FRUITLANGS_PG_review)
     photos: PointerProperty(type=FRUITLANGS_PG_photos)
     result: PointerProperty(type=FRUITLANGS_PG_result)
+    teach: PointerProperty(type=teach.FRUITLANGS_PG_teach)
     check: PointerProperty(type=check.FRUITLANGS_PG_check)
 
 
@@ -208,6 +210,7 @@ CLASSES = (
     FRUITLANGS_PG_result,
     *review.CLASSES,
     *check.CLASSES,
+    *teach.CLASSES,
     FRUITLANGS_PG_photos,
     FRUITLANGS_PG_settings,
 )

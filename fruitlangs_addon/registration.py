@@ -14,7 +14,7 @@ from ..operators.packages import caches, dependencies
 from ..operators.photos import best_photo, photo_backgrounds
 from ..operators.review import review, show_cluster
 from ..operators.settings import moved_paths, region
-from ..operators.steps import ask, check_photos, count, import_scene, reconstruct
+from ..operators.steps import ask, check_photos, count, import_scene, reconstruct, teach
 from ..operators.tools import level, scale
 from ..operators.viewport import appearance
 from . import preferences, properties
@@ -27,6 +27,7 @@ from .panels import (
     step_reconstruct,
     step_review,
     step_scene,
+    teach_panel,
 )
 
 CLASSES: tuple[Any, ...] = (
@@ -41,6 +42,7 @@ CLASSES: tuple[Any, ...] = (
     *region.CLASSES,
     *reconstruct.CLASSES,
     *ask.CLASSES,
+    *teach.CLASSES,
     *count.CLASSES,
     *review.CLASSES,
     *show_cluster.CLASSES,
@@ -49,6 +51,7 @@ CLASSES: tuple[Any, ...] = (
     *step_scene.CLASSES,
     *step_reconstruct.CLASSES,
     *step_ask.CLASSES,
+    *teach_panel.CLASSES,
     *appearance_panel.CLASSES,
     *step_count.CLASSES,
     *fruit_list.CLASSES,

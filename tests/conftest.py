@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ sys.path[:0] = [str(folder) for folder in (SCRIPTS, SCRIPTS / "developer", TESTS
 
 import _checkout  # noqa: F401
 
+os.environ["FRUITLANGS_WORDS"] = tempfile.mkdtemp(prefix="fruitlangs-words-")
+"""No word that the user taught takes part in tests."""
 SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orchard_tree"
 
 

@@ -236,7 +236,9 @@ class LadderStages:
         maps = []
         for photo, ids in zip(scene.images, self.instances, strict=True):
             shown = as_seen(photo, np.isin(ids, self._ids())[..., None].astype(np.float32))
-            maps.append(PhotoMap(np.ascontiguousarray(shown[..., 0]), encoder.encode_fruit(photo.pixels())[1].numpy()))
+            maps.append(
+                PhotoMap(np.ascontiguousarray(shown[..., 0]), encoder.encode_fruit(photo.pixels()).offsets.numpy())
+            )
         return maps
 
     def _true_surface(self, progress: Progress) -> TrueSurface:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..counting.fruit import NO_TREE
 from ..errors import FormatError, VocabularyError
-from ..language.vocabulary import parse
+from ..language.vocabulary import describes, parse, singulars, split
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,16 +87,22 @@ def read_truth(path: Path, labels: Collection[str] | None = None) -> Truth:
 
 
 def true_labels(prompts: Sequence[str]) -> set[str]:
-    """Labels of true fruit that match any of the prompts, whatever their colour: "red apple" counts apples.
+    """Labels of true fruit that match any of the prompts, whatever their colour: "red apple" counts apples. A word that
+    is not built in was taught, and is its own label.
 
     Raises:
         VocabularyError: a prompt has no noun.
     """
-    phrases = [parse(prompt) for prompt in prompts]
-    for phrase in phrases:
-        if not phrase.concepts:
-            raise VocabularyError(f"The prompt '{phrase.text}' names no fruit to measure against. Give --label")
-    return {concept for phrase in phrases for concept in phrase.concepts}
+    labels = set[str]()
+    for prompt in prompts:
+        try:
+            named = parse(prompt).concepts
+        except VocabularyError:
+            named = singulars(" ".join(word for word in split(prompt) if not describes(word)))
+        if not any(named):
+            raise VocabularyError(f"The prompt '{prompt}' names no fruit to measure against. Give --label")
+        labels.update(named)
+    return labels
 
 
 def _ids(fruits: Sequence[Mapping[str, Any]]) -> NDArray[np.int64] | None:

@@ -47,9 +47,9 @@ def colour_words(image: Tensor) -> Tensor:
     Each example has a Gaussian weight in CIELAB; a word has the weight of its nearest example.
     """
     weight = torch.tensor([_LIGHTNESS, 1.0, 1.0])
-    colours = (_lab(image) * weight).reshape(-1, 3)
+    colours = (cielab(image) * weight).reshape(-1, 3)
     examples = (torch.tensor(_PROTOTYPES[word]).reshape(-1, 3) / 255.0 for word in COLOURS)
-    nearest = torch.stack([torch.cdist(colours, _lab(own) * weight).amin(-1) for own in examples], dim=-1)
+    nearest = torch.stack([torch.cdist(colours, cielab(own) * weight).amin(-1) for own in examples], dim=-1)
     return torch.softmax(-0.5 * (nearest / _SPREAD) ** 2, dim=-1).reshape(*image.shape[:-1], len(COLOURS))
 
 
@@ -60,7 +60,7 @@ def fruit_colours(pixels: Tensor, kinds: Collection[str] = ()) -> Tensor:
     Shade changes lightness, but neither hue nor chroma / lightness. A pixel speaks for the colour of its hue, the more
     the more colourful and the brighter it is: gloss, haze and deep shade say little.
     """
-    lightness, a, b = _lab(pixels).unbind(-1)
+    lightness, a, b = cielab(pixels).unbind(-1)
     a, b = (each / (lightness + _DARKEST) - white for each, white in zip((a, b), _TREE_LIGHT, strict=True))
     weight = (torch.hypot(a, b) * lightness.clamp_min(0.0).sqrt()).clamp_min(_LEAST)
     hues = {**_HUES, **_OF_APPLES} if set(kinds) == {"apple"} else _HUES
@@ -71,7 +71,7 @@ def fruit_colours(pixels: Tensor, kinds: Collection[str] = ()) -> Tensor:
     return weight[..., None] * own / own.sum(-1, keepdim=True)
 
 
-def _lab(image: Tensor) -> Tensor:
+def cielab(image: Tensor) -> Tensor:
     """(…, 3) sRGB in [0, 1] → CIELAB under D65."""
     linear = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055).clamp_min(0.0) ** 2.4)
     matrix = torch.tensor(

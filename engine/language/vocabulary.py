@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from ..errors import VocabularyError
@@ -43,11 +43,12 @@ _THINGS, _COLOUR_NAMES, _RIPENESS = by_name(words.THINGS), by_name(words.COLOURS
 
 @dataclass(frozen=True)
 class Phrase:
-    """A parsed prompt: any of the colours (none: any) and any of the concepts (none: any)."""
+    """A parsed prompt: any of the colours (none: any) and any of the concepts (none: any), which `noun` names."""
 
     text: str
     colours: tuple[str, ...]
     concepts: tuple[str, ...]
+    noun: str
 
     def within(self, other: Phrase) -> bool:
         """Whether everything that matches this phrase also matches `other`."""
@@ -59,30 +60,47 @@ class Phrase:
         return any(mine and theirs and not set(mine) & set(theirs) for mine, theirs in pairs)
 
 
-def parse(prompt: str) -> Phrase:
-    """Parse a prompt.
+def parse(prompt: str, taught: Collection[str] = ()) -> Phrase:
+    """Parse a prompt. taught: folded names of words that a user taught, each of one or more words; they name an object
+    as a noun does, and the longest name counts.
 
     Raises:
         VocabularyError: an unknown word (the message names the nearest known ones), no word, or more than one noun.
     """
-    read = [word for word in re.split(r"[\s\-_,'’]+", fold(prompt.strip())) if word and word not in words.FILLERS]
+    read = _with_names(split(prompt), taught)
     if not read:
         raise VocabularyError(f"The prompt '{prompt}' has no word. Name a fruit, for example 'apple' or 'red apple'")
+
+    def thing(word: str) -> str:
+        return word if word in taught else _thing(word)
+
     for word in read:
-        if not (_thing(word) or _colour(word) or word in _RIPENESS):
-            raise VocabularyError(_complaint(word, prompt))
-    place = _noun(read, prompt)
-    noun = ("fruit" if _RIPENESS.keys() & read else "") if place is None else _thing(read[place])
+        if not (thing(word) or _colour(word) or word in _RIPENESS):
+            raise VocabularyError(_complaint(word, prompt, taught))
+    things = [thing(word) for word in read]
+    place = _noun(things, [bool(_colour(word)) for word in read], prompt)
+    noun = ("fruit" if _RIPENESS.keys() & read else "") if place is None else things[place]
     named: list[str] = []
     ripeness: list[str] = []
     for i, word in enumerate(read):
-        if i == place or (_thing(word) and not _colour(word)):  # a more general word, as in "apple fruit", adds nothing
+        if i == place or (things[i] and not _colour(word)):  # a more general word, as in "apple fruit", adds nothing
             continue
         (ripeness if word in _RIPENESS else named).append(_RIPENESS.get(word) or _colour(word))
     adjectives = dict.fromkeys(named or ripeness[-1:])
     colours = dict.fromkeys(colour for word in adjectives for colour in _RIPE.get(word, (word,)))
     concepts = GENERAL.get(noun, (noun,)) if noun else ()
-    return Phrase(" ".join([*adjectives, *([noun] if noun else [])]), tuple(colours), concepts)
+    return Phrase(" ".join([*adjectives, *([noun] if noun else [])]), tuple(colours), concepts, noun)
+
+
+def split(prompt: str) -> list[str]:
+    """The folded words of a prompt that mean something."""
+    return [word for word in re.split(r"[\s\-_,'’]+", fold(prompt.strip())) if word and word not in words.FILLERS]
+
+
+def taught_name(prompt: str, taught: Collection[str]) -> str:
+    """The taught name that is all that a prompt says, also in the plural; empty if there is none."""
+    read = _with_names(split(prompt), taught)
+    return read[0] if len(read) == 1 and read[0] in taught else ""
 
 
 def known_words() -> tuple[str, ...]:
@@ -90,31 +108,58 @@ def known_words() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*sorted(_THINGS), *sorted(_COLOUR_NAMES), *sorted(_RIPENESS)]))
 
 
-def _noun(read: Sequence[str], prompt: str) -> int | None:
-    """The noun among the words: the most specific; a word that may also be a colour only if there is no other.
+def describes(word: str) -> bool:
+    """Whether a folded word names a colour or a ripeness and no object."""
+    return bool(_colour(word) or word in _RIPENESS) and not _thing(word)
+
+
+def _with_names(read: Sequence[str], taught: Collection[str]) -> list[str]:
+    """The words of a prompt, with those that together are a taught name as one; it may be in the plural."""
+    names = sorted((name.split() for name in taught), key=len, reverse=True)
+    joined, at = [], 0
+    while at < len(read):
+        for name in names:
+            part = list(read[at : at + len(name)])
+            if part[:-1] == name[:-1] and set(singulars(name[-1])) & set(singulars(part[-1])):
+                joined.append(" ".join(name))
+                at += len(name)
+                break
+        else:
+            joined.append(read[at])
+            at += 1
+    return joined
+
+
+def _noun(nouns: Sequence[str], colours: Sequence[bool], prompt: str) -> int | None:
+    """The place of the noun: the most specific; a word that may also be a colour only if there is no other. nouns:
+    what each word names; colours: whether it may be a colour.
 
     Raises:
         VocabularyError: there are two nouns, and neither is a kind of the other.
     """
-    things = [i for i, word in enumerate(read) if _thing(word) and not _colour(word)]
-    if not things:
-        either = [i for i, word in enumerate(read) if _thing(word)]
+    sure = [i for i, noun in enumerate(nouns) if noun and not colours[i]]
+    if not sure:
+        either = [i for i, noun in enumerate(nouns) if noun]
         return either[-1] if either else None
 
     def meaning(i: int) -> frozenset[str]:
-        noun = _thing(read[i])
-        return frozenset(GENERAL.get(noun, (noun,)))
+        return frozenset(GENERAL.get(nouns[i], (nouns[i],)))
 
-    narrowest = min(things, key=lambda i: len(meaning(i)))
-    if not all(meaning(narrowest) <= meaning(i) for i in things):
+    narrowest = min(sure, key=lambda i: len(meaning(i)))
+    general = {"fruit"} if nouns[narrowest] not in (*CONCEPTS, *GENERAL) else set()  # a taught word is a fruit too
+    if not all(meaning(narrowest) <= meaning(i) or nouns[i] in general for i in sure):
         raise VocabularyError(f"The prompt '{prompt}' names more than one object. Give each as a separate prompt")
     return narrowest
 
 
 def _thing(word: str) -> str:
     """The meaning of a folded word, in the singular; empty if unknown."""
-    forms = (word, word.removesuffix("s"), word.removesuffix("es"))
-    return next((_THINGS[form] for form in forms if form in _THINGS), "")
+    return next((_THINGS[form] for form in singulars(word) if form in _THINGS), "")
+
+
+def singulars(word: str) -> tuple[str, ...]:
+    """What a folded word may be in the singular."""
+    return (word, word.removesuffix("s"), word.removesuffix("es"))
 
 
 def _colour(word: str) -> str:
@@ -125,10 +170,10 @@ def _narrows(mine: tuple[str, ...], theirs: tuple[str, ...]) -> bool:
     return not theirs or (bool(mine) and set(mine) <= set(theirs))
 
 
-def _complaint(word: str, prompt: str) -> str:
-    nearest = difflib.get_close_matches(word, known_words(), n=3, cutoff=0.6)
+def _complaint(word: str, prompt: str, taught: Collection[str]) -> str:
+    nearest = difflib.get_close_matches(word, [*taught, *known_words()], n=3, cutoff=0.6)
     hint = f"nearest known: {', '.join(nearest)}; " if nearest else ""
-    things = ", ".join([*CONCEPTS, *GENERAL])
+    things = ", ".join([*CONCEPTS, *GENERAL, *taught])
     return (
         f"the encoder does not know the word '{word}' in the prompt '{prompt}'; {hint}it knows {things}, "
         f"their names in German, French and Spanish, and the colours {', '.join(COLOURS)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -62,13 +62,13 @@ def view_strip(
     alpha = drawn.alpha.detach().numpy()[..., None]
     panels = {
         f"photo {scene.images[view].name}": scene.images[view].pixels(),
-        "probability of the prompt": _ramp(channels[..., 0]),
+        "probability of the prompt": ramp(channels[..., 0]),
         "language": _bytes(channels[..., 1:] + (1.0 - alpha)),
         _fruit_title(fruit_count, scene.metres_per_unit): _draw_ids(
             _bytes(drawn.color.detach().numpy()), drawn.depth.detach().numpy(), camera, fruit_count.fruits
         ),
     }
-    return _side_by_side(panels)
+    return side_by_side(panels)
 
 
 def _fruit_title(fruit_count: FruitCount, metres_per_unit: float | None) -> str:
@@ -107,7 +107,7 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0.0, 1.0) * 255).astype(np.uint8)
 
 
-def _ramp(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+def ramp(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Map [0, 1] to cividis."""
     position = np.clip(values, 0.0, 1.0) * (len(_CIVIDIS) - 1)
     channels = [np.interp(position, np.arange(len(_CIVIDIS)), _CIVIDIS[:, channel]) for channel in range(3)]
@@ -135,7 +135,8 @@ def _draw_ids(
     return np.asarray(image)
 
 
-def _side_by_side(panels: dict[str, NDArray[np.uint8]]) -> Image.Image:
+def side_by_side(panels: Mapping[str, NDArray[np.uint8]]) -> Image.Image:
+    """Pictures (H, W, 3) of one size next to each other, by their titles."""
     height, width = next(iter(panels.values())).shape[:2]
     gap = 4
     strip = Image.new("RGB", (len(panels) * (width + gap) - gap, height + _TITLE_HEIGHT), (255, 255, 255))

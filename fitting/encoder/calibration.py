@@ -12,6 +12,7 @@ from sklearn.linear_model import LogisticRegression
 from torch.nn import functional
 
 from ...engine.language.encoders.embedded import Calibration, EmbeddedEncoder
+from ...engine.language.encoders.encoder import Question
 from ...engine.language.prompts.relevancy import margin
 from .samples import FloatArray, Sample
 
@@ -36,6 +37,7 @@ def calibrate(encoder: EmbeddedEncoder, photos: Sequence[Sample], renders: Seque
     """
     margins, truths, weights = [], [], []
     (question,) = encoder.questions("fruit")
+    assert isinstance(question, Question)  # no word was taught
     for samples in (photos, renders):
         known = [each.among(each.known & (each.fruit | ~each.missed)) for each in samples]
         if not known:

@@ -15,6 +15,7 @@ from ...engine.config import PRESETS, Preset, SceneConfig
 from ...engine.evaluation.calibration import balanced_weights
 from ...engine.evaluation.renders import read_instances
 from ...engine.language.encoders.embedded import Calibration, EmbeddedEncoder
+from ...engine.language.encoders.encoder import Question
 from ...engine.language.features.lift import encode_photos, lift_features
 from ...engine.language.prompts.relevancy import MIN_WEIGHT, margin
 from ...engine.scene.camera import Scene
@@ -89,6 +90,7 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     weights = features.weights[:, 0]
     seen = weights >= MIN_WEIGHT
     (question,) = encoder.questions("fruit")
+    assert isinstance(question, Question)  # no word was taught
     return LiftedScene(
         margin(features.unit(0)[seen], question).double().numpy(),
         (fruit > 0.5)[seen].numpy(),

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engine.language.teaching.ray_hits import LEAST_ALPHA, SIGMAS, FloatArray, pick_surface
 from ...engine.scene.camera import Camera
-from ..viewport.ray_hits import LEAST_ALPHA, SIGMAS, FloatArray, pick_surface
 
 SAMPLES = 6
 """Points tested on the disc of a fruit, in addition to its centre."""

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import ChainMap
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -25,14 +27,18 @@ from ..data.write_gaussians import ASKED, asked_words
 from ..jobs.jobs import describe_error, linked, redraw_sidebars
 from ..jobs.preload import preload_libraries
 from ..jobs.target_scene import find_scene
+from ..settings.lesson import LessonText, read_lesson
 from ..settings.settings import read_config, read_prompts, read_words, stored_file
 from ..viewport.appearance import appearance_changed, apply_appearance
 from ..viewport.viewport import in_window, redraw_viewports
 
 if TYPE_CHECKING:
     from ...engine.config import CountConfig, EmbedConfig
+    from ...engine.language.encoders.encoder import Encoder
     from ...engine.language.features.embedder import Embedder
     from ...engine.language.features.features import Features
+    from ...engine.language.taught.word import TaughtWord
+    from ...engine.language.teaching.region import Ground
 
 PAUSE = 0.15
 """Seconds after the last edit before the answer is computed."""
@@ -44,7 +50,8 @@ LOOK_AGAIN = 0.05
 class Question:
     """The prompt and the features, as plain values for a thread.
 
-    scene: Blender's session uid; select: how Gaussians are selected; everything else of counting has its defaults.
+    scene: Blender's session uid; select: how Gaussians are selected; everything else of counting has its defaults;
+    lesson: the word that is taught in the scene, None if there is none.
     """
 
     scene: int
@@ -53,11 +60,13 @@ class Question:
     features: Path
     embed: EmbedConfig
     select: CountConfig
+    lesson: LessonText | None = None
 
     @property
     def words(self) -> str:
         """The text that the mesh stores about it."""
-        return asked_words(self.prompts, self.negatives)
+        words = asked_words(self.prompts, self.negatives)
+        return words if self.lesson is None else f"{words} | {self.lesson.name} {self.lesson.mark}"
 
 
 class Worker(threading.Thread):
@@ -94,27 +103,84 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
 
     from ...engine.language.prompts.selection import select
 
-    encoder = _embedder(question.embed).encoder
+    encoder: Encoder = _embedder(question.embed, words_on_disk(question.embed)).encoder
+    if question.lesson is not None:
+        word = taught_by(question, means)
+        words: ChainMap[str, TaughtWord] = ChainMap({word.name: word}, encoder.taught)  # type: ignore[arg-type]
+        encoder = encoder.with_words(words)
+    features = _features_of(question, means)
+    places = torch.from_numpy(np.array(means))
+    return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
+
+
+def taught_by(question: Question, means: NDArray[np.float32]) -> TaughtWord:
+    """The word of the question's lesson.
+
+    Raises:
+        OutputError: the features are gone, or of other Gaussians.
+        FruitLangsError: the word or its examples cannot be used.
+    """
+    from ...engine.language.teaching.lesson import Lesson, Mark
+
+    assert question.lesson is not None
+    encoder = _embedder(question.embed, words_on_disk(question.embed)).encoder
+    features = _features_of(question, means)
+    ground = _ground(question.features, os.stat(question.features).st_mtime_ns, np.array(means).tobytes())
+    lesson = Lesson(question.lesson.name, ground, features, encoder)
+    places = [(positive, np.array(place)) for positive, place in question.lesson.places]
+    marks = [
+        Mark(positive, f"example {number}", ground.around(place))
+        for number, (positive, place) in enumerate(places, start=1)
+    ]
+    return lesson.word(marks)
+
+
+def _features_of(question: Question, means: NDArray[np.float32]) -> Features:
+    """The features of the question, checked to be those of Gaussians at means (N, 3)."""
+    import torch
+
     try:
         features = _features(question.features, os.stat(question.features).st_mtime_ns)
     except OSError as error:
         raise OutputError(
             f"The features in {question.features} are missing. Press Reconstruct to create them again"
         ) from error
-    places = torch.from_numpy(np.array(means))
-    if not features.are_of(places):
+    if not features.are_of(torch.from_numpy(np.array(means))):
         raise OutputError(
             f"{question.features} has features of other Gaussians than those shown: a later run replaced it, or these "
             "were edited. Press Reconstruct or count again"
         )
-    return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
+    return features
+
+
+def words_on_disk(config: EmbedConfig) -> tuple[tuple[str, int], ...]:
+    """Names and times of the files of taught words, which other programs may change."""
+    from ...engine.language.encoders.open_encoder import folder_of_words
+    from ...engine.language.taught.word import SUFFIX
+
+    with suppress(OSError):
+        return tuple(
+            sorted((file.name, file.stat().st_mtime_ns) for file in folder_of_words(config).glob(f"*{SUFFIX}"))
+        )
+    return ()
 
 
 @lru_cache(maxsize=1)
-def _embedder(config: EmbedConfig) -> Embedder:
+def _embedder(config: EmbedConfig, _words: tuple[tuple[str, int], ...]) -> Embedder:
     from ...engine.language.features.embedder import Embedder
 
     return Embedder.open(config)
+
+
+@lru_cache(maxsize=1)
+def _ground(path: Path, changed: int, means: bytes) -> Ground:
+    """The Gaussians at means, (N, 3) float32 as bytes, with their features, ready for clicks."""
+    import torch
+
+    from ...engine.language.teaching.region import Ground
+
+    places = torch.frombuffer(bytearray(means), dtype=torch.float32).reshape(-1, 3)
+    return Ground.of(places, _features(path, changed))
 
 
 @lru_cache(maxsize=1)
@@ -147,6 +213,7 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
         features=stored_file(settings.result.features),
         embed=config.embed,
         select=CountConfig(**chosen),
+        lesson=read_lesson(settings),
     )
 
 
@@ -169,6 +236,7 @@ def stop_asking() -> None:
     _waiting.clear()
     _embedder.cache_clear()
     _features.cache_clear()
+    _ground.cache_clear()
     if bpy.app.timers.is_registered(_attend):
         bpy.app.timers.unregister(_attend)
 
@@ -200,14 +268,15 @@ def _waiting_scenes() -> Iterator[bpy.types.Scene]:
 def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
     """Start to answer; None if there is nothing to answer, which is no error while the user still enters settings, or
     if the words are answered already."""
-    item, settings = owned_object(bpy_scene, "gaussians"), bpy_scene.fruitlangs
+    item = owned_object(bpy_scene, "gaussians")
     if item is None:
         return None
     try:
-        if item.data.get(ASKED) == asked_words(read_prompts(settings), read_words(settings.negative)):
+        question = question_of(bpy_scene)
+        if item.data.get(ASKED) == question.words:
             show_answer_text(bpy_scene)
             return None
-        worker = Worker(question_of(bpy_scene), _means(bpy_scene))
+        worker = Worker(question, means_of(bpy_scene))
     except FruitLangsError as error:
         _tell(bpy_scene, str(error))
         return None
@@ -215,7 +284,7 @@ def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
     return worker
 
 
-def _means(bpy_scene: bpy.types.Scene) -> NDArray[np.float32]:
+def means_of(bpy_scene: bpy.types.Scene) -> NDArray[np.float32]:
     item = owned_object(bpy_scene, "gaussians")
     assert item is not None
     means = np.empty(3 * len(item.data.vertices), np.float32)
@@ -312,15 +381,20 @@ def unregister_handlers() -> None:
             handlers.remove(ask_where_words_differ)
 
 
-def suggestions(_settings: Any, _context: Any, typed: str) -> list[str]:
-    """Completions of a prompt: the nouns of the vocabulary, and colours and ripeness before fruit."""
+def suggestions(settings: Any, _context: Any, typed: str) -> list[str]:
+    """Completions of a prompt: taught words, the nouns of the vocabulary, and colours and ripeness before fruit."""
+    from ...engine.config import EmbedConfig
+    from ...engine.language.taught.library import is_word_file, name_of
     from ...engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, GENERAL
 
     before, _, last = typed.rpartition(",")
     begun = last.strip().casefold()
     kept = f"{before.strip()}, " if before.strip() else ""
-    things = ["fruit", *CONCEPTS, *(word for word in GENERAL if word != "fruit")]
-    described = [f"{word} {fruit}" for fruit in ("fruit", *FRUITS) for word in ("ripe", "unripe", *FRUIT_COLOURS)]
+    embed = EmbedConfig() if settings is None else read_config(settings).embed
+    taught = [name_of(file) for file, _ in words_on_disk(embed) if is_word_file(file)]
+    things = dict.fromkeys([*taught, "fruit", *CONCEPTS, *(word for word in GENERAL if word != "fruit")])
+    fruits = dict.fromkeys(["fruit", *FRUITS, *taught])
+    described = [f"{word} {fruit}" for fruit in fruits for word in ("ripe", "unripe", *FRUIT_COLOURS)]
     fitting = [word for word in [*things, *described] if begun in word]
     return [kept + word for word in sorted(fitting, key=lambda word: not word.startswith(begun))]
 
@@ -351,7 +425,7 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
             return {"FINISHED"}
         try:
             question = question_of(context.scene)
-            show_answer(context.scene, answer(question, _means(context.scene)), question.words)
+            show_answer(context.scene, answer(question, means_of(context.scene)), question.words)
         except Exception as error:
             message = describe_error(error)
             _tell(context.scene, message)

@@ -11,14 +11,17 @@ from bpy_extras import view3d_utils
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ...engine.language.teaching.ray_hits import pick_point, pick_surface
 from ..blender_data import get_attribute, owned_object
 from ..jobs.active_tool import begin_waiting, end_waiting, is_waiting
 from ..jobs.jobs import LEAVE_EDITING, busy, linked, show_status
-from ..viewport.ray_hits import pick_point, pick_surface
 from ..viewport.viewport import Drawing, redraw_viewports
 
 REACH_PIXELS = 12
 """Distance in pixels between a click and a sparse point that it picks."""
+RETURNS = ("RET", "NUMPAD_ENTER")
+ENDS = ("ESC", "RIGHTMOUSE", *RETURNS)
+"""Events that end the tool; RETURNS only if it is endless."""
 MARK_COLOR, MARK_SIZE = (1.0, 0.85, 0.1, 1.0), 9.0
 MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFORM_COLOR"
 """Metal and Vulkan draw points with a special shader, which Blender has from 4.5 on."""
@@ -69,6 +72,8 @@ class PickTool:
 
     asks: Sequence[str] = ()
     """Instructions for the user, one text per point."""
+    endless = False
+    """Whether it goes on after the last instruction, until Return, Esc or the right button."""
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
@@ -85,6 +90,12 @@ class PickTool:
     def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
         """Called when all points were clicked, (P, 3) in the scene frame."""
         raise NotImplementedError
+
+    def clicked(self, context: bpy.types.Context, point: NDArray[np.float64], event: bpy.types.Event) -> None:
+        """Called after every click of an endless tool, with the point (3,) in the scene frame."""
+
+    def taken_back(self, context: bpy.types.Context) -> None:
+        """Called after Backspace in an endless tool."""
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if context.area is None or context.area.type != "VIEW_3D":
@@ -110,11 +121,13 @@ class PickTool:
             self._leave()
         if not is_waiting(self):
             return {"CANCELLED", "PASS_THROUGH"}
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+        if event.type in ENDS and event.value == "PRESS" and (self.endless or event.type not in RETURNS):
             self._leave()
-            return {"CANCELLED"}
+            return {"FINISHED" if self.endless and self._points else "CANCELLED"}
         if event.type == "BACK_SPACE" and event.value == "PRESS" and self._points:
             self._points.pop()
+            if self.endless:
+                self.taken_back(context)
             self._ask(context)
             return {"RUNNING_MODAL"}
         window = window_region(area, event)
@@ -126,7 +139,9 @@ class PickTool:
             self.report({"WARNING"}, "Nothing under the mouse. Click on the tree or the ground")
             return {"RUNNING_MODAL"}
         self._points.append(point)
-        if len(self._points) < len(self.asks):
+        if self.endless:
+            self.clicked(context, point, event)
+        if self.endless or len(self._points) < len(self.asks):
             self._ask(context)
             return {"RUNNING_MODAL"}
         self._leave()
@@ -146,7 +161,11 @@ class PickTool:
 
     def _ask(self: Any, context: bpy.types.Context) -> None:
         number = len(self._points)
-        text = f"{self.bl_label}: {self.asks[number]} ({number + 1} of {len(self.asks)}). Backspace: undo, Esc: cancel"
+        if self.endless:
+            text = f"{self.bl_label}: {self.asks[0]} ({number} so far). Backspace: undo, Return: finish"
+        else:
+            ask = f"{self.asks[number]} ({number + 1} of {len(self.asks)})"
+            text = f"{self.bl_label}: {ask}. Backspace: undo, Esc: cancel"
         show_status(context, text)
         redraw_viewports()
 

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engine.language.teaching.ray_hits import rotation_rows
 from ..blender_data import get_attribute, linear_from_srgb
 
 FloatArray = NDArray[np.float32]
@@ -95,16 +96,3 @@ def packed_covariances(scales: FloatArray, quats: FloatArray) -> FloatArray:
     pairs = ((a, a), (a, b), (a, c), (b, b), (b, c), (c, c))
     packed = [p[0] * q[0] + p[1] * q[1] + p[2] * q[2] for p, q in pairs]
     return np.ascontiguousarray(np.stack(packed, axis=1), np.float32)
-
-
-def rotation_rows(quats: NDArray[np.floating]) -> list[list[NDArray[np.floating]]]:
-    """The rotations of quaternions (N, 4), w first, of any length: rows of columns, (N,) each.
-
-    A Gaussian's own axes are the columns.
-    """
-    w, x, y, z = (quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)).T
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...errors import EncoderError, VocabularyError
+from ..taught.library import Library
+from ..taught.word import TaughtWord
+from ..vocabulary import parse, taught_name
 from .checkpoints import CLIP, Checkpoint, fitting, open_checkpoint
-from .encoder import Question
+from .encoder import Question, TaughtQuestion
 
 TEMPLATE = "a photo of {article} {words}"
 """Templates of prompts: these models were trained on captions."""
@@ -43,25 +47,26 @@ class ClipEncoder:
 
     checkpoint: Checkpoint
     dimension: int
+    taught: Mapping[str, TaughtWord] = field(default_factory=dict)
     _read: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def open(cls, name: str, *, allow_download: bool = False) -> ClipEncoder:
-        """Open a ViT CLIP or SigLIP checkpoint by local folder or hub name.
+    def open(cls, name: str, *, allow_download: bool = False, words: Path | None = None) -> ClipEncoder:
+        """Open a ViT CLIP or SigLIP checkpoint by local folder or hub name. words: folder of taught words.
 
         Raises:
             EncoderError: it is missing, unsafe, damaged, or does not do what a checkpoint of its kind must.
         """
         checkpoint = open_checkpoint(CLIP, name, allow_download=allow_download)
         with fitting(CLIP, name):
-            words = cls(checkpoint, 0).encode_text(["object"]).shape[-1]
+            dimension = cls(checkpoint, 0).encode_text(["object"]).shape[-1]
             pictures = cls(checkpoint, 0).encode_crops([np.zeros((8, 8, 3), np.uint8)]).shape[-1]
-        if words != pictures:
+        if dimension != pictures:
             raise EncoderError(
-                f"The checkpoint {name} gives words {words} numbers and pictures {pictures}. A {CLIP.name} checkpoint "
-                "puts both into one space: give another one with --embed.clip"
+                f"The checkpoint {name} gives words {dimension} numbers and pictures {pictures}. A {CLIP.name} "
+                "checkpoint puts both into one space: give another one with --embed.clip"
             )
-        return cls(checkpoint, words)
+        return cls(checkpoint, dimension, {} if words is None else Library.of(words, checkpoint.identity))
 
     @property
     def identity(self) -> str:
@@ -102,8 +107,10 @@ class ClipEncoder:
             vectors.append(_unit(model.get_image_features(shown["pixel_values"].to(model.device, model.dtype))))
         return torch.cat(vectors[1:] if len(crops) else vectors)
 
-    def questions(self, prompt: str) -> Sequence[Question]:
-        """One question: is it this rather than any of the negatives."""
+    def questions(self, prompt: str) -> Sequence[Question | TaughtQuestion]:
+        """One question: is it what was taught; for other words, is it this rather than any of the negatives."""
+        if name := taught_name(prompt, self.taught):
+            return [TaughtQuestion(self.taught[name], [])]
         text = _normalised(prompt)
         against = [word for word, plural in NEGATIVES.items() if text not in (word, plural)]
         positive, negatives = self.encode_text([prompt]), self.encode_text(against)
@@ -114,13 +121,23 @@ class ClipEncoder:
         return torch.zeros(0, self.dimension)
 
     def meaning(self, prompt: str) -> str:
-        return _normalised(prompt)
+        return taught_name(prompt, self.taught) or _normalised(prompt)
+
+    def with_words(self, taught: Mapping[str, TaughtWord]) -> ClipEncoder:
+        return replace(self, taught=taught)
+
+    def label(self, prompt: str) -> str:
+        """As in the built-in vocabulary; unchanged if only CLIP knows the word."""
+        try:
+            return parse(prompt, self.taught).text
+        except VocabularyError:
+            return " ".join(prompt.casefold().split())
 
     def separates(self, one: str, other: str) -> bool:
         return False
 
     def excludes(self, prompt: str, negative: str) -> bool:
-        return _normalised(prompt) == _normalised(negative)
+        return self.meaning(prompt) == self.meaning(negative)
 
 
 def _normalised(prompt: str) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,11 @@ from torch.nn import functional
 
 from ...errors import EncoderError
 from ...storage.files import halved, read_tensors, write_tensors
-from ..colours import colour_words
+from ..colours import cielab, colour_words
+from ..taught.library import Library
+from ..taught.word import TaughtWord
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
-from .encoder import ColourSplit, Question
+from .encoder import ColourSplit, FruitView, Question, TaughtQuestion
 from .network import Network, at_pixels, levels_at, resized
 from .offsets import OffsetNetwork, stored_offsets
 
@@ -34,6 +36,8 @@ SEEN_SIDE = 960
 """Longest side of a photo in the network, pixels; small photos are enlarged, at most twice."""
 MAX_SIDE = 1600
 """Longest side of the features; larger photos are scaled down first."""
+LAB, LAB_UNIT = 3, 20.0
+"""Numbers of a colour in the embedding, and their unit."""
 COLOUR_BLUR = 2
 """Colours are averaged over (2·this + 1)² pixels before they are named."""
 
@@ -49,18 +53,19 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class EmbeddedEncoder:
-    """See the module docstring. `network` is fused and in evaluation mode."""
+    """See the module docstring. `network` is fused and in evaluation mode; `taught` are words by name."""
 
     network: Network
     calibration: Calibration
     identity: str
+    taught: Mapping[str, TaughtWord] = field(default_factory=dict)
 
     @classmethod
-    def open(cls, path: Path = WEIGHTS) -> EmbeddedEncoder:
-        """Read weights written by `save_weights`.
+    def open(cls, path: Path = WEIGHTS, words: Path | None = None) -> EmbeddedEncoder:
+        """Read weights written by `save_weights`. words: folder of taught words.
 
         Raises:
-            EncoderError: they are missing, damaged, or made for other words.
+            EncoderError: the weights are missing, damaged, or made for other words.
         """
         stored = read_weights(path)
         if stored.concepts != CONCEPTS:
@@ -70,17 +75,19 @@ class EmbeddedEncoder:
             )
         network = stored.network()
         calibration = stored.calibration
-        fingerprint = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-        return cls(network.fuse(), calibration, f"embedded-{fingerprint}")
+        identity = f"embedded-{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
+        taught = {} if words is None else Library.of(words, identity)
+        return cls(network.fuse(), calibration, identity, taught)
 
     @property
     def dimension(self) -> int:
         return len(CONCEPTS) + len(COLOURS)
 
     def encode_text(self, prompts: Sequence[str]) -> Tensor:
-        """(P, D) unit vectors: the sum of the words' vectors, normalised."""
+        """(P, D) unit vectors: the sum of the words' vectors, normalised. A taught word that is not built in has none:
+        zeros, or the vector of its colours."""
         vectors = torch.zeros(len(prompts), self.dimension)
-        for row, phrase in enumerate(map(parse, prompts)):
+        for row, phrase in enumerate(map(self.parse, prompts)):
             vectors[row] = sum(
                 (functional.normalize(_basis(words, block).sum(0), dim=0) for words, block in _parts(phrase)),
                 start=torch.zeros(self.dimension),
@@ -93,13 +100,21 @@ class EmbeddedEncoder:
         pixels = _pixels(image)
         return _features(self.concept_logits(pixels), pixels)
 
+    @property
+    def embedding_size(self) -> int:
+        return self.network.head.in_channels + LAB
+
     @torch.inference_mode()
-    def encode_fruit(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
-        """The features of `encode_dense`, and (H', W', 2) where on its fruit each pixel lies, see `OffsetNetwork`."""
+    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
+        """Offsets: see `OffsetNetwork`. Embedding: the last features of the network before its logits, and the colour
+        in CIELAB, in units of LAB_UNIT: of what was tried, the least numbers from which taught words are learnt best.
+        """
         pixels = _pixels(image)
-        logits, offsets = self._seen(pixels, (), stored_offsets(self.identity))
+        logits, details, offsets = self._seen(pixels, (), stored_offsets(self.identity))
         assert offsets is not None
-        return _features(logits, pixels), offsets.permute(1, 2, 0)
+        lab = cielab(_blurred(pixels).permute(1, 2, 0)) / LAB_UNIT
+        embedding = torch.cat([details.permute(1, 2, 0), lab], dim=-1)
+        return FruitView(_features(logits, pixels), offsets.permute(1, 2, 0), embedding)
 
     @torch.inference_mode()
     def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
@@ -108,51 +123,74 @@ class EmbeddedEncoder:
 
     def _seen(
         self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None
-    ) -> tuple[Tensor, Tensor | None]:
-        """(K, H, W) logits, and (2, H, W) offsets if there is a network for them: of the scales, by their errors."""
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """(K, H, W) logits and (C, H, W) the last features before them, averaged over the scales; if there is a network
+        for them, (2, H, W) offsets of the scales, by their errors.
+
+        The logits are linear in these features, so interpolating the features is enough.
+        """
         _, height, width = pixels.shape
-        logits = torch.zeros(len(CONCEPTS), height, width)
         offsets, certainty = torch.zeros(2, height, width), torch.full((height, width), 1e-6)
+        details = torch.zeros(self.network.head.in_channels, height, width)
         used = scales or seen_scales(height, width)
         for scale in used:
             size = max(1, round(height * scale)), max(1, round(width * scale))
             levels = levels_at(self.network, pixels, *size)
-            logits += _of_size(at_pixels(self.network.named(levels), *size), height, width) / len(used)
+            details += _of_size(at_pixels(self.network.detailed(levels), *size), height, width) / len(used)
             if network is not None:
                 *off, error = _of_size(at_pixels(network(levels), *size), height, width)
                 weight = torch.exp(-2.0 * error)
                 offsets += torch.stack(off) * weight
                 certainty += weight
-        return logits, None if network is None else offsets / certainty
+        logits = self.network.head(details[None])[0]
+        return logits, details, None if network is None else offsets / certainty
 
-    def questions(self, prompt: str) -> Sequence[Question]:
+    def parse(self, prompt: str) -> Phrase:
+        """The prompt in the words of the vocabulary and in those that were taught.
+
+        Raises:
+            VocabularyError: an unknown word, no word, or more than one noun.
+        """
+        return parse(prompt, self.taught)
+
+    def questions(self, prompt: str) -> Sequence[Question | TaughtQuestion]:
         """For a fruit: is it fruit rather than surroundings, and is it this kind rather than another.
 
-        For another concept: is it this rather than any other. For a colour: is it this rather than another; for fruit,
-        only among colours that fruit have.
+        For another concept: is it this rather than any other. For a taught word: is it this; it corrects the answers of
+        a built-in word of the same name. For a colour: is it this rather than another; for fruit, only among colours
+        that fruit have.
         """
-        phrase, fit = parse(prompt), self.calibration
-        asked = []
-        of_fruit = bool(phrase.concepts) and set(phrase.concepts) <= set(FRUITS)
-        if of_fruit:
+        phrase, fit = self.parse(prompt), self.calibration
+        asked: list[Question | TaughtQuestion] = []
+        known = [] if phrase.noun in self.taught and phrase.noun not in CONCEPTS else phrase.concepts
+        if known and set(known) <= set(FRUITS):
             asked.append(_question(FRUITS, SURROUNDINGS, CONCEPTS, fit.temperature, fit.bias))
-            if phrase.concepts != FRUITS:
-                asked.append(_question(phrase.concepts, FRUITS, CONCEPTS, fit.kind_temperature))
-        elif phrase.concepts:
-            asked.append(_question(phrase.concepts, CONCEPTS, CONCEPTS))
+            if known != FRUITS:
+                asked.append(_question(known, FRUITS, CONCEPTS, fit.kind_temperature))
+        elif known:
+            asked.append(_question(known, CONCEPTS, CONCEPTS))
+        if phrase.noun in self.taught:
+            prior = [question for question in asked if isinstance(question, Question)]
+            asked = [TaughtQuestion(self.taught[phrase.noun], prior)]
         if phrase.colours:
-            against = FRUIT_COLOURS if of_fruit and set(phrase.colours) <= set(FRUIT_COLOURS) else COLOURS
-            asked.append(_question(phrase.colours, against, COLOURS))
+            of_fruit = self._all_fruit(phrase) and set(phrase.colours) <= set(FRUIT_COLOURS)
+            asked.append(_question(phrase.colours, FRUIT_COLOURS if of_fruit else COLOURS, COLOURS))
         return asked
+
+    def _all_fruit(self, phrase: Phrase) -> bool:
+        """Whether a phrase names fruit only; taught words that are not built in count as fruit."""
+        return bool(phrase.concepts) and all(
+            word in FRUITS or (word in self.taught and word not in CONCEPTS) for word in phrase.concepts
+        )
 
     def kinds(self) -> Tensor:
         return _basis(FRUITS, CONCEPTS)
 
     def split_colours(self, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
         """See `ColourEncoder`. All prompts must name the same fruit; a negative chooses if it is as general."""
-        sought, unwanted = [list(map(parse, phrases)) for phrases in (prompts, negatives)]
+        sought, unwanted = [list(map(self.parse, phrases)) for phrases in (prompts, negatives)]
         fruit = sought[0].concepts
-        if not fruit or not set(fruit) <= set(FRUITS) or any(phrase.concepts != fruit for phrase in sought):
+        if not self._all_fruit(sought[0]) or any(phrase.concepts != fruit for phrase in sought):
             return None
         choosing = [
             phrase.colours and (not phrase.concepts or set(fruit) <= set(phrase.concepts)) for phrase in unwanted
@@ -166,7 +204,7 @@ class EmbeddedEncoder:
         words = FRUIT_COLOURS if named <= set(FRUIT_COLOURS) else COLOURS
         asked = {colour for phrase in sought for colour in phrase.colours or words} - barred
         return ColourSplit(
-            prompts=(sought[0].text.split()[-1],),
+            prompts=(sought[0].noun,),
             negatives=[text for text, chooses in zip(negatives, choosing, strict=True) if not chooses],
             kinds=fruit,
             words=words,
@@ -174,14 +212,20 @@ class EmbeddedEncoder:
         )
 
     def meaning(self, prompt: str) -> str:
-        phrase = parse(prompt)
+        phrase = self.parse(prompt)
         return " ".join([*sorted(phrase.colours), "|", *sorted(phrase.concepts)])
 
+    def with_words(self, taught: Mapping[str, TaughtWord]) -> EmbeddedEncoder:
+        return replace(self, taught=taught)
+
+    def label(self, prompt: str) -> str:
+        return self.parse(prompt).text
+
     def separates(self, one: str, other: str) -> bool:
-        return parse(one).excludes(parse(other))
+        return self.parse(one).excludes(self.parse(other))
 
     def excludes(self, prompt: str, negative: str) -> bool:
-        return parse(prompt).within(parse(negative))
+        return self.parse(prompt).within(self.parse(negative))
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +307,8 @@ def save_weights(
 
 def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     """The words of a phrase with the block of each."""
-    pairs = [(phrase.concepts, CONCEPTS), (phrase.colours, COLOURS)]
+    concepts = tuple(word for word in phrase.concepts if word in CONCEPTS)
+    pairs = [(concepts, CONCEPTS), (phrase.colours, COLOURS)]
     return [(words, block) for words, block in pairs if words]
 
 

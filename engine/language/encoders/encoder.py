@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
+
+from ..taught.word import TaughtWord
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +27,18 @@ class Question:
     score: Literal["cosine", "posterior"]
     temperature: float
     bias: float
+
+
+@dataclass(frozen=True, eq=False)
+class TaughtQuestion:
+    """Is it what the word was taught with? prior: the questions of the built-in word that it refines; none for a new
+    word.
+
+    The answer is σ(ℓ + logit of the prior's answer), with ℓ the log odds of the word (see `TaughtWord.logit`).
+    """
+
+    word: TaughtWord
+    prior: Sequence[Question]
 
 
 class Encoder(Protocol):
@@ -44,8 +58,22 @@ class Encoder(Protocol):
         """(P, D) unit float32. Raises VocabularyError for an unknown word."""
         ...
 
-    def questions(self, prompt: str) -> Sequence[Question]:
-        """The questions whose answers multiply to the probability of `prompt`."""
+    @property
+    def taught(self) -> Mapping[str, TaughtWord]:
+        """Words that users taught, by name; asked for one by one, because a file may be damaged."""
+        ...
+
+    def with_words(self, taught: Mapping[str, TaughtWord]) -> Encoder:
+        """The same encoder with other taught words."""
+        ...
+
+    def questions(self, prompt: str) -> Sequence[Question | TaughtQuestion]:
+        """The questions whose answers multiply to the probability of `prompt`.
+
+        Raises:
+            VocabularyError: an unknown word.
+            FormatError, EncoderError: a taught word cannot be used.
+        """
         ...
 
     def kinds(self) -> Tensor:
@@ -54,6 +82,10 @@ class Encoder(Protocol):
 
     def meaning(self, prompt: str) -> str:
         """A text that is the same for all phrases with one meaning, such as synonyms."""
+        ...
+
+    def label(self, prompt: str) -> str:
+        """The label of fruit that the prompt names: "Red Apples" → "red apple"."""
         ...
 
     def separates(self, one: str, other: str) -> bool:
@@ -100,12 +132,27 @@ class DenseEncoder(Encoder, Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class FruitView:
+    """What an encoder sees in a photo. features: (H', W', D), those of `encode_dense`; offsets: (H', W', 2) how far
+    right and down from the centre of its fruit each pixel lies, in radii of the fruit; embedding: (H', W', E) what
+    taught words are learnt from."""
+
+    features: Tensor
+    offsets: Tensor
+    embedding: Tensor
+
+
 class FruitEncoder(DenseEncoder, Protocol):
     """An encoder that distinguishes single fruit in a photo."""
 
-    def encode_fruit(self, image: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
-        """The features of `encode_dense`, and (H', W', 2): how far right and down from the centre of its fruit each
-        pixel lies, in radii of the fruit."""
+    @property
+    def embedding_size(self) -> int:
+        """E, the length of the embedding."""
+        ...
+
+    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
+        """(H, W, 3) sRGB → everything that the encoder sees."""
         ...
 
 

@@ -72,11 +72,17 @@ class Network(nn.Module):
 
     def named(self, levels: list[Tensor]) -> Tensor:
         """The logits from the features of each stride."""
+        logits: Tensor = self.head(self.detailed(levels))
+        return logits
+
+    def detailed(self, levels: list[Tensor]) -> Tensor:
+        """(B, widths[0], H/2, W/2): the last features before the logits, with context and detail."""
         image = levels[-1]
         for lateral, up, level in zip(self.lateral, self.up, levels[-2::-1], strict=True):
             coarse = functional.interpolate(lateral(image), scale_factor=2.0, mode="bilinear", align_corners=False)
             image = up(coarse + level)
-        return self.head(self.refine(image))
+        detailed: Tensor = self.refine(image)
+        return detailed
 
     def fuse(self) -> Network:
         """Ready for inference: normalisation folded into the convolutions."""

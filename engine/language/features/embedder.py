@@ -4,7 +4,7 @@ trained."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...config import EmbedConfig, decisive
@@ -12,7 +12,7 @@ from ...errors import ConfigError
 from ...progress import Progress, part, silent
 from ...scene.camera import Scene
 from ...splatting.gaussians import Gaussians
-from ..encoders.encoder import CropEncoder, DenseEncoder, sees_crops, sees_whole
+from ..encoders.encoder import CropEncoder, DenseEncoder, sees_crops, sees_fruit, sees_whole
 from ..encoders.open_encoder import open_encoder
 from ..masks.photo_segments import segmented_views
 from ..masks.segmenter import Segmenter, open_segmenter
@@ -81,13 +81,16 @@ class Embedder:
         """
         identity = self.encoder.identity
         if sees_whole(self.encoder):
-            return lift_features(
+            size = self.encoder.embedding_size if sees_fruit(self.encoder) else 0
+            lifted = lift_features(
                 gaussians,
                 scene.cameras,
-                encode_photos(scene, self.encoder, recorder),
+                encode_photos(scene, self.encoder, recorder, embedded=size > 0),
                 encoder_id=identity,
+                embedded=size,
                 progress=progress,
             )
+            return replace(lifted, vectors=lifted.vectors.half())
         return lift_segments(
             gaussians,
             scene.cameras,

@@ -42,7 +42,9 @@ class Features:
     vectors; weights: (N, L) float32, pixels covered by the Gaussian (Σ α·T) that have a feature, summed over views;
     agreement: (N, L) float32, agreement of the views: the mean cosine between the contribution of each view and the
     result, weighted by the contribution, 0 if the weight is 0; encoder_id: identity of the encoder; decoders: none, one
-    for all levels or one per level; gaussians: the `gaussians_id` of their Gaussians, empty in older files.
+    for all levels or one per level; gaussians: the `gaussians_id` of their Gaussians, empty in older files; embedding:
+    (N, E) float16, what taught words are learnt from (see `FruitView`); None if the encoder has none, and in older
+    files.
 
     An encoder of whole photos has one level. 100,000 Gaussians with 3 levels of 512 take 293 MB in half precision, in
     memory as on disk, twice that in single; cosines change by less than 1e-3.
@@ -54,6 +56,7 @@ class Features:
     encoder_id: str
     decoders: tuple[Perceptron, ...] = ()
     gaussians: str = ""
+    embedding: Tensor | None = None
 
     def __len__(self) -> int:
         return self.vectors.shape[0]
@@ -62,12 +65,19 @@ class Features:
     def levels(self) -> int:
         return self.vectors.shape[1]
 
-    def unit(self, level: int, rows: slice = slice(None)) -> Tensor:
+    def unit(self, level: int, rows: slice | Tensor = slice(None)) -> Tensor:
         """(n, D) float32 unit features of one level in the space of the encoder's words, decoded if they are codes."""
         vectors = self.vectors[rows, level].float()
         if self.decoders:
             return self.decoders[level if len(self.decoders) > 1 else 0](vectors)
         return vectors
+
+    def evidence(self, rows: slice | Tensor = slice(None)) -> Tensor:
+        """(n, F) float32 from which taught words are learnt: the embedding, or unit features of all levels where there
+        is none."""
+        if self.embedding is not None:
+            return self.embedding[rows].float()
+        return torch.cat([self.unit(level, rows) for level in range(self.levels)], dim=1)
 
     def of(self, means: Tensor) -> Features:
         """The same features, marked as those of the Gaussians at means (N, 3)."""
@@ -100,7 +110,10 @@ def save_features(path: Path, features: Features) -> None:
         "decoders": len(features.decoders),
         "gaussians": features.gaussians,
     }
-    tensors = {name: getattr(features, name).contiguous() for name in ("vectors", "weights", "agreement")}
+    tensors = {name: getattr(features, name).contiguous() for name in ("vectors", "weights")}
+    tensors["agreement"] = features.agreement.half()
+    if features.embedding is not None:
+        tensors["embedding"] = features.embedding.contiguous()
     for number, decoder in enumerate(features.decoders):
         for part in ("weights", "biases"):
             for layer, tensor in enumerate(getattr(decoder, part)):
@@ -122,14 +135,19 @@ def load_features(path: Path) -> Features:
         features = Features(
             tensors["vectors"],
             tensors["weights"],
-            tensors["agreement"],
+            tensors["agreement"].float(),
             str(header["encoder_id"]),
             decoders,
             str(header.get("gaussians", "")),
+            tensors.get("embedding"),
         )
         shape = features.vectors.shape
         if len(shape) != 3 or not shape[:2] == features.weights.shape == features.agreement.shape:
             raise ValueError(f"its tensors do not fit: {tuple(shape)} and {tuple(features.weights.shape)}")
+        if features.embedding is not None and (
+            features.embedding.ndim != 2 or len(features.embedding) != len(features)
+        ):
+            raise ValueError(f"its embedding does not fit: {tuple(features.embedding.shape)}")
         if len(decoders) not in (0, 1, features.levels):
             raise ValueError(f"{len(decoders)} decoders for {features.levels} levels")
         return features

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -25,6 +26,7 @@ def lift_features(
     targets: Iterable[Tensor],
     *,
     encoder_id: str,
+    embedded: int = 0,
     progress: Progress = silent,
 ) -> Features:
     """Average the pixel features of each view into the Gaussians that rendered the pixels.
@@ -32,7 +34,8 @@ def lift_features(
     targets: one (H, W, D) per view, of its camera's size or evenly scaled down, as the encoder gave it. The weight of
     Gaussian i at pixel v is its blending weight α_i(v)·T_i(v), so f_i ∝ Σ w·F (Marrie et al. 2024, eq. 3), normalised.
     A pixel with a zero feature (masked out) does not count; one of a smaller target counts as the pixels of the camera
-    that it covers. A Gaussian that no pixel shows has weight 0 and a zero feature. There is one level.
+    that it covers. A Gaussian that no pixel shows has weight 0 and a zero feature. There is one level. embedded: how
+    many channels, the last of each target, are an embedding instead, whose mean is taken.
 
     Raises:
         SceneError: a target's size differs from its camera's, or there are more or fewer targets than cameras.
@@ -42,34 +45,40 @@ def lift_features(
     views = paired(cameras, targets, lambda target: target.shape[:2], "features", smaller=True)
     for index, (camera, target) in enumerate(views):
         progress(index / len(cameras), f"Lifting features of view {index + 1} of {len(cameras)}")
-        usable = target.square().sum(-1, keepdim=True) > 0.0
-        drawn = accumulate(gaussians, camera, torch.cat([target, usable.to(target.dtype)], dim=-1)).sums
+        length = target.shape[-1] - embedded
+        usable = target[..., :length].square().sum(-1, keepdim=True) > 0.0
+        counted = usable.to(target.dtype)
+        drawn = accumulate(gaussians, camera, torch.cat([target * counted, counted], dim=-1)).sums
         drawn *= cameras[index].width * cameras[index].height / (camera.width * camera.height)
         sums = drawn[:, :-1] if sums is None else sums.add_(drawn[:, :-1])
         weights += drawn[:, -1]
-        said += drawn[:, :-1].norm(dim=-1)
+        said += drawn[:, :length].norm(dim=-1)
     assert sums is not None  # `paired` refuses a scene without cameras
     progress(1.0, "features lifted")
     # Σ |c|·cos(c, Σ c) = |Σ c|, so one pass measures how far the contributions c of the views agree.
-    agreement = sums.norm(dim=-1) / said.clamp_min(1e-12)
-    vectors = functional.normalize(sums, dim=-1)
-    return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id)
+    totals = sums[:, :length]
+    agreement = totals.norm(dim=-1) / said.clamp_min(1e-12)
+    vectors = functional.normalize(totals, dim=-1)
+    means = (sums[:, length:] / weights.clamp_min(1e-12)[:, None]).half() if embedded else None
+    return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id, embedding=means)
 
 
 def encode_photos(
-    scene: Scene, encoder: DenseEncoder, recorder: PhotoFeaturesRecorder | None = None
+    scene: Scene, encoder: DenseEncoder, recorder: PhotoFeaturesRecorder | None = None, *, embedded: bool = False
 ) -> Iterator[Tensor]:
     """The targets of `lift_features`: the features of each photo as the encoder gives them, zero where its mask
-    excludes it. recorder: keeps what an encoder that distinguishes single fruit says about every pixel."""
+    excludes it. recorder: keeps what an encoder that distinguishes single fruit says about every pixel; embedded: with
+    the embedding of such an encoder."""
     for photo in scene.images:
-        pixels, offsets = photo.pixels(), None
-        if recorder is not None and sees_fruit(encoder):
-            features, offsets = encoder.encode_fruit(pixels)
+        pixels, view = photo.pixels(), None
+        if (recorder is not None or embedded) and sees_fruit(encoder):
+            view = encoder.encode_fruit(pixels)
+            features = torch.cat([view.features, view.embedding], dim=-1) if embedded else view.features
         else:
             features = encoder.encode_dense(pixels)
         if (mask := photo.mask()) is not None:
             usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
             features = features * usable[..., None]
-        if recorder is not None and offsets is not None:
-            recorder.keep(features, offsets, pixels)
+        if recorder is not None and view is not None:
+            recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels)
         yield features.contiguous()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from ...errors import FormatError
 from ...storage.files import read_tensors, write_tensors
+from ..encoders.encoder import FruitView
 from ..encoders.network import resized
 
 FORMAT = "fruitlangs-photo-features-3"
@@ -36,7 +37,8 @@ class PhotoFeatures:
     shapes: (V, 2) int64 height and width of what was kept of each photo; counts: (V,) int64 kept pixels of each;
     places: (n,) int32 row · width + column of each; values: (n, D) uint8, unit features in steps of 1 / STEPS;
     offsets: (n, 2) int8, where on its fruit each pixel lies, see `OffsetNetwork`, in steps of 1 / OFFSET_STEPS;
-    colours: (n, 3) uint8 sRGB; encoder_id: identity of the encoder.
+    colours: (n, 3) uint8 sRGB; encoder_id: identity of the encoder; embedding: (n, E) float16 for taught words, not
+    stored, None without.
     """
 
     shapes: Tensor
@@ -46,15 +48,18 @@ class PhotoFeatures:
     offsets: Tensor
     colours: Tensor
     encoder_id: str
+    embedding: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
 
-    def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor, Tensor]]:
-        """Of each photo its height and width, the places (k,) of its kept pixels, their unit features (k, D) and their
-        offsets (k, 2)."""
-        for shape, places, values, offsets in self._parts(self.values, self.offsets):
-            yield shape, places.long(), functional.normalize(values.float(), dim=-1), offsets.float() / OFFSET_STEPS
+    def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor, Tensor, Tensor]]:
+        """Of each photo its height and width, the places (k,) of its kept pixels, their unit features (k, D), their
+        offsets (k, 2), and their embedding (k, E), E = 0 without one."""
+        embedding = torch.zeros(len(self.places), 0) if self.embedding is None else self.embedding
+        for shape, places, values, offsets, embedded in self._parts(self.values, self.offsets, embedding):
+            unit = functional.normalize(values.float(), dim=-1)
+            yield shape, places.long(), unit, offsets.float() / OFFSET_STEPS, embedded.float()
 
     def coloured(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor]]:
         """Of each photo its height and width, the places (k,) of its kept pixels and their sRGB (k, 3) in [0, 1]."""
@@ -68,12 +73,18 @@ class PhotoFeatures:
         return zip(shapes, *(each.split(counts) for each in (self.places, *kept)), strict=True)
 
 
+Wanted = Callable[[Tensor, Tensor], Tensor]
+"""Features (k, D) and embedding (k, E) of pixels → (k,) probability that they are asked for."""
+
+
 class PhotoFeaturesRecorder:
     """Keeps what `PhotoFeatures` needs of one photo after the other."""
 
-    def __init__(self, kinds: Tensor, encoder_id: str) -> None:
-        """kinds: (K, D) orthonormal text vectors of the kinds of fruit."""
-        self._kinds, self._encoder_id = kinds, encoder_id
+    def __init__(self, kinds: Tensor, encoder_id: str, wanted: Wanted | None = None) -> None:
+        """kinds: (K, D) orthonormal text vectors of the kinds of fruit; wanted: which pixels are kept, with their
+        embedding; without it those that may be fruit of any kind."""
+        self._kinds, self._encoder_id, self._wanted = kinds, encoder_id, wanted
+        self._embedding: list[Tensor] = []
         self._shapes: list[tuple[int, int]] = []
         self._places: list[Tensor] = []
         self._values: list[Tensor] = []
@@ -91,16 +102,26 @@ class PhotoFeaturesRecorder:
             torch.cat([*self._offsets, torch.zeros(0, 2, dtype=torch.int8)]),
             torch.cat([*self._colours, torch.zeros(0, 3, dtype=torch.uint8)]),
             self._encoder_id,
+            torch.cat(self._embedding) if self._embedding else None,
         )
 
-    def keep(self, photo: Tensor, offsets: Tensor, pixels: NDArray[np.uint8]) -> None:
-        """The features (H, W, D) of the next photo, where on its fruit each pixel lies (H, W, 2), and the photo in sRGB
-        (h, w, 3) of any size."""
+    def keep(self, view: FruitView, pixels: NDArray[np.uint8]) -> None:
+        """What the encoder sees in the next photo, and the photo in sRGB (h, w, 3) of any size."""
+        photo, offsets, embedding = view.features, view.offsets, view.embedding
         shrink = min(1.0, MOST_SIDE / max(photo.shape[:2]))
         if shrink < 1.0:
             photo, offsets = (resized(each.permute(2, 0, 1), shrink).permute(1, 2, 0) for each in (photo, offsets))
-        fruit = fruit_share(photo, self._kinds)
-        places = (fruit.reshape(-1) >= LEAST_FRUIT).nonzero()[:, 0]
+        if self._wanted is None:
+            fruit = fruit_share(photo, self._kinds).reshape(-1)
+        else:
+            if shrink < 1.0:
+                embedding = resized(embedding.permute(2, 0, 1), shrink).permute(1, 2, 0)
+            embedding = embedding.reshape(-1, embedding.shape[-1])
+            fruit = self._wanted(functional.normalize(photo.reshape(-1, photo.shape[-1]), dim=-1), embedding)
+        shown = photo.reshape(-1, photo.shape[-1]).abs().amax(-1) > 0.0  # not outside a mask
+        places = (shown & (fruit >= LEAST_FRUIT)).nonzero()[:, 0]
+        if self._wanted is not None:
+            self._embedding.append(embedding[places].half())
         values = functional.normalize(photo.reshape(-1, photo.shape[-1])[places], dim=-1)
         self._shapes.append((photo.shape[0], photo.shape[1]))
         self._places.append(places.int())

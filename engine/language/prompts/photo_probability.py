@@ -10,11 +10,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..encoders.encoder import Encoder
+from ...progress import Progress, silent
+from ...scene.camera import Scene
+from ..encoders.encoder import Encoder, FruitEncoder
 from ..features.features import Features
-from ..features.photo_features import PhotoFeatures
+from ..features.lift import encode_photos
+from ..features.photo_features import PhotoFeatures, PhotoFeaturesRecorder
 from .prior import kind_shares, weighed_by
-from .relevancy import answers_of, check_encoder, telling_words, understood, union
+from .relevancy import answers_of, check_encoder, check_taught, telling_words, understood, union
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,7 @@ def photo_probabilities(
     """The map of each photo: what `relevancy` gives Gaussians, for pixels; 0 where no fruit is likely.
 
     features: of the Gaussians, whose kinds of fruit are those of the scene. None if a prompt names no kind of fruit,
-    because of other objects the photos keep no features.
+    because of other objects the photos keep no features. For taught words the photos are those of `photos_for`.
 
     Raises:
         EncoderError: the features were made by another encoder.
@@ -40,18 +43,47 @@ def photo_probabilities(
     """
     check_encoder(features, encoder)
     sought = _Asked(encoder, prompts, features, sought=True)
-    if not bool(sought.words.named.any(1).all()):
+    if not bool((sought.words.named.any(1) | sought.words.taught).all()):
         return None
     excluded = _Asked(encoder, negatives, features, sought=False) if negatives else None
     maps = []
-    for (height, width), places, vectors, offsets in photos.photos():
-        found = sought.probability(vectors)
+    for (height, width), places, vectors, offsets, embedding in photos.photos():
+        found = sought.probability(vectors, embedding)
         if excluded is not None:
-            found = found * (1.0 - excluded.probability(vectors))
+            found = found * (1.0 - excluded.probability(vectors, embedding))
         drawn, off = torch.zeros(height * width), torch.zeros(height * width, 2)
         drawn[places], off[places] = found, offsets
         maps.append(PhotoMap(drawn.reshape(height, width).numpy(), off.reshape(height, width, 2).numpy()))
     return maps
+
+
+def photos_for(
+    photos: PhotoFeatures,
+    scene: Scene,
+    features: Features,
+    encoder: FruitEncoder,
+    prompts: Sequence[str],
+    negatives: Sequence[str] = (),
+    *,
+    progress: Progress = silent,
+) -> PhotoFeatures | None:
+    """The features of the photos' pixels that a prompt needs: those that were kept, unless a word was taught. Then the
+    encoder looks at the photos again, because what it kept may not show this fruit; None if they are missing.
+
+    Raises:
+        EncoderError, FormatError: a taught word cannot be used.
+        SceneError: a photo cannot be read.
+    """
+    sought = _Asked(encoder, prompts, features, sought=True)
+    excluded = understood(encoder, negatives, sought=False)
+    if not (sought.words.taught.any() or excluded.taught.any()):
+        return photos
+    if len(scene.images) != len(scene.cameras):
+        return None
+    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity, sought.probability)
+    for number, _ in enumerate(encode_photos(scene, encoder, recorder)):
+        progress((number + 1) / len(scene.images), f"Looking for taught words in photo {number + 1}")
+    return recorder.kept()
 
 
 class _Asked:
@@ -59,11 +91,13 @@ class _Asked:
 
     def __init__(self, encoder: Encoder, words: Sequence[str], features: Features, *, sought: bool) -> None:
         self.words, self._encoder = understood(encoder, words, sought=sought), encoder
+        if self.words.taught.any():
+            check_taught(features, encoder, self.words.sizes)
         self._shares: Tensor | None = None
         if telling_words(self.words.named).any():
             self._shares = kind_shares(features.unit(0), features.weights[:, 0], self.words.kinds, self.words.believed)
 
-    def probability(self, vectors: Tensor) -> Tensor:
-        """(n,) of any of the words for unit features (n, D)."""
+    def probability(self, vectors: Tensor, embedding: Tensor) -> Tensor:
+        """(n,) of any of the words for unit features (n, D), and the embedding (n, E) for taught words."""
         weighed = vectors if self._shares is None else weighed_by(vectors, self.words.kinds, self._shares)
-        return union(answers_of(vectors, weighed, self.words), self.words.texts, self._encoder)
+        return union(answers_of(vectors, weighed, self.words, embedding), self.words.texts, self._encoder)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import networkx as nx
@@ -11,13 +11,16 @@ import torch
 from torch import Tensor
 
 from ...errors import EncoderError, VocabularyError
-from ..encoders.encoder import Encoder, Question
+from ..encoders.encoder import Encoder, Question, TaughtQuestion, sees_fruit
 from ..features.features import Features, blocks
 from .levels import best_level
 from .prior import in_scene
 
 MIN_WEIGHT = 0.3
 """A Gaussian with fewer pixels than this, summed over all views, has probability 0."""
+LEAST_PRIOR = 1e-3
+"""The answer of a built-in word counts as at least this, and at most 1 − this, where a taught word refines it: nothing
+is so certain that examples could not correct it."""
 ROWS = 16_384
 """Gaussians whose features are decoded or converted to single precision at a time."""
 
@@ -52,6 +55,8 @@ def any_of(features: Features, encoder: Encoder, words: Sequence[str], *, sought
     word uses the level of masks with the highest confidence (see `best_level`).
     """
     named = understood(encoder, words, sought=sought)
+    if named.taught.any():
+        check_taught(features, encoder, named.sizes)
     answers = answers_by_level(features, named) * (features.weights.T >= MIN_WEIGHT)[:, None]
     best = [answers[best_level(answers[:, place], features.weights.T), place] for place in range(answers.shape[1])]
     return union(best, named.texts, encoder)
@@ -82,7 +87,9 @@ def answers_by_level(features: Features, words: Words) -> Tensor:
     for level in range(features.levels):
         # The kinds of the scene are estimated from all Gaussians together.
         for rows in blocks(len(features), len(features) if len(words.kinds) else ROWS):
-            answers[level, :, rows] = scene_answers(features.unit(level, rows), features.weights[rows, level], words)
+            evidence = features.evidence(rows) if words.taught.any() else None
+            unit, weights = features.unit(level, rows), features.weights[rows, level]
+            answers[level, :, rows] = scene_answers(unit, weights, words, evidence)
     return answers
 
 
@@ -91,14 +98,22 @@ class Words:
     """The encoder's representation of P words, each meaning once, in an order that does not depend on the user's.
 
     questions: of each word; kinds: the encoder's kinds of fruit, (K, D); named: (P, K) which kinds each word names;
-    believed: (K,) which kinds are assumed to be in the scene.
+    believed: (K,) which kinds are assumed to be in the scene; taught: (P,) which words a user taught.
     """
 
     texts: Sequence[str]
-    questions: Sequence[Sequence[Question]]
+    questions: Sequence[Sequence[Question | TaughtQuestion]]
     kinds: Tensor
     named: Tensor
     believed: Tensor
+    taught: Tensor
+
+    @property
+    def sizes(self) -> list[int]:
+        """How many numbers of evidence each taught word takes."""
+        return [
+            len(each.word.weights) for asked in self.questions for each in asked if isinstance(each, TaughtQuestion)
+        ]
 
 
 def understood(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -> Words:
@@ -114,7 +129,9 @@ def understood(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -
     texts, kinds = [meanings[meaning] for meaning in sorted(meanings)], encoder.kinds()
     named = encoder.encode_text(texts) @ kinds.T > 0.0
     believed = named[telling_words(named)].any(0) if sought else torch.zeros(len(kinds), dtype=torch.bool)
-    return Words(texts, [encoder.questions(word) for word in texts], kinds, named, believed)
+    questions = [encoder.questions(word) for word in texts]
+    taught = torch.tensor([any(isinstance(each, TaughtQuestion) for each in asked) for asked in questions])
+    return Words(texts, questions, kinds, named, believed, taught)
 
 
 def telling_words(named: Tensor) -> Tensor:
@@ -122,27 +139,34 @@ def telling_words(named: Tensor) -> Tensor:
     return named.any(1) & ~named.all(1)
 
 
-def scene_answers(vectors: Tensor, weights: Tensor, words: Words) -> Tensor:
-    """(P, N) probability of each word for all unit features (N, D) of a scene, with (N,) pixels.
+def scene_answers(vectors: Tensor, weights: Tensor, words: Words, evidence: Tensor | None = None) -> Tensor:
+    """(P, N) probability of each word for all unit features (N, D) of a scene, with (N,) pixels. evidence: (N, F), for
+    taught words.
 
     Kinds of fruit are weighted by their share of the scene and by what is believed to be there (see `prior`).
     """
     telling = telling_words(words.named)
     weighed = in_scene(vectors, weights, words.kinds, words.believed) if telling.any() else vectors
-    return torch.stack(answers_of(vectors, weighed, words))
+    return torch.stack(answers_of(vectors, weighed, words, evidence))
 
 
-def answers_of(vectors: Tensor, weighed: Tensor, words: Words) -> list[Tensor]:
-    """The probability of each word for unit features (N, D), given also with their kinds weighted by the scene."""
+def answers_of(vectors: Tensor, weighed: Tensor, words: Words, evidence: Tensor | None = None) -> list[Tensor]:
+    """The probability of each word for unit features (N, D), given also with their kinds weighted by the scene, and
+    with the evidence (N, F) for taught words."""
     pairs = zip(words.questions, telling_words(words.named), strict=True)
-    return [answer(weighed if tells else vectors, questions) for questions, tells in pairs]
+    return [answer(weighed if tells else vectors, questions, evidence) for questions, tells in pairs]
 
 
-def answer(vectors: Tensor, questions: Sequence[Question]) -> Tensor:
-    """(…, D) unit features → (…) product of the questions' calibrated margins."""
+def answer(vectors: Tensor, questions: Sequence[Question | TaughtQuestion], evidence: Tensor | None = None) -> Tensor:
+    """(…, D) unit features → (…) product of the questions' calibrated margins. evidence: (…, F), for taught words."""
     probability = torch.ones(vectors.shape[:-1])
     for question in questions:
-        probability = probability * torch.sigmoid(margin(vectors, question) / question.temperature - question.bias)
+        if isinstance(question, TaughtQuestion):
+            assert evidence is not None
+            prior = torch.logit(answer(vectors, question.prior), eps=LEAST_PRIOR) if question.prior else 0.0
+            probability = probability * torch.sigmoid(question.word.logit(evidence) + prior)
+        else:
+            probability = probability * torch.sigmoid(margin(vectors, question) / question.temperature - question.bias)
     return probability
 
 
@@ -166,6 +190,38 @@ def check_encoder(features: Features, encoder: Encoder) -> None:
             f"The features were made by {features.encoder_id}, the words come from {encoder.identity}. Lift the "
             "features again with this encoder"
         )
+
+
+def check_taught(features: Features, encoder: Encoder, sizes: Iterable[int] = ()) -> None:
+    """Refuse features that taught words cannot query. sizes: how many numbers each word takes.
+
+    Raises:
+        EncoderError: an earlier version made them, without an embedding, or a word takes other evidence.
+    """
+    if sees_fruit(encoder) and features.embedding is None:
+        raise EncoderError(
+            "These features are from an earlier version and know built-in words only. Count again from the photos to "
+            "use taught words"
+        )
+    size = features.evidence(slice(0, 1)).shape[1]
+    for wanted in sizes:
+        if wanted != size:
+            raise EncoderError(
+                f"The taught word takes {wanted} numbers and these features have {size}. Teach it again in a result of "
+                "these settings"
+            )
+
+
+def taught_words(encoder: Encoder, phrases: Sequence[str]) -> dict[str, dict[str, str]]:
+    """{"words": {name: identity}} of the taught words in phrases, for the provenance; empty without any.
+
+    Raises:
+        VocabularyError: an unknown word.
+        FormatError, EncoderError: a taught word cannot be used.
+    """
+    asked = (question for phrase in phrases for question in encoder.questions(phrase))
+    words = {each.word.name: each.word.identity for each in asked if isinstance(each, TaughtQuestion)}
+    return {"words": words} if words else {}
 
 
 def check_prompts(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str] = ()) -> None:

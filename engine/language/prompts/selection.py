@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...config import CountConfig
+from ...errors import VocabularyError
 from ..encoders.encoder import Encoder
 from ..features.features import Features, blocks
 from .levels import best_level
-from .relevancy import MIN_WEIGHT, ROWS, check_encoder, check_prompts, relevancy
+from .relevancy import MIN_WEIGHT, ROWS, check_encoder, check_prompts, relevancy, taught_words
 
 
 def select(
@@ -56,10 +57,12 @@ def dual_threshold(
 
     Raises:
         EncoderError: the features were made by another encoder.
-        VocabularyError: an unknown word, no prompt, or a prompt that a negative rules out altogether.
+        VocabularyError: an unknown word, no prompt, a prompt that a negative rules out altogether, or a taught word.
     """
     check_encoder(features, encoder)
     check_prompts(encoder, prompts, negatives)
+    if taught_words(encoder, [*prompts, *negatives]):
+        raise VocabularyError("A taught word has no cosine, which --count.select dual needs. Use calibrated")
     positive = _largest_cosines(features, encoder.encode_text(prompts))
     seen = features.weights.T >= MIN_WEIGHT
     level = best_level(torch.where(seen, positive, -1.0), features.weights.T)

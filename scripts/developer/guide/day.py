@@ -10,9 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from mathutils import Vector
 
 from guide.hand import LEFT, MOMENT, Hand, Steps
 
+FRONT = 0.03
+"""Scene units between a Gaussian and the surface under its position in the window, if it is in front."""
+EDGE = 0.815
+"""Position across the sidebar of the small buttons next to a list, as a share of its width."""
+TAUGHT = "quince"
+"""The word that is taught: no built-in one."""
 WAIT = 0.3
 """Seconds between two checks whether a job has ended."""
 
@@ -38,6 +45,7 @@ def live(hand: Hand, day: Day) -> Steps:
     yield from measure(hand, day)
     yield from reconstruct(hand, day)
     yield from ask(hand, day)
+    yield from teach(hand, day)
     yield from count(hand, day)
     yield from review(hand, day)
     yield from export(hand, day)
@@ -139,6 +147,62 @@ def ask(hand: Hand, day: Day) -> Steps:
             waited += 0.1
         day.check(f"the Gaussians match {words}", asked() == f"{words} | ")
     yield from picture(hand, day, "ask")
+
+
+def teach(hand: Hand, day: Day) -> Steps:
+    """Teach a word by two clicks on fruit and one on something else; the highlight follows; then take it back."""
+    yield from hand.top()
+    x, y = yield from hand.find("fruitlangs.teach.word")
+    yield from hand.click(x, y)
+    yield from hand.write(TAUGHT, x, y)
+    yield from hand.top()
+    yield from hand.push("fruitlangs.add_examples", LEFT)
+    bright, dark = matching_places(hand)
+    for place in bright:
+        yield from hand.click(*place)
+        yield 2.0
+    yield from hand.click(*dark, shift=True)
+    yield 2.0
+    yield from hand.press("RET", *hand.aside)
+    yield 1.0
+    examples = [example.positive for example in settings().teach.examples]
+    day.check("two examples show the word and one does not", examples == [True, True, False])
+    day.check("the highlight is that of the word", asked().startswith(f"{TAUGHT} |  | {TAUGHT} "))
+    yield from hand.find("fruitlangs.save_word")
+    yield from picture(hand, day, "teach")
+    yield from hand.push("fruitlangs.remove_example", EDGE)
+    yield 2.0
+    day.check("an example is removed", len(settings().teach.examples) == 2)
+    settings().teach.examples.clear()
+    settings().teach.word = ""
+    settings().prompt = day.prompt
+    bpy.ops.ed.undo_push(message="Ask for the fruit again")
+    yield 2.0
+
+
+def matching_places(hand: Hand) -> tuple[list[tuple[float, float]], tuple[float, float]]:
+    """Positions of two Gaussians in front that match the prompt best, far apart in the middle of the view, and of one
+    that does not match it."""
+    from fruitlangs.operators.tools.pick_tool import Target3D
+
+    item, window = owned("gaussians")[0], hand.region("WINDOW")
+    said = [entry.value for entry in item.data.attributes["probability"].data]
+    order = sorted(range(len(said)), key=lambda index: -said[index])
+    target, view = Target3D(bpy.context.window_manager.windows[0].scene), hand.area.spaces.active.region_3d
+
+    def in_front(indices: list[int]) -> list[tuple[float, float]]:
+        found = []
+        for vertex in (item.data.vertices[index] for index in indices):
+            x, y = hand.place_of(item.matrix_world @ vertex.co)
+            if not (0.25 < (x - window.x) / window.width < 0.6 and 0.3 < (y - window.y) / window.height < 0.7):
+                continue
+            hit = target.hit(window, view, (x - window.x, y - window.y))
+            if hit is not None and (Vector(hit) - vertex.co).length < FRONT:
+                found.append((x, y))
+        return found
+
+    bright, dark = in_front(order[:800]), in_front(order[-2000:-1000])
+    return [min(bright), max(bright)], dark[0]
 
 
 def asked() -> str:

@@ -32,7 +32,8 @@ def test_settings_that_are_paths_have_a_button_that_looks_for_them(extension):
         for stage, kind in conversions.stage_classes().items()
         for name in conversions.path_names(kind)
     }
-    assert subtypes == {"embed.clip": "DIR_PATH", "embed.sam": "DIR_PATH", "count.template": "FILE_PATH"}
+    folders = dict.fromkeys(("embed.clip", "embed.sam", "embed.words"), "DIR_PATH")
+    assert subtypes == {**folders, "count.template": "FILE_PATH"}
 
 
 def test_a_path_relative_to_a_blend_never_saved_is_an_error_that_says_so(extension):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.counting.geometry.matching import match_centers
-from fruitlangs.engine.errors import CountingError, FormatError
+from fruitlangs.engine.errors import CountingError, FormatError, VocabularyError
 from fruitlangs.engine.evaluation.calibration import calibration_error, interval_coverage
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import by_visibility, count_metrics
 from fruitlangs.engine.evaluation.summary import summarise
-from fruitlangs.engine.evaluation.truth import Truth, read_truth, read_views
+from fruitlangs.engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 
 ROW = np.array([[0.0, 0, 0], [1, 0, 0], [5, 0, 0]])
 
@@ -110,6 +110,27 @@ def test_truth_is_read_by_label(tmp_path: Path) -> None:
     assert len(read_truth(tmp_path / "truth.json").centers) == 2
     with pytest.raises(FormatError, match="the truth has no plum, only apple, pear"):
         read_truth(tmp_path / "truth.json", {"plum"})
+
+
+@pytest.mark.parametrize(
+    ("prompts", "labels"),
+    [(["Red Apples"], {"apple"}), (["citrus", "pomme"], {"lemon", "orange", "apple"}),
+     (["cherry plum"], {"cherry plum"}), (["fig"], {"fig"}), (["Ripe red Fig", "apple"], {"fig", "apple"}),
+     (["the dragon-fruit"], {"dragon fruit"})],
+)  # fmt: skip
+def test_a_word_that_is_not_built_in_is_its_own_label(prompts: list[str], labels: set[str]) -> None:
+    assert true_labels(prompts) == labels
+
+
+@pytest.mark.parametrize(("prompt", "label"), [("figs", "fig"), ("green cherry tomatoes", "cherry tomato")])
+def test_a_taught_word_in_the_plural_has_its_label_in_the_singular(prompt: str, label: str) -> None:
+    assert label in true_labels([prompt])
+
+
+@pytest.mark.parametrize("prompt", ["", "red", "the"])
+def test_a_prompt_that_names_no_fruit_has_no_label(prompt: str) -> None:
+    with pytest.raises(VocabularyError, match="names no fruit to measure against"):
+        true_labels([prompt])
 
 
 def test_truth_with_a_centre_that_is_no_number_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,8 @@ FILE = "features.safetensors"
 
 def _features(decoders: int = 0, levels: int = 3) -> Features:
     own = [Perceptron((torch.rand(4, 3), torch.rand(5, 4)), (torch.rand(4), torch.rand(5))) for _ in range(decoders)]
-    return Features(torch.rand(7, levels, 3), torch.rand(7, levels), torch.rand(7, levels), "x-abc", tuple(own))
+    agreement = torch.rand(7, levels).half().float()
+    return Features(torch.rand(7, levels, 3), torch.rand(7, levels), agreement, "x-abc", tuple(own))
 
 
 @pytest.mark.parametrize("decoders", [0, 1, 3])
@@ -30,6 +32,32 @@ def test_features_come_back_from_disk_as_they_were(tmp_path: Path, decoders: int
     assert len(loaded.decoders) == decoders
     assert all(torch.equal(loaded.unit(level), features.unit(level)) for level in range(3))
     assert [path.name for path in tmp_path.iterdir()] == [FILE]
+
+
+def test_the_embedding_of_features_comes_back_from_disk_as_it_was(tmp_path: Path):
+    features = replace(_features(), embedding=torch.randn(7, 5).half())
+    save_features(tmp_path / FILE, features)
+    loaded = load_features(tmp_path / FILE)
+    assert loaded.embedding is not None
+    assert loaded.embedding.dtype == torch.float16
+    assert torch.equal(loaded.embedding, features.embedding)
+    save_features(tmp_path / FILE, _features())
+    assert load_features(tmp_path / FILE).embedding is None
+
+
+def test_an_embedding_of_other_gaussians_is_a_format_error(tmp_path: Path):
+    for embedding in (torch.zeros(6, 5), torch.zeros(7)):
+        save_features(tmp_path / FILE, replace(_features(), embedding=embedding))
+        with pytest.raises(FormatError, match="its embedding does not fit"):
+            load_features(tmp_path / FILE)
+
+
+def test_the_evidence_for_taught_words_is_the_embedding_or_else_the_features_of_all_levels():
+    features = _features(levels=2)
+    vectors = features.vectors
+    assert torch.equal(features.evidence(), torch.cat([vectors[:, 0], vectors[:, 1]], dim=1))
+    embedded = replace(features, embedding=torch.randn(7, 5).half())
+    assert torch.equal(embedded.evidence(slice(2, 4)), embedded.embedding[2:4].float())
 
 
 def test_features_know_their_gaussians_from_others_after_they_came_back_from_disk(tmp_path: Path):

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fruitlangs.engine.errors import SceneError
+from fruitlangs.engine.language.encoders.encoder import FruitView
 from fruitlangs.engine.language.features.lift import encode_photos, lift_features
+from fruitlangs.engine.language.features.photo_features import PhotoFeaturesRecorder
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
@@ -82,6 +84,29 @@ def test_as_many_targets_as_cameras_are_needed(count: int):
         lift_features(_gaussians(LEFT), [_camera()] * 2, [_halves()] * count, encoder_id="x")
 
 
+def test_an_embedding_is_averaged_and_not_normalised():
+    embedding = torch.full((SIDE, SIDE, 3), 3.0)
+    embedding[:, SIDE // 2 :] = -5.0
+    views = [torch.cat([_halves(), scale * embedding], dim=-1) for scale in (1.0, 2.0)]
+    features = lift_features(_gaussians(LEFT, RIGHT, BEHIND), [_camera()] * 2, views, encoder_id="x", embedded=3)
+    assert features.embedding is not None
+    assert features.embedding.dtype == torch.float16
+    means = torch.tensor([4.5, -7.5, 0.0])[:, None].expand(3, 3)
+    assert torch.allclose(features.embedding.float(), means, atol=0.05)
+    alone = lift_features(_gaussians(LEFT, RIGHT, BEHIND), [_camera()] * 2, [_halves()] * 2, encoder_id="x")
+    assert alone.embedding is None
+    for name in ("vectors", "weights", "agreement"):
+        assert torch.allclose(getattr(features, name), getattr(alone, name), atol=1e-5)
+
+
+def test_the_embedding_of_masked_pixels_counts_for_nothing():
+    shown = torch.cat([_halves(), torch.full((SIDE, SIDE, 1), 3.0)], dim=-1)
+    views = [shown, torch.zeros_like(shown)]
+    features = lift_features(_gaussians(LEFT), [_camera()] * 2, views, encoder_id="x", embedded=1)
+    assert features.embedding is not None
+    assert float(features.embedding) == pytest.approx(3.0, abs=0.01)
+
+
 class _Brightness:
     """An encoder of half the photo's size that tells dark from bright."""
 
@@ -105,6 +130,35 @@ def test_photos_are_encoded_with_their_masks_at_the_encoders_size():
     assert not target[:3].any()  # the third row of the smaller picture is half masked
     assert target[3, 2].tolist() == [0.0, 1.0]
     assert target[3, -2].tolist() == [1.0, 0.0]
+
+
+class _Seeing(_Brightness):
+    """It also tells how red a pixel is, as the embedding."""
+
+    embedding_size = 1
+
+    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
+        features = self.encode_dense(image)
+        red = torch.from_numpy(image[::2, ::2, :1] / 255.0).float()
+        return FruitView(features, torch.zeros(*features.shape[:2], 2), red + 1.0)
+
+
+def test_photos_are_encoded_with_the_embedding_after_their_features():
+    image = np.zeros((SIDE, SIDE, 3), np.uint8)
+    image[:, SIDE // 2 :] = 255
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[:4] = False
+    photo = ArrayPhoto("a.png", image, mask)
+    scene = Scene([_camera()], [photo], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
+    (target,) = encode_photos(scene, _Seeing(), embedded=True)  # type: ignore[arg-type]
+    assert target.shape == (SIDE // 2, SIDE // 2, 3)
+    assert not target[:2].any()
+    assert target[3, 2].tolist() == [0.0, 1.0, 1.0]
+    assert target[3, -2].tolist() == [1.0, 0.0, 2.0]
+    (plain,) = encode_photos(scene, _Seeing())  # type: ignore[arg-type]
+    assert torch.equal(plain, target[..., :2])
+    (recorded,) = encode_photos(scene, _Seeing(), PhotoFeaturesRecorder(torch.eye(2), "x"))  # type: ignore[arg-type]
+    assert torch.equal(recorded, plain)
 
 
 def test_features_of_a_smaller_picture_count_as_the_pixels_of_the_camera():

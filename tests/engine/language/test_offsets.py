@@ -43,21 +43,22 @@ def ball(places: np.ndarray) -> np.ndarray:
 def test_offsets_lead_from_the_pixels_of_a_ball_to_its_middle(
     encoder: EmbeddedEncoder, ball: np.ndarray, places: np.ndarray
 ) -> None:
-    _, offsets = encoder.encode_fruit(ball)
+    offsets = encoder.encode_fruit(ball).offsets
     inside = (places**2).sum(axis=-1) < 0.8
     errors = np.linalg.norm(offsets.numpy() - places, axis=-1)[inside]
     assert np.median(errors) < 0.25
 
 
 def test_features_are_the_same_with_offsets_and_without(encoder: EmbeddedEncoder, ball: np.ndarray) -> None:
-    features, offsets = encoder.encode_fruit(ball)
-    assert torch.equal(features, encoder.encode_dense(ball))
-    assert offsets.shape == (SIDE, SIDE, 2)
+    view = encoder.encode_fruit(ball)
+    assert torch.equal(view.features, encoder.encode_dense(ball))
+    assert view.offsets.shape == (SIDE, SIDE, 2)
+    assert view.embedding.shape == (SIDE, SIDE, encoder.embedding_size)
 
 
 def test_large_photos_have_offsets_of_their_features_size(encoder: EmbeddedEncoder) -> None:
-    features, offsets = encoder.encode_fruit(np.full((60, 2000, 3), 90, np.uint8))
-    assert features.shape[:2] == offsets.shape[:2] == (48, 1600)
+    view = encoder.encode_fruit(np.full((60, 2000, 3), 90, np.uint8))
+    assert view.features.shape[:2] == view.offsets.shape[:2] == view.embedding.shape[:2] == (48, 1600)
 
 
 def test_weights_for_another_encoder_are_refused(tmp_path: Path) -> None:

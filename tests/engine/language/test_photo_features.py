@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
+from taught_words import word_of
 
-from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.errors import Cancelled, FormatError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.encoders.encoder import FruitView
 from fruitlangs.engine.language.features.features import Features
 from fruitlangs.engine.language.features.photo_features import (
     MOST_SIDE,
@@ -19,8 +23,10 @@ from fruitlangs.engine.language.features.photo_features import (
     load_photo_features,
     save_photo_features,
 )
-from fruitlangs.engine.language.prompts.photo_probability import photo_probabilities
+from fruitlangs.engine.language.prompts.photo_probability import photo_probabilities, photos_for
 from fruitlangs.engine.language.prompts.relevancy import relevancy
+from fruitlangs.engine.language.taught.word import TaughtWord
+from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +46,7 @@ def photo_of(encoder: EmbeddedEncoder, height: int = 6, width: int = 8) -> torch
 def kept(encoder: EmbeddedEncoder, *photos: torch.Tensor) -> PhotoFeatures:
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
     for photo in photos:
-        recorder.keep(photo, offsets_of(photo), pixels_of(photo))
+        recorder.keep(FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0)), pixels_of(photo))
     return recorder.kept()
 
 
@@ -128,3 +134,102 @@ def test_a_damaged_file_is_refused(encoder: EmbeddedEncoder, tmp_path: Path, con
         path.write_bytes(content)
     with pytest.raises(FormatError, match="Count again"):
         load_photo_features(path)
+
+
+class Seeing(EmbeddedEncoder):
+    """An encoder that takes every pixel for a leaf, whose embedding is the colour."""
+
+    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
+        leaf, green = self.encode_text(["leaf", "green"])
+        features = ((leaf + green) / 2**0.5).expand(*image.shape[:2], -1)
+        return FruitView(features, torch.full((*image.shape[:2], 2), 0.5), torch.from_numpy(image / 255.0).float())
+
+
+@pytest.fixture
+def fig(encoder: EmbeddedEncoder) -> TaughtWord:
+    """What is blue."""
+    return word_of("fig", -20.0, 0.0, 20.0, bias=-10.0, encoder_id=encoder.identity)
+
+
+@pytest.fixture
+def seeing(encoder: EmbeddedEncoder, fig: TaughtWord) -> Seeing:
+    return Seeing(encoder.network, encoder.calibration, encoder.identity, {"fig": fig})
+
+
+def tree_of(mask: NDArray[np.bool_] | None = None, height: int = 6, width: int = 8) -> Scene:
+    """Two photos with a blue row 2, of which the second can be masked."""
+    picture = np.full((height, width, 3), 60, np.uint8)
+    picture[2] = [0, 0, 255]
+    camera = Camera(np.diag([8.0, 8.0, 1.0]), np.eye(4), width, height)
+    photos = [ArrayPhoto("a.png", picture), ArrayPhoto("b.png", picture, mask)]
+    return Scene([camera] * 2, photos, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, -1.0, 0.0]))
+
+
+@pytest.mark.parametrize(("prompts", "negatives"), [(["apple"], []), (["red apple", "pear"], ["leaf"])])
+def test_prompts_without_a_taught_word_use_what_was_kept(
+    encoder: EmbeddedEncoder, seeing: Seeing, prompts: list[str], negatives: list[str]
+) -> None:
+    before = kept(encoder, photo_of(encoder))
+    features = features_of(encoder, photo_of(encoder))
+    for scene in (tree_of(), replace(tree_of(), images=[])):
+        assert photos_for(before, scene, features, seeing, prompts, negatives) is before
+
+
+def test_for_a_taught_word_the_pixels_of_its_fruit_are_kept(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
+    before = kept(encoder, photo_of(encoder), photo_of(encoder))
+    features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
+    mask = np.ones((6, 8), bool)
+    mask[:, :3] = False
+    after = photos_for(before, tree_of(mask), features, seeing, ["figs"])
+    assert after is not None
+    assert after.places.tolist() == [*range(16, 24), *range(19, 24)]
+    assert after.counts.tolist() == [8, 5]
+    assert after.embedding is not None
+    assert after.embedding[0].tolist() == [0.0, 0.0, 1.0]
+    first, second = photo_probabilities(after, features, seeing, ["figs"]) or []
+    assert first.probability[2].min() > 0.99
+    assert second.probability[2, :3].max() == first.probability[[0, 1, 3, 4, 5]].max() == 0.0
+    assert first.offsets[2, 0].tolist() == [0.5, 0.5]
+
+
+def test_of_large_photos_the_pixels_of_a_taught_word_are_kept_smaller(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
+    features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
+    scene = tree_of(height=12, width=2 * MOST_SIDE)
+    for photo in scene.images:
+        photo.pixels()[2:4] = [0, 0, 255]
+    after = photos_for(kept(encoder), scene, features, seeing, ["fig"])
+    assert after is not None
+    assert after.shapes.tolist() == [[6, MOST_SIDE]] * 2
+    assert set((after.places // MOST_SIDE).tolist()) == {1}
+
+
+def test_a_taught_negative_is_searched_in_the_photos_too(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
+    features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
+    whole = replace(seeing, taught={**seeing.taught, "plum": word_of("plum", 0.0, 0.0, 0.0, bias=9.0)})
+    after = photos_for(kept(encoder), tree_of(), features, whole, ["plum"], ["fig"])
+    assert after is not None
+    assert after.counts.tolist() == [48, 48]
+    first, _ = photo_probabilities(after, features, whole, ["plum"], ["fig"]) or []
+    assert first.probability[2].max() < 0.01
+    assert first.probability[0].min() > 0.8
+
+
+def test_photos_that_are_missing_cannot_be_searched_for_a_taught_word(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
+    before = kept(encoder, photo_of(encoder))
+    features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
+    missing = replace(tree_of(), images=[])
+    assert photos_for(before, missing, features, seeing, ["fig"]) is None
+    assert photos_for(before, missing, features, seeing, ["apple"], ["fig"]) is None
+
+
+def test_the_search_for_a_taught_word_can_be_cancelled(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
+    seen: list[float] = []
+
+    def progress(share: float, _: str) -> None:
+        seen.append(share)
+        raise Cancelled
+
+    features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
+    with pytest.raises(Cancelled):
+        photos_for(kept(encoder), tree_of(), features, seeing, ["fig"], progress=progress)
+    assert seen == [0.5]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fruitlangs.operators.viewport.ray_hits import pick_point, pick_surface
+from fruitlangs.engine.language.teaching.ray_hits import pick_point, pick_surface
 
 X = np.array([1.0, 0.0, 0.0])
 

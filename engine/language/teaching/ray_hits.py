@@ -6,8 +6,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .splats import rotation_rows
-
 FloatArray = NDArray[np.floating]
 
 SIGMAS = 3.0
@@ -66,3 +64,16 @@ def pick_point(
     if len(near) == 0:
         return None
     return np.asarray(points[near[np.argmin(along[near])]], np.float64)
+
+
+def rotation_rows(quats: NDArray[np.floating]) -> list[list[NDArray[np.floating]]]:
+    """The rotations of quaternions (N, 4), w first, of any length: rows of columns, (N,) each.
+
+    A Gaussian's own axes are the columns.
+    """
+    w, x, y, z = (quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)).T
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]

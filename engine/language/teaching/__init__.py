@@ -1,0 +1,1 @@
+"""Teaching words: what a click shows, and what is learnt from examples."""

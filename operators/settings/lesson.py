@@ -1,0 +1,34 @@
+"""The word that is taught in a Blender scene, as plain values for threads and tools."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class LessonText:
+    """name: as typed; places: of each example whether it shows the word, and x y z in the scene frame."""
+
+    name: str
+    places: tuple[tuple[bool, tuple[float, float, float]], ...]
+
+    @property
+    def mark(self) -> str:
+        """A text that differs for other examples."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:12]
+
+
+def read_lesson(settings: Any) -> LessonText | None:
+    """The word and its examples; None before there is a positive one."""
+    teach = settings.teach
+    places = tuple((bool(example.positive), _three(example.place)) for example in teach.examples)
+    if not teach.word.strip() or not any(positive for positive, _ in places):
+        return None
+    return LessonText(teach.word.strip(), places)
+
+
+def _three(place: Any) -> tuple[float, float, float]:
+    x, y, z = (float(each) for each in place)
+    return x, y, z
