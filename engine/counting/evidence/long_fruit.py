@@ -33,9 +33,9 @@ FEWEST = 4
 """Points half way between two centres from which they can be judged."""
 STRAIGHT = -0.8
 """Largest cosine between the two links of a sphere."""
-MOSTLY, MANY, ENOUGH = 0.5, 6, 3
-"""Share of linked spheres from which the fruit of a scene are long; of fewer than MANY spheres all must be linked, and
-fewer than ENOUGH say nothing."""
+MOSTLY, NEARLY_ALL, MANY, ENOUGH = 0.5, 0.75, 6, 3
+"""Share of linked spheres from which the fruit of a scene are long: of MANY spheres, and of fewer; fewer than ENOUGH
+say nothing."""
 TYPICAL, LONGEST, SIDE = 75.0, 1.4, 0.5
 """Percentile of the lengths after the first links that is taken for the usual length, what a body may be at most of it,
 and how far in diameters its spheres may lie off its axis."""
@@ -87,7 +87,7 @@ def bodies(points: FloatArray, spheres: Spheres) -> IntArray | None:
     ]
     kept = _straight(centers, first)
     linked = len({end for link in kept for end in (link.one, link.other)})
-    if linked < len(centers) * (MOSTLY if len(centers) >= MANY else 1.0):
+    if linked < len(centers) * (MOSTLY if len(centers) >= MANY else NEARLY_ALL):
         return None
     numbers = _connected(len(centers), kept)
     lengths = np.array([_extent(centers[numbers == number])[0] for number in range(numbers.max() + 1)])

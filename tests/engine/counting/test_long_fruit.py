@@ -305,12 +305,12 @@ def test_long_fruit_made_of_gaussians_are_counted_once_each_with_their_length_an
         assert fruit.volume == pytest.approx(np.pi / 4 * (aspect - 1.0) + np.pi / 6, rel=0.2)
 
 
-def test_one_long_fruit_alone_is_one_body_and_next_to_a_ball_it_is_not_known(long_ends) -> None:
+def test_one_long_fruit_is_one_body_alone_and_next_to_a_ball(long_ends) -> None:
     alone, _ = spheres_along(long_ends[:1])
     ball = np.array([9.0, 0.0, 0.0])
     with_ball = spheres_at(np.vstack([alone.centers, ball]), np.full(len(alone) + 1, RADIUS))
     assert bodies(points_on(long_ends[:1]), alone).tolist() == [0] * len(alone)
-    assert bodies(points_on([*long_ends[:1], (ball, ball)]), with_ball) is None
+    assert bodies(points_on([*long_ends[:1], (ball, ball)]), with_ball).tolist() == [0] * len(alone) + [1]
 
 
 def test_three_balls_in_a_row_are_three_fruit() -> None:
