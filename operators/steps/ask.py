@@ -103,7 +103,7 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
 
     from ...engine.language.prompts.selection import select
 
-    encoder: Encoder = _embedder(question.embed, words_on_disk(question.embed)).encoder
+    encoder = _encoder(question)
     if question.lesson is not None:
         word = taught_by(question, means)
         words: ChainMap[str, TaughtWord] = ChainMap({word.name: word}, encoder.taught)  # type: ignore[arg-type]
@@ -123,7 +123,7 @@ def taught_by(question: Question, means: NDArray[np.float32]) -> TaughtWord:
     from ...engine.language.teaching.lesson import Lesson, Mark
 
     assert question.lesson is not None
-    encoder = _embedder(question.embed, words_on_disk(question.embed)).encoder
+    encoder = _encoder(question)
     features = _features_of(question, means)
     ground = _ground(question.features, os.stat(question.features).st_mtime_ns, np.array(means).tobytes())
     lesson = Lesson(question.lesson.name, ground, features, encoder)
@@ -163,6 +163,11 @@ def words_on_disk(config: EmbedConfig) -> tuple[tuple[str, int], ...]:
             sorted((file.name, file.stat().st_mtime_ns) for file in folder_of_words(config).glob(f"*{SUFFIX}"))
         )
     return ()
+
+
+def _encoder(question: Question) -> Encoder:
+    """The encoder of the question, with the taught words that are on the disk now."""
+    return _embedder(question.embed, words_on_disk(question.embed)).encoder
 
 
 @lru_cache(maxsize=1)
@@ -399,6 +404,14 @@ def suggestions(settings: Any, _context: Any, typed: str) -> list[str]:
     return [kept + word for word in sorted(fitting, key=lambda word: not word.startswith(begun))]
 
 
+def has_gaussians(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether there are Gaussians to ask; the operator's poll shows that there are none as the reason."""
+    if context.scene is not None and owned_object(context.scene, "gaussians") is not None:
+        return True
+    operator.poll_message_set("There are no Gaussians to ask yet: press Reconstruct, or import a result")
+    return False
+
+
 class FRUITLANGS_OT_ask(bpy.types.Operator):
     bl_idname = "fruitlangs.ask"
     bl_label = "Match Prompt"
@@ -409,12 +422,7 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if linked(cls, context):
-            return False
-        if context.scene is None or owned_object(context.scene, "gaussians") is None:
-            cls.poll_message_set("There are no Gaussians to ask yet: press Reconstruct, or import a result")
-            return False
-        return True
+        return not linked(cls, context) and has_gaussians(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if in_window():  # loading the features would interrupt typing

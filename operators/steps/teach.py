@@ -20,7 +20,7 @@ from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
 from ..tools.pick_tool import PickTool
 from ..viewport.viewport import in_window, look_at_point, shown_screens
-from .ask import ask_soon, means_of, question_of, taught_by
+from .ask import ask_soon, has_gaussians, means_of, question_of, taught_by
 
 DISTANCE = 0.4
 """Distance from which an example is shown, in standard deviations of the Gaussians' positions."""
@@ -53,10 +53,7 @@ class Teaching:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
-            return False
-        if context.scene is None or owned_object(context.scene, "gaussians") is None:
-            cls.poll_message_set("There are no Gaussians yet: press Reconstruct, or import a result")
+        if busy(cls) or linked(cls, context) or not has_gaussians(cls, context):
             return False
         if not context.scene.fruitlangs.teach.word.strip():
             cls.poll_message_set("Enter the name of the word first")

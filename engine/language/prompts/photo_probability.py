@@ -17,7 +17,7 @@ from ..features.features import Features
 from ..features.lift import encode_photos
 from ..features.photo_features import PhotoFeatures, PhotoFeaturesRecorder
 from .prior import kind_shares, weighed_by
-from .relevancy import answers_of, check_encoder, check_taught, telling_words, understood, union
+from .relevancy import answers_of, check_encoder, check_taught, taught_words, telling_words, understood, union
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,11 @@ def photos_for(
         EncoderError, FormatError: a taught word cannot be used.
         SceneError: a photo cannot be read.
     """
-    sought = _Asked(encoder, prompts, features, sought=True)
-    excluded = understood(encoder, negatives, sought=False)
-    if not (sought.words.taught.any() or excluded.taught.any()):
+    if not taught_words(encoder, [*prompts, *negatives]):
         return photos
     if len(scene.images) != len(scene.cameras):
         return None
+    sought = _Asked(encoder, prompts, features, sought=True)
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity, sought.probability)
     for number, _ in enumerate(encode_photos(scene, encoder, recorder)):
         progress((number + 1) / len(scene.images), f"Looking for taught words in photo {number + 1}")
