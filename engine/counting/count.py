@@ -163,8 +163,8 @@ def count_fruit(
     if searched is not None:
         candidates = searched.found.spheres
         counts = region.contains(candidates.centers) * colours.chances(candidates.centers, candidates.radii)
-        counts = counts if found.parts is None else counts * found.parts.shares(candidates.centers)
-        placed = _with_intervals(placed, searched, counts, pictures, config.seed)
+        shares = np.ones(len(counts)) if found.parts is None else found.parts.shares(candidates.centers)
+        placed = _with_intervals(placed, searched, counts, shares, pictures, config.seed)
     if len(spheres):
         return placed
     if len(within.spheres):
@@ -247,11 +247,16 @@ def _on_trees(
 
 
 def _with_intervals(
-    counted: FruitCount, searched: Search, counts: FloatArray, pictures: Sequence[Picture], seed: int
+    counted: FruitCount,
+    searched: Search,
+    counts: FloatArray,
+    shares: FloatArray,
+    pictures: Sequence[Picture],
+    seed: int,
 ) -> FruitCount:
     """The count and its trees with intervals; a candidate belongs to the tree of its nearest fruit.
 
-    counts: (C,) probability that a candidate counts if it is a fruit. Without fruit, trees have no interval.
+    counts, shares: (C,) as of `evidence_of`. Without fruit, trees have no interval.
     """
     centers = searched.found.spheres.centers
     numbers = np.array([NO_TREE if fruit.tree is None else fruit.tree for fruit in counted.fruits])
@@ -259,7 +264,7 @@ def _with_intervals(
     own = numbers[cKDTree(counted.centers).query(centers)[1]] if known else np.full(len(centers), NO_TREE)
 
     def estimated(of: FloatArray, count: int) -> Estimate:
-        return estimate(evidence_of(searched, of, pictures, seed=seed), count)
+        return estimate(evidence_of(searched, of, pictures, shares, seed=seed), count)
 
     def intervals(of: Estimate) -> dict[str, Any]:
         return {"interval": of.visible, "total": of.total, "total_interval": of.total_interval}

@@ -32,6 +32,8 @@ PLACES = 2000
 OUTSIDE, FALLING = 2.2, 0.39
 """The hull of n fruit that are spread evenly in a ball leaves out about OUTSIDE / n^FALLING of the ball (measured on
 random samples: .86 for 10 fruit, .52 for 50, .19 for 500). That part is visible."""
+JOINED = 0.1
+"""Least deviation of the log ratio if spheres were joined to long fruit: how many of them are one fruit is uncertain."""
 TRAINED = 0.1
 """Typical faintness of trained scenes; that of true surfaces is 0."""
 QUANTILE = 1.645
@@ -127,22 +129,27 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
     return Estimate((low, high), round(likely, 1), round(total, 1), bounds)
 
 
-def evidence_of(found: Search, counts: FloatArray, pictures: Sequence[Picture], *, seed: int) -> Evidence:
+def evidence_of(
+    found: Search, counts: FloatArray, pictures: Sequence[Picture], shares: FloatArray | None = None, *, seed: int
+) -> Evidence:
     """What the candidates and the views show about a count.
 
-    counts: (C,) probability that each counts if it is a fruit.
+    counts: (C,) probability that each counts if it is a fruit; shares: (C,) how much of a fruit each is, 1 without. The
+    parts of a fruit are right or wrong together.
     """
+    dissent = found.dissent if shares is None or bool((shares == 1.0).all()) else max(found.dissent, JOINED)
     probabilities = counts * found.probabilities
-    expected = float(probabilities.sum())
+    parts = probabilities if shares is None else shares * probabilities
+    expected = float(parts.sum())
     if expected <= 0.0:
-        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos, found.dissent)
-    variance = float((probabilities * (1.0 - probabilities)).sum())
-    faint = 1.0 - float(probabilities @ found.features["mean"]) / expected
+        return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos, dissent)
+    variance = float((parts * (1.0 - probabilities)).sum())
+    faint = 1.0 - float(parts @ found.features["mean"]) / expected
     kept = probabilities > LIKELY
     amid = _within(found.found.spheres.centers[kept], np.random.default_rng(seed))
     unseen = hull_share(int(kept.sum())) * (1.0 - _shown(pictures, amid, found.size.diameter / 2.0))
     covariates = np.array([variance / expected, faint, -np.log(1.0 - unseen)])
-    return Evidence(expected, variance, covariates, found.photos, found.dissent)
+    return Evidence(expected, variance, covariates, found.photos, dissent)
 
 
 def hull_share(count: int) -> float:

@@ -294,6 +294,8 @@ def test_long_fruit_made_of_gaussians_are_counted_once_each_with_their_length_an
     result = count_fruit(gaussians, np.full(len(gaussians), 0.9), cameras, config, label="fig")
     bodies_of = [int(np.linalg.norm(middles - fruit.center, axis=1).argmin()) for fruit in result.fruits]
     assert sorted(bodies_of) == list(range(len(LONG)))
+    assert result.interval is not None
+    assert 6 <= result.interval[0] <= len(LONG) <= result.interval[1] <= 11  # certain parts make no doubt
     for fruit, body in zip(result.fruits, bodies_of, strict=True):
         along = fruit.axes[0] / np.linalg.norm(fruit.axes[0])
         assert np.linalg.norm(fruit.center - middles[body]) < 0.25

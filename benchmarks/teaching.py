@@ -1,0 +1,337 @@
+"""Words that are taught by a fixed rule of clicks in a generated scene, and the fruit that they find there and in
+others of its species."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..engine.config import Config, EmbedConfig
+from ..engine.errors import FormatError, FruitLangsError
+from ..engine.evaluation.judgement import judge
+from ..engine.evaluation.metrics import CountMetrics, count_metrics
+from ..engine.evaluation.renders import read_instances
+from ..engine.evaluation.truth import Truth, read_truth
+from ..engine.language.features.embedder import Embedder
+from ..engine.language.prompts.relevancy import relevancy
+from ..engine.language.taught.library import word_file
+from ..engine.language.taught.word import TaughtWord, save_word
+from ..engine.language.teaching.lesson import Lesson, Mark
+from ..engine.language.teaching.photo_marks import Click, marks_of_clicks
+from ..engine.language.teaching.region import Ground
+from ..engine.language.vocabulary import CONCEPTS
+from ..engine.open_result import open_result
+from ..engine.pipeline import count_scene
+from ..engine.progress import Progress, silent
+from ..engine.publishing import Result
+from ..engine.splatting.rendering.rasterize import render
+from .ladder.stages import TRUE_POSES
+from .markdown import markdown
+from .orchards import TRUTH, read_origin
+
+BoolArray = NDArray[np.bool_]
+
+APART = 3
+"""Pixels around fruit in which no negative click is made, because Gaussians reach beyond outlines."""
+BUILT_IN = "built-in"
+"""Stands for the word that needs no clicks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WordTrial:
+    """A count with a word. species: what grows; scene: what was counted; taught: scene of the clicks, or BUILT_IN;
+    positive, negative: numbers of clicks; seconds: of learning; metrics: at half a diameter."""
+
+    species: str
+    scene: str
+    taught: str
+    positive: int
+    negative: int
+    seconds: float
+    metrics: CountMetrics
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """A generated scene that was counted. fruit: (H, W) bool per view, where its true fruit is."""
+
+    folder: Path
+    result: Result
+    ground: Ground
+    truth: Truth
+    instances: Sequence[NDArray[np.uint16]]
+    fruit: Sequence[BoolArray]
+
+    @classmethod
+    def grown(cls, folder: Path, out: Path, progress: Progress = silent) -> Tree:
+        """The scene in `folder`, counted with its own word, or as "fruit" if that is not built in. Cached as the stage
+        with true poses of the ladder in the same `out`."""
+        species = read_origin(folder).species
+        result = out / TRUE_POSES
+        count_scene(folder, [species if species in CONCEPTS else "fruit"], result, progress=progress)
+        opened = open_result(result)
+        truth = read_truth(folder / TRUTH, {species})
+        if truth.ids is None:
+            raise FormatError(f"{folder / TRUTH} records no ids of fruit. Make the scene again")
+        instances = read_instances(folder, opened.scene)
+        ground = Ground.of(opened.gaussians.means, opened.features)
+        return cls(folder, opened, ground, truth, instances, [np.isin(each, truth.ids) for each in instances])
+
+    @property
+    def species(self) -> str:
+        return read_origin(self.folder).species
+
+    def measured(self, result: Result) -> CountMetrics:
+        """A count of this tree against its truth."""
+        return count_metrics(result.fruit_count.centers, result.fruit_count.diameters, self.truth)
+
+    def positive_clicks(self, number: int) -> list[Click]:
+        """Each in the middle of another fruit, in the view that shows the largest part of it: an even selection of the
+        fruit by that size, without the smaller half."""
+        best: dict[int, tuple[int, int, int]] = {}
+        for view, (ids, fruit) in enumerate(zip(self.instances, self.fruit, strict=True)):
+            numbers, sizes = np.unique(ids[fruit], return_counts=True)
+            for one, size in zip(numbers.tolist(), sizes.tolist(), strict=True):
+                best[one] = max(best.get(one, (0, 0, 0)), (size, -view, one))
+        ranked = sorted(best.values(), reverse=True)
+        ranked = ranked[: max(number, len(ranked) // 2)]
+        if number == 1:
+            places = [len(ranked) // 4]
+        else:
+            places = np.linspace(0, len(ranked) - 1, number + 2)[1:-1].astype(int).tolist()
+        clicks = []
+        for _, view, one in (ranked[place] for place in dict.fromkeys(places)):
+            inside = ndimage.distance_transform_edt(np.pad(self.instances[-view] == one, 1))[1:-1, 1:-1]
+            clicks.append(self._click(-view, np.unravel_index(int(inside.argmax()), inside.shape), positive=True))
+        return clicks
+
+    def negative_marks(self, word: TaughtWord, number: int) -> list[Mark]:
+        """Clicks where photos show no fruit and the word matches best: one a photo, none on what another one has."""
+        encoder = Embedder.open(EmbedConfig()).encoder.with_words({word.name: word})
+        probability = relevancy(self.result.features, encoder, [word.name])
+        found = []
+        for view, (camera, fruit) in enumerate(zip(self.result.scene.cameras, self.fruit, strict=True)):
+            drawn = render(self.result.gaussians, camera, features=probability[:, None]).features
+            assert drawn is not None
+            shown = ndimage.uniform_filter(drawn[..., 0].detach().numpy(), 3)
+            shown[ndimage.binary_dilation(fruit, iterations=APART)] = 0.0
+            place = np.unravel_index(int(shown.argmax()), shown.shape)
+            found.append((-float(shown[place]), view, place))
+        marks: list[Mark] = []
+        taken = np.zeros(0, np.int64)
+        for _, view, place in sorted(found):
+            try:
+                (mark,) = self.marks([self._click(view, place, positive=False)])
+            except FruitLangsError:  # nothing was reconstructed there
+                continue
+            if len(marks) < number and not np.isin(mark.rows, taken).any():
+                marks.append(mark)
+                taken = np.concatenate([taken, mark.rows])
+        return marks
+
+    def marks(self, clicks: Sequence[Click]) -> list[Mark]:
+        return marks_of_clicks(clicks, self.result.scene, self.result.gaussians, self.ground)
+
+    def _click(self, view: int, place: tuple[Any, ...], *, positive: bool) -> Click:
+        row, column = (int(each) for each in place)
+        return Click(positive, self.result.scene.images[view].name, column + 0.5, row + 0.5)
+
+    def taught(self, name: str, positive: int, negative: int) -> tuple[TaughtWord, float]:
+        """The word, and how long the last learning took, in seconds."""
+        encoder = Embedder.open(EmbedConfig()).encoder
+        lesson = Lesson(name, self.ground, self.result.features, encoder)
+        marks = self.marks(self.positive_clicks(positive))
+        if negative:
+            marks += self.negative_marks(lesson.word(marks), negative)
+        start = time.perf_counter()
+        word = lesson.word(marks)
+        return word, time.perf_counter() - start
+
+
+def new_name(species: str) -> str:
+    """The name under which a species is taught: not that of a built-in word, which would be refined."""
+    return f"own {species}" if species in CONCEPTS else species
+
+
+def try_words(
+    trees: Sequence[Tree],
+    lessons: Sequence[tuple[int, int]],
+    out: Path,
+    known: Sequence[WordTrial] = (),
+    report: Callable[[WordTrial], None] = lambda _: None,
+) -> list[WordTrial]:
+    """Count trees of one species with their built-in word and with words that are taught in each of them.
+
+    lessons: numbers of positive and of negative clicks; out: folder of words and results; known: trials that are not
+    done again.
+    """
+    done = {_place(trial): trial for trial in known}
+    trials = []
+
+    def kept(trial: WordTrial) -> None:
+        trials.append(trial)
+        report(trial)
+
+    for tree in trees:
+        place = (tree.folder.name, BUILT_IN, 0, 0)
+        kept(done.get(place) or _trial(tree, BUILT_IN, (0, 0), 0.0, tree.measured(tree.result)))
+    for teacher in trees:
+        name = new_name(teacher.species)
+        for positive, negative in lessons:
+            places = [(tree.folder.name, teacher.folder.name, positive, negative) for tree in trees]
+            missing = [place for place in places if place not in done]
+            words, seconds = out / teacher.folder.name / f"{positive}+{negative}", 0.0
+            if missing:
+                word, seconds = teacher.taught(name, positive, negative)
+                save_word(word_file(words, word.name), word)
+            for tree, place in zip(trees, places, strict=True):
+                if place in done:
+                    kept(done[place])
+                    continue
+                config = Config(embed=EmbedConfig(words=str(words)))
+                counted = count_scene(tree.result.out, [name], words / tree.folder.name, config=config)
+                kept(_trial(tree, teacher.folder.name, (positive, negative), seconds, tree.measured(counted)))
+    return trials
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correction:
+    """A false fruit of a built-in word, and what one click on it changes. gone: nothing is counted there any more;
+    before, after: true fruit that are found."""
+
+    scene: str
+    gone: bool
+    before: int
+    after: int
+
+
+def correct(tree: Tree, out: Path) -> Correction | None:
+    """Teach the built-in word of a tree that its most probable false fruit is none, with one click on that and one on
+    fruit, and count again. None if no fruit is false."""
+    counted = tree.result.fruit_count
+    false = judge(counted.centers, counted.diameters, tree.truth).false
+    if not len(false):
+        return None
+    wrong = max((counted.fruits[place] for place in false.tolist()), key=lambda fruit: (fruit.probability, -fruit.id))
+    encoder = Embedder.open(EmbedConfig()).encoder
+    lesson = Lesson(tree.species, tree.ground, tree.result.features, encoder)
+    mark = lesson.mark_of(wrong.members, positive=False, place=f"fruit {wrong.id}")
+    word = lesson.word([*tree.marks(tree.positive_clicks(1)), mark])
+    words = out / tree.folder.name / "corrected"
+    save_word(word_file(words, word.name), word)
+    config = Config(embed=EmbedConfig(words=str(words)))
+    result = count_scene(tree.result.out, [tree.species], words / tree.folder.name, config=config)
+    apart = np.linalg.norm(result.fruit_count.centers - wrong.center, axis=1)
+    return Correction(
+        scene=tree.folder.name,
+        gone=not bool((apart < wrong.diameter / 2.0).any()),
+        before=tree.measured(tree.result).matched,
+        after=tree.measured(result).matched,
+    )
+
+
+def corrections_table(corrections: Sequence[Correction]) -> str:
+    """Markdown: one line per false fruit."""
+    lines = [["scene", "false fruit", "true fruit before", "and after"]]
+    lines += [
+        [each.scene, "gone" if each.gone else "still there", *map(str, (each.before, each.after))]
+        for each in corrections
+    ]
+    return markdown(lines)
+
+
+def _trial(tree: Tree, taught: str, lesson: tuple[int, int], seconds: float, metrics: CountMetrics) -> WordTrial:
+    return WordTrial(
+        species=tree.species,
+        scene=tree.folder.name,
+        taught=taught,
+        positive=lesson[0],
+        negative=lesson[1],
+        seconds=seconds,
+        metrics=metrics,
+    )
+
+
+def _place(trial: WordTrial) -> tuple[str, str, int, int]:
+    return trial.scene, trial.taught, trial.positive, trial.negative
+
+
+def words_table(trials: Sequence[WordTrial]) -> str:
+    """Markdown: F1 by species and numbers of clicks, in the scene of the clicks and in others, each a mean; the worst
+    share of the built-in word's F1 in brackets."""
+    lessons = sorted({(trial.positive, trial.negative) for trial in trials if trial.taught != BUILT_IN})
+    head = ["species", "built-in"]
+    for positive, negative in lessons:
+        clicks = f"{positive}" if not negative else f"{positive} + {negative}"
+        head += [f"{clicks}, same", f"{clicks}, other"]
+    lines = [head]
+    for species in dict.fromkeys(trial.species for trial in trials):
+        own = [trial for trial in trials if trial.species == species]
+        built_in = {trial.scene: trial.metrics.f1 for trial in own if trial.taught == BUILT_IN}
+        cells = [species, f"{np.mean(list(built_in.values())):.3f}"]
+        for lesson in lessons:
+            for same in (True, False):
+                shown = [
+                    trial
+                    for trial in own
+                    if (trial.positive, trial.negative) == lesson
+                    and trial.taught != BUILT_IN
+                    and (trial.scene == trial.taught) == same
+                ]
+                shares = [trial.metrics.f1 / max(built_in[trial.scene], 1e-9) for trial in shown]
+                mean = np.mean([trial.metrics.f1 for trial in shown]) if shown else np.nan
+                cells.append(f"{mean:.3f} ({min(shares):.2f})" if shown else "–")
+        lines.append(cells)
+    return markdown(lines)
+
+
+def words_csv(trials: Sequence[WordTrial]) -> str:
+    """One line per trial, with unrounded figures."""
+    text = io.StringIO()
+    rows: list[Mapping[str, Any]] = []
+    for trial in trials:
+        flat = asdict(trial)
+        rows.append({**flat, **flat.pop("metrics")})
+    names = [name for name in rows[0] if name != "metrics"] if rows else []
+    writer = csv.DictWriter(text, names, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def read_words_csv(path: Path) -> list[WordTrial]:
+    """The trials of an earlier run; none without such a file.
+
+    Raises:
+        FormatError: the file is damaged.
+    """
+    kinds = CountMetrics.__annotations__
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return [
+                WordTrial(
+                    species=row["species"],
+                    scene=row["scene"],
+                    taught=row["taught"],
+                    positive=int(row["positive"]),
+                    negative=int(row["negative"]),
+                    seconds=float(row["seconds"]),
+                    metrics=CountMetrics(
+                        **{name: int(row[name]) if kind == "int" else float(row[name]) for name, kind in kinds.items()}  # type: ignore[arg-type]
+                    ),
+                )
+                for row in csv.DictReader(file)
+            ]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"{path} is damaged ({error}). Move it away; its trials are done again") from error

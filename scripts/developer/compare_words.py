@@ -1,0 +1,101 @@
+"""Teach words by a fixed rule of clicks in generated scenes, and count with them there and in others of the species.
+
+    python scripts/developer/compare_words.py apple-small:102 apple-small:103 fig-small:201 --out results/words
+
+Each scene is counted with its built-in word ("fruit" if it has none). Then its fruit is taught under a new name, with
+as many positive and negative clicks as --clicks says, and every scene of the species is counted with that word. With
+--correct, each built-in word is taught instead that its most probable false fruit is none. Prints a table in Markdown;
+OUT gets words.csv, and a second run goes on.
+
+To measure how well a fruit is learnt that the encoder never saw, train an encoder without it (`train_encoder.py`,
+`fit_offsets.py`) and put its weights into engine/language/encoders/weights.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import _checkout  # noqa: F401  puts the checkout on the path
+
+from _terminal import import_tyro, report, run, terminal_progress
+from fruitlangs.benchmarks.orchards import read_origin, scene_folder
+from fruitlangs.benchmarks.teaching import (
+    Tree,
+    WordTrial,
+    correct,
+    corrections_table,
+    read_words_csv,
+    try_words,
+    words_csv,
+    words_table,
+)
+from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.storage.files import require_writable, write_text
+
+tyro = import_tyro()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What to teach, and where."""
+
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    """Folders of generated scenes, or presets with seeds such as apple-small:101."""
+    out: Path
+    """Folder of tables, words and results; that of evaluate.py reuses its training."""
+    clicks: tuple[str, ...] = ("1", "3", "5", "10", "5+5")
+    """Numbers of positive clicks, or of positive and negative ones."""
+    correct: bool = False
+    """Correct built-in words instead."""
+
+
+def main(options: Options) -> None:
+    lessons = [read_clicks(text) for text in options.clicks]
+    require_writable(options.out)
+    folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
+    progress = terminal_progress()
+    if options.correct:
+        words = options.out / "words"
+        found = [correct(Tree.grown(folder, options.out / folder.name, progress), words) for folder in folders]
+        print(corrections_table([each for each in found if each is not None]))
+        return
+    file = options.out / "words.csv"
+    known, trials = read_words_csv(file), list[WordTrial]()
+    for species in dict.fromkeys(read_origin(folder).species for folder in folders):
+        own = [folder for folder in folders if read_origin(folder).species == species]
+        trees = [Tree.grown(folder, options.out / folder.name, progress) for folder in own]
+        trials += try_words(trees, lessons, options.out / "words", known, say)
+        write_text(file, words_csv([*trials, *(trial for trial in known if trial.species not in species_of(trials))]))
+    print(words_table(trials))
+
+
+def species_of(trials: list[WordTrial]) -> set[str]:
+    return {trial.species for trial in trials}
+
+
+def say(trial: WordTrial) -> None:
+    report(
+        f"{trial.scene} with the word of {trial.taught}, {trial.positive} + {trial.negative} clicks: "
+        f"F1 {trial.metrics.f1:.3f}, learnt in {trial.seconds:.2f} s"
+    )
+
+
+def read_clicks(text: str) -> tuple[int, int]:
+    """ "5+5" → (5, 5), "3" → (3, 0).
+
+    Raises:
+        ConfigError: it is spelled otherwise, or has no positive click.
+    """
+    positive, _, negative = text.partition("+")
+    if not (positive.isdecimal() and (negative or "0").isdecimal()) or int(positive) < 1:
+        raise ConfigError(f"--clicks {text}: give a number of positive clicks, such as 5, or with negative ones, 5+5")
+    return int(positive), int(negative or "0")
+
+
+if __name__ == "__main__":
+    run(lambda: main(tyro.cli(Options, description=__doc__)))
