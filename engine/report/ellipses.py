@@ -42,10 +42,15 @@ class Ellipse:
         """(2,) px from the centre to the sides of its upright box."""
         return np.linalg.norm(self.axes, axis=0)
 
-    def outline(self, corners: int = 64) -> FloatArray:
-        """(corners, 2) px along the ellipse."""
-        turns = 2.0 * np.pi * np.arange(corners) / corners
-        return self.center + np.stack([np.cos(turns), np.sin(turns)], axis=1) @ self.axes
+    def outline(self, corners: int) -> FloatArray:
+        """See `outline_points`."""
+        return outline_points(self.center, self.axes, corners)
+
+
+def outline_points(center: FloatArray, axes: FloatArray, corners: int) -> FloatArray:
+    """(corners, 2) px along an ellipse with center (2,) and half axes (2, 2)."""
+    turns = 2.0 * np.pi * np.arange(corners) / corners
+    return center + np.stack([np.cos(turns), np.sin(turns)], axis=1) @ axes
 
 
 def ellipses(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> list[Ellipse]:

@@ -16,6 +16,7 @@ from ..language.features.features import Features
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rendering.rasterize import render
+from .ellipses import outline_points, projected
 from .meshes import id_color
 from .words import length_unit, three_digits
 
@@ -117,20 +118,17 @@ def ramp(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def _draw_ids(
     picture: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera, fruits: Sequence[Fruit]
 ) -> NDArray[np.uint8]:
-    """Circle and number every fruit that is visible in this view, on a darkened picture."""
+    """Outline and number every fruit that is visible in this view, on a darkened picture."""
     image = Image.fromarray((picture * 0.55).astype(np.uint8))
     canvas = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=10)
     for fruit in fruits:
         (u, v), z = camera.project(fruit.center)
-        if z <= fruit.diameter:
+        shape = projected(fruit.center, fruit.axes, camera)
+        if z <= fruit.diameter or shape is None or depth[int(v), int(u)] < z - 1.5 * fruit.diameter:
             continue
-        if not (0 <= u < camera.width and 0 <= v < camera.height):
-            continue
-        if depth[int(v), int(u)] < z - 1.5 * fruit.diameter:
-            continue
-        radius = camera.K[0, 0] * fruit.diameter / 2 / z
-        canvas.ellipse([u - radius, v - radius, u + radius, v + radius], outline=id_color(fruit.id), width=2)
+        corners = outline_points(*shape, 32)
+        canvas.line([*map(tuple, corners), tuple(corners[0])], fill=id_color(fruit.id), width=2, joint="curve")
         canvas.text((u, v), str(fruit.id), fill=(255, 255, 255), font=font, anchor="mm")
     return np.asarray(image)
 

@@ -33,7 +33,7 @@ OUTSIDE, FALLING = 2.2, 0.39
 """The hull of n fruit that are spread evenly in a ball leaves out about OUTSIDE / n^FALLING of the ball (measured on
 random samples: .86 for 10 fruit, .52 for 50, .19 for 500). That part is visible."""
 JOINED = 0.1
-"""Least deviation of the log ratio if spheres were joined to long fruit: how many of them are one fruit is uncertain."""
+"""Least deviation of the log ratio if spheres were joined to long fruit: how many make one fruit is uncertain."""
 TRAINED = 0.1
 """Typical faintness of trained scenes; that of true surfaces is 0."""
 QUANTILE = 1.645
