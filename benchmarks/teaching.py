@@ -8,6 +8,7 @@ import io
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,17 @@ from ..engine.pipeline import count_scene
 from ..engine.progress import Progress, silent
 from ..engine.publishing import Result
 from ..engine.splatting.rendering.rasterize import render
-from .ladder.stages import TRUE_POSES
+from .ladder.stages import TRUE_POSES, masked_probability
 from .markdown import markdown
 from .orchards import TRUTH, read_origin
 
 BoolArray = NDArray[np.bool_]
 
-APART = 3
-"""Pixels around fruit in which no negative click is made, because Gaussians reach beyond outlines."""
+APART = 1.0
+"""Distance of negative clicks from all fruit, in typical diameters of the fruit in the photo: nearer to it Gaussians
+show a part of it."""
+ACCEPTED = 0.2
+"""Share of fruit in the region of a negative click below which a user who sees it accepts it."""
 BUILT_IN = "built-in"
 """Stands for the word that needs no clicks."""
 
@@ -115,15 +119,17 @@ class Tree:
         return clicks
 
     def negative_marks(self, word: TaughtWord, number: int) -> list[Mark]:
-        """Clicks where photos show no fruit and the word matches best: one a photo, none on what another one has."""
+        """Clicks where photos show no fruit and the word matches best: one a photo, none on what another one has, and
+        none whose region a user would not accept, because it reaches over fruit."""
         encoder = Embedder.open(EmbedConfig()).encoder.with_words({word.name: word})
         probability = relevancy(self.result.features, encoder, [word.name])
         found = []
-        for view, (camera, fruit) in enumerate(zip(self.result.scene.cameras, self.fruit, strict=True)):
+        views = zip(self.result.scene.cameras, self.instances, self.fruit, strict=True)
+        for view, (camera, ids, fruit) in enumerate(views):
             drawn = render(self.result.gaussians, camera, features=probability[:, None]).features
             assert drawn is not None
             shown = ndimage.uniform_filter(drawn[..., 0].detach().numpy(), 3)
-            shown[ndimage.binary_dilation(fruit, iterations=APART)] = 0.0
+            shown[ndimage.distance_transform_edt(~fruit) < APART * _width(ids[fruit])] = -1.0
             place = np.unravel_index(int(shown.argmax()), shown.shape)
             found.append((-float(shown[place]), view, place))
         marks: list[Mark] = []
@@ -133,10 +139,19 @@ class Tree:
                 (mark,) = self.marks([self._click(view, place, positive=False)])
             except FruitLangsError:  # nothing was reconstructed there
                 continue
-            if len(marks) < number and not np.isin(mark.rows, taken).any():
+            shows = float(self._shown[mark.rows].mean())
+            if len(marks) < number and shows < ACCEPTED and not np.isin(mark.rows, taken).any():
                 marks.append(mark)
                 taken = np.concatenate([taken, mark.rows])
         return marks
+
+    @cached_property
+    def _shown(self) -> NDArray[np.float32]:
+        """(M,) share of fruit in what each Gaussian of `ground` shows."""
+        assert self.truth.ids is not None
+        cameras = self.result.scene.cameras
+        shown = masked_probability(self.result.gaussians, cameras, self.instances, self.truth.ids)
+        return shown.numpy()[self.ground.rows]
 
     def marks(self, clicks: Sequence[Click]) -> list[Mark]:
         return marks_of_clicks(clicks, self.result.scene, self.result.gaussians, self.ground)
@@ -155,6 +170,12 @@ class Tree:
         start = time.perf_counter()
         word = lesson.word(marks)
         return word, time.perf_counter() - start
+
+
+def _width(numbers: NDArray[np.uint16]) -> float:
+    """Diameter in pixels of a disc as large as the typical fruit. numbers: ids of all pixels that show fruit."""
+    sizes = np.unique(numbers, return_counts=True)[1]
+    return float(2.0 * np.sqrt(np.median(sizes) / np.pi)) if len(sizes) else 0.0
 
 
 def new_name(species: str) -> str:

@@ -4,8 +4,9 @@
 
 Each scene is counted with its built-in word ("fruit" if it has none). Then its fruit is taught under a new name, with
 as many positive and negative clicks as --clicks says, and every scene of the species is counted with that word. With
---correct, each built-in word is taught instead that its most probable false fruit is none. Prints a table in Markdown;
-OUT gets words.csv, and a second run goes on.
+--correct, each built-in word is taught instead that its most probable false fruit is none. With --photos, words are
+taught by the boxes of ten photos of each set, and pixels of its validation photos are ranked. Prints tables in
+Markdown; OUT gets words.csv, and a second run goes on.
 
 To measure how well a fruit is learnt that the encoder never saw, train an encoder without it (`train_encoder.py`,
 `fit_offsets.py`) and put its weights into engine/language/encoders/weights.
@@ -14,6 +15,7 @@ To measure how well a fruit is learnt that the encoder never saw, train an encod
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -23,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import import_tyro, report, run, terminal_progress
+from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.orchards import read_origin, scene_folder
 from fruitlangs.benchmarks.teaching import (
     Tree,
@@ -35,7 +38,10 @@ from fruitlangs.benchmarks.teaching import (
     words_table,
 )
 from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import require_writable, write_text
+from fruitlangs.fitting.encoder.pictures import read_photos
+from fruitlangs.fitting.encoder.taught_photos import TaughtScore, taught_scores
 
 tyro = import_tyro()
 
@@ -44,7 +50,7 @@ tyro = import_tyro()
 class Options:
     """What to teach, and where."""
 
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = ()
     """Folders of generated scenes, or presets with seeds such as apple-small:101."""
     out: Path
     """Folder of tables, words and results; that of evaluate.py reuses its training."""
@@ -52,11 +58,23 @@ class Options:
     """Numbers of positive clicks, or of positive and negative ones."""
     correct: bool = False
     """Correct built-in words instead."""
+    photos: Path | None = None
+    """Folder of photo sets with annotations.csv, as of train_encoder.py."""
 
 
 def main(options: Options) -> None:
     lessons = [read_clicks(text) for text in options.clicks]
     require_writable(options.out)
+    if not (options.scenes or options.photos):
+        raise ConfigError("Nothing is given to teach in. Name scenes, or --photos")
+    if options.photos is not None:
+        sets = (read_photos(options.photos, split) for split in ("train", "val"))
+        print(photos_table(taught_scores(EmbeddedEncoder.open(), *sets)))
+    if options.scenes:
+        teach_scenes(options, lessons)
+
+
+def teach_scenes(options: Options, lessons: Sequence[tuple[int, int]]) -> None:
     folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
     progress = terminal_progress()
     if options.correct:
@@ -72,6 +90,15 @@ def main(options: Options) -> None:
         trials += try_words(trees, lessons, options.out / "words", known, say)
         write_text(file, words_csv([*trials, *(trial for trial in known if trial.species not in species_of(trials))]))
     print(words_table(trials))
+
+
+def photos_table(scores: Mapping[str, TaughtScore]) -> str:
+    """Markdown: one line per set of photos."""
+    lines = [["photos of", "taught on", "average precision", "of the built-in word"]]
+    for source, score in scores.items():
+        shown = f"{score.boxes} boxes in {score.photos} photos"
+        lines.append([source, shown, f"{score.taught:.3f}", f"{score.built_in:.3f}"])
+    return markdown(lines)
 
 
 def species_of(trials: list[WordTrial]) -> set[str]:

@@ -17,9 +17,10 @@ from ...errors import VocabularyError
 FloatArray = NDArray[np.float64]
 
 PENALTY = 20.0
-"""Weight of the squared weights of standardised evidence, against BACKGROUND."""
-BACKGROUND, POSITIVE, NEGATIVE = 200.0, 50.0, 50.0
-"""Weight of all background together, of all positive and of all negative examples."""
+"""Weight of the squared weights of standardised evidence, against NEW or REFINED."""
+NEW, REFINED = (200.0, 50.0, 20.0), (4000.0, 50.0, 50.0)
+"""Weight of all background together, of all positive and of all negative examples: for a new word, and for a built-in
+one, whose answers the background keeps."""
 ROUNDS = 6
 """The background contains fruit without a click. What the word takes for its fruit is left out of it, and the
 word is learnt again, this many times in all."""
@@ -57,29 +58,51 @@ class Background:
 def learn(examples: Examples, background: Background) -> tuple[Tensor, float]:
     """The weights (F,) float32 and the bias of a word.
 
-    The background is negative, except what looks like the positive examples: learning from positive and unlabelled
-    examples (Liu et al. 2003, "Building text classifiers using positive and unlabeled examples").
+    The background of a new word is negative, except what looks like the positive examples: learning from positive and
+    unlabelled examples (Liu et al. 2003, "Building text classifiers using positive and unlabeled examples"). That of a
+    built-in word keeps the answers of the word.
 
     Raises:
-        VocabularyError: there is no positive example.
+        VocabularyError: a new word has no positive example, or a built-in one no example at all.
     """
-    if not examples.positive.any():
+    refines = bool(background.prior.any())
+    if not (examples.positive.any() or (refines and len(examples.positive))):
         raise VocabularyError("A positive example is missing. Click on the fruit that the word names")
     mean, spread = scale_of(background.vectors, background.weights)
     own, rest = ((each.vectors - mean) / spread for each in (examples, background))
-    weights = np.concatenate([_shares(examples), BACKGROUND * background.weights / background.weights.sum()])
+    scenery, positive, negative = REFINED if refines else NEW
+    around = scenery * background.weights / background.weights.sum()
+    weights = np.concatenate([_shares(examples, positive, negative), around])
     vectors = np.concatenate([own, rest])
-    target = np.concatenate([examples.positive, np.zeros(len(rest), bool)]).astype(np.float64)
     prior = np.concatenate([examples.prior, background.prior])
-    kept = np.ones(len(rest), bool)
-    for _ in range(ROUNDS):
-        used = weights * np.concatenate([np.ones(len(own)), kept])
-        solved = logistic(vectors, target, used, prior)
-        shown = own[examples.positive] @ solved[:-1] + solved[-1] + examples.prior[examples.positive]
-        cut = min(0.0, float(np.percentile(shown, LEAST_LIKE)))
-        kept = rest @ solved[:-1] + solved[-1] + background.prior < cut
+    known = 1.0 / (1.0 + np.exp(-background.prior)) if refines else np.zeros(len(rest))
+    target = np.concatenate([examples.positive, known])
+    solved = logistic(vectors, target, weights, prior)
+    for _ in range(ROUNDS - 1):
+        odds = vectors @ solved[:-1] + solved[-1] + prior
+        alike = _like_examples(odds, prior, examples.positive, refines=refines)
+        solved = logistic(vectors, target, weights * np.concatenate([np.ones(len(own)), ~alike]), prior)
     slopes = solved[:-1] / spread
     return torch.from_numpy(slopes.astype(np.float32)), float(solved[-1] - slopes @ mean)
+
+
+def _like_examples(
+    odds: FloatArray, prior: FloatArray, positive: NDArray[np.bool_], *, refines: bool
+) -> NDArray[np.bool_]:
+    """(b,) which of the background looks like the examples, so that its own answer does not count.
+
+    odds, prior: (n + b,) log odds of the examples and of the background, now and of the built-in word.
+    """
+    own, rest = odds[: len(positive)], odds[len(positive) :]
+    alike = np.zeros(len(rest), bool)
+    if positive.any():
+        alike |= rest >= min(0.0, float(np.percentile(own[positive], LEAST_LIKE)))
+    if refines:
+        alike &= prior[len(positive) :] < 0.0
+        if not positive.all():
+            least = max(0.0, float(np.percentile(own[~positive], 100.0 - LEAST_LIKE)))
+            alike |= (rest < least) & (prior[len(positive) :] >= 0.0)
+    return alike
 
 
 def contradiction(examples: Examples, background: Background) -> tuple[int, int] | None:
@@ -148,11 +171,11 @@ def scale_of(vectors: FloatArray, weights: FloatArray) -> tuple[FloatArray, Floa
     return mean, spread
 
 
-def _shares(examples: Examples) -> FloatArray:
+def _shares(examples: Examples, positive: float, negative: float) -> FloatArray:
     """(n,) weight of each: examples of one sign share its weight, and the Gaussians of an example that of the
     example."""
     weights = np.zeros(len(examples.vectors))
-    for sign, total in ((True, POSITIVE), (False, NEGATIVE)):
+    for sign, total in ((True, positive), (False, negative)):
         own = examples.positive == sign
         if own.any():
             _, place, size = np.unique(examples.groups[own], return_inverse=True, return_counts=True)

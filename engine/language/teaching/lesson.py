@@ -77,14 +77,23 @@ class Lesson:
         return logit
 
     def mark_of(self, members: IntArray, *, positive: bool, place: str) -> Mark:
-        """The example of Gaussians (M,), by their places among all, such as those of a counted fruit."""
-        return Mark(positive, place, np.flatnonzero(np.isin(self._ground.rows, members)))
+        """The example of Gaussians (M,), by their places among all, such as those of a counted fruit.
+
+        Raises:
+            VocabularyError: no photo shows any of them.
+        """
+        rows = np.flatnonzero(np.isin(self._ground.rows, members))
+        if not len(rows):
+            raise VocabularyError(
+                f"{place} was found in the photos alone and has no Gaussians to learn from. Click on it in a photo"
+            )
+        return Mark(positive, place, rows)
 
     def word(self, marks: Sequence[Mark], *, notes: str = "", licence: str = "") -> TaughtWord:
         """The word learnt from these examples and from those that it starts with.
 
         Raises:
-            VocabularyError: there is no positive example, or a positive one and a negative one are the same.
+            VocabularyError: there is no example that `learn` needs, or a positive one and a negative one are the same.
         """
         shown = [_evenly(mark.rows, MOST_ROWS) for mark in marks]
         own = np.concatenate([np.zeros(0, np.int64), *shown])
