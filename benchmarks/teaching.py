@@ -82,8 +82,16 @@ class Tree:
         species = read_origin(folder).species
         result = out / TRUE_POSES
         count_scene(folder, [species if species in CONCEPTS else "fruit"], result, progress=progress)
-        opened = open_result(result)
-        truth = read_truth(folder / TRUTH, {species})
+        return cls.of(folder, open_result(result))
+
+    @classmethod
+    def of(cls, folder: Path, opened: Result) -> Tree:
+        """The scene in `folder` with its result.
+
+        Raises:
+            FormatError: its truth or its masks cannot be read.
+        """
+        truth = read_truth(folder / TRUTH, {read_origin(folder).species})
         if truth.ids is None:
             raise FormatError(f"{folder / TRUTH} records no ids of fruit. Make the scene again")
         instances = read_instances(folder, opened.scene)
@@ -108,10 +116,7 @@ class Tree:
                 best[one] = max(best.get(one, (0, 0, 0)), (size, -view, one))
         ranked = sorted(best.values(), reverse=True)
         ranked = ranked[: max(number, len(ranked) // 2)]
-        if number == 1:
-            places = [len(ranked) // 4]
-        else:
-            places = np.linspace(0, len(ranked) - 1, number + 2)[1:-1].astype(int).tolist()
+        places = [(2 * turn + 1) * len(ranked) // (2 * number) for turn in range(number)]
         clicks = []
         for _, view, one in (ranked[place] for place in dict.fromkeys(places)):
             inside = ndimage.distance_transform_edt(np.pad(self.instances[-view] == one, 1))[1:-1, 1:-1]

@@ -109,6 +109,19 @@ def test_the_answer_of_a_built_in_word_is_learnt_from_as_it_is() -> None:
     assert np.abs(right[0].numpy()).max() < 0.5 * np.abs(without[0].numpy()).max()
 
 
+def test_one_negative_example_corrects_a_built_in_word_and_keeps_its_other_answers() -> None:
+    tags = cluster(TAGS, 40, 4)
+    vectors = np.concatenate([cluster(FIGS, 150, 1), cluster(LEAVES, 810, 2), tags])
+    said = np.where((np.arange(1000) < 150) | (np.arange(1000) >= 960), 2.0, -4.0)
+    tree = Background(vectors, said, np.ones(1000))
+    weights, bias = learn(replace(examples_of((cluster(TAGS, 30, 5), False)), prior=np.full(30, 2.0)), tree)
+    now = 1.0 / (1.0 + np.exp(-(vectors @ weights.double().numpy() + bias + said)))
+    assert np.median(now[960:]) < 0.3
+    assert np.median(now[:150]) > 0.8
+    assert (now[:150] < 0.5).mean() <= 0.02
+    assert now[150:960].max() < 0.1
+
+
 @pytest.mark.parametrize("shown", [[], [(CLICKED, False)]])
 def test_without_a_positive_example_no_word_is_learnt(shown: list[tuple[NDArray[np.float64], bool]]) -> None:
     examples = (
