@@ -231,47 +231,58 @@ def try_words(
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:
-    """A false fruit of a built-in word, and what one click on it changes. gone: nothing is counted there any more;
-    before, after: true fruit that are found."""
+    """A false fruit of a built-in word, and what one click on it changes. fruit: its number; gone: nothing is counted
+    there any more; false, true: false and true fruit before; false_after, true_after: and then."""
 
     scene: str
+    fruit: int
     gone: bool
-    before: int
-    after: int
+    false: int
+    false_after: int
+    true: int
+    true_after: int
 
 
-def correct(tree: Tree, out: Path) -> Correction | None:
-    """Teach the built-in word of a tree that its most probable false fruit is none, with one click on that and one on
-    fruit, and count again. None if no fruit is false."""
+def correct(tree: Tree, out: Path, most: int = 3) -> list[Correction]:
+    """Teach the built-in word of a tree that a false fruit is none, by that one example, and count again: each of the
+    most probable false fruit in turn."""
     counted = tree.result.fruit_count
     false = judge(counted.centers, counted.diameters, tree.truth).false
-    if not len(false):
-        return None
-    wrong = max((counted.fruits[place] for place in false.tolist()), key=lambda fruit: (fruit.probability, -fruit.id))
-    encoder = Embedder.open(EmbedConfig()).encoder
-    lesson = Lesson(tree.species, tree.ground, tree.result.features, encoder)
-    mark = lesson.mark_of(wrong.members, positive=False, place=f"fruit {wrong.id}")
-    word = lesson.word([*tree.marks(tree.positive_clicks(1)), mark])
-    words = out / tree.folder.name / "corrected"
-    save_word(word_file(words, word.name), word)
-    config = Config(embed=EmbedConfig(words=str(words)))
-    result = count_scene(tree.result.out, [tree.species], words / tree.folder.name, config=config)
-    apart = np.linalg.norm(result.fruit_count.centers - wrong.center, axis=1)
-    return Correction(
-        scene=tree.folder.name,
-        gone=not bool((apart < wrong.diameter / 2.0).any()),
-        before=tree.measured(tree.result).matched,
-        after=tree.measured(result).matched,
+    ranked = sorted(
+        (counted.fruits[place] for place in false.tolist()), key=lambda fruit: (-fruit.probability, fruit.id)
     )
+    lesson = Lesson(tree.species, tree.ground, tree.result.features, Embedder.open(EmbedConfig()).encoder)
+    corrections = []
+    for wrong in ranked[:most]:
+        mark = Mark(False, f"fruit {wrong.id}", tree.ground.around(wrong.center))
+        word = lesson.word([mark])
+        words = out / tree.folder.name / f"without {wrong.id}"
+        save_word(word_file(words, word.name), word)
+        config = Config(embed=EmbedConfig(words=str(words)))
+        result = count_scene(tree.result.out, [tree.species], words / tree.folder.name, config=config).fruit_count
+        apart = np.linalg.norm(result.centers - wrong.center, axis=1)
+        after = judge(result.centers, result.diameters, tree.truth)
+        before = judge(counted.centers, counted.diameters, tree.truth)
+        corrections.append(
+            Correction(
+                scene=tree.folder.name,
+                fruit=wrong.id,
+                gone=not bool((apart < wrong.diameter / 2.0).any()),
+                false=len(before.false),
+                false_after=len(after.false),
+                true=len(before.pairs),
+                true_after=len(after.pairs),
+            )
+        )
+    return corrections
 
 
 def corrections_table(corrections: Sequence[Correction]) -> str:
     """Markdown: one line per false fruit."""
-    lines = [["scene", "false fruit", "true fruit before", "and after"]]
-    lines += [
-        [each.scene, "gone" if each.gone else "still there", *map(str, (each.before, each.after))]
-        for each in corrections
-    ]
+    lines = [["scene", "false fruit", "after one click", "false, before and after", "true, before and after"]]
+    for each in corrections:
+        counts = f"{each.false}, {each.false_after}", f"{each.true}, {each.true_after}"
+        lines.append([each.scene, str(each.fruit), "gone" if each.gone else "still there", *counts])
     return markdown(lines)
 
 

@@ -4,9 +4,9 @@
 
 Each scene is counted with its built-in word ("fruit" if it has none). Then its fruit is taught under a new name, with
 as many positive and negative clicks as --clicks says, and every scene of the species is counted with that word. With
---correct, each built-in word is taught instead that its most probable false fruit is none. With --photos, words are
-taught by the boxes of ten photos of each set, and pixels of its validation photos are ranked. Prints tables in
-Markdown; OUT gets words.csv, and a second run goes on.
+--correct, built-in words are taught instead that their most probable false fruit are none, one by one. With --photos,
+words are taught by the boxes of ten photos of each set, and pixels of its validation photos are ranked. Prints tables
+in Markdown; OUT gets words.csv, and a second run goes on.
 
 To measure how well a fruit is learnt that the encoder never saw, train an encoder without it (`train_encoder.py`,
 `fit_offsets.py`) and put its weights into engine/language/encoders/weights.
@@ -80,7 +80,7 @@ def teach_scenes(options: Options, lessons: Sequence[tuple[int, int]]) -> None:
     if options.correct:
         words = options.out / "words"
         found = [correct(Tree.grown(folder, options.out / folder.name, progress), words) for folder in folders]
-        print(corrections_table([each for each in found if each is not None]))
+        print(corrections_table([each for own in found for each in own]))
         return
     file = options.out / "words.csv"
     known, trials = read_words_csv(file), list[WordTrial]()

@@ -81,8 +81,12 @@ def test_a_taught_word_is_counted_with_and_what_is_known_is_not_done_again(tree:
 
 
 def test_where_nothing_is_false_there_is_nothing_to_correct(tree: Tree, tmp_path: Path):
-    assert correct(tree, tmp_path) is None
-    assert "gone | 5 | 4" in corrections_table([Correction(scene="balls", gone=True, before=5, after=4)])
+    assert correct(tree, tmp_path) == []
+
+
+def test_the_table_of_corrections_says_what_each_changed():
+    changed = Correction(scene="balls", fruit=7, gone=True, false=2, false_after=1, true=5, true_after=4)
+    assert "balls | 7 | gone | 2, 1 | 5, 4" in corrections_table([changed])
 
 
 def test_a_new_word_does_not_refine_a_built_in_one():
