@@ -27,6 +27,8 @@ word is learnt again, this many times in all."""
 LEAST_LIKE = 25.0
 """Percentile of the positive examples' log odds from which the background is left out, if that is below 0: at first,
 where much of the background is fruit, even the examples have log odds below 0."""
+LEAST_WRONG = 1e-3
+"""Added to how wrong a built-in word is about a Gaussian of an example."""
 STEPS, CONVERGED = 30, 1e-9
 """Most Newton steps, and the largest change of a weight after the last."""
 LEAST_SPREAD = 1e-3
@@ -72,7 +74,7 @@ def learn(examples: Examples, background: Background) -> tuple[Tensor, float]:
     own, rest = ((each.vectors - mean) / spread for each in (examples, background))
     scenery, positive, negative = REFINED if refines else NEW
     around = scenery * background.weights / background.weights.sum()
-    weights = np.concatenate([_shares(examples, positive, negative), around])
+    weights = np.concatenate([_shares(examples, positive, negative, refines=refines), around])
     vectors = np.concatenate([own, rest])
     prior = np.concatenate([examples.prior, background.prior])
     known = 1.0 / (1.0 + np.exp(-background.prior)) if refines else np.zeros(len(rest))
@@ -171,13 +173,15 @@ def scale_of(vectors: FloatArray, weights: FloatArray) -> tuple[FloatArray, Floa
     return mean, spread
 
 
-def _shares(examples: Examples, positive: float, negative: float) -> FloatArray:
-    """(n,) weight of each: examples of one sign share its weight, and the Gaussians of an example that of the
-    example."""
+def _shares(examples: Examples, positive: float, negative: float, *, refines: bool) -> FloatArray:
+    """(n,) weight of each: examples of one sign share its weight, and the Gaussians of an example that of the example:
+    equally for a new word, and by how wrong the built-in word is about each if that is refined."""
     weights = np.zeros(len(examples.vectors))
+    said = 1.0 / (1.0 + np.exp(-examples.prior))
+    wrong = np.abs(examples.positive - said) + LEAST_WRONG if refines else np.ones(len(weights))
     for sign, total in ((True, positive), (False, negative)):
         own = examples.positive == sign
         if own.any():
-            _, place, size = np.unique(examples.groups[own], return_inverse=True, return_counts=True)
-            weights[own] = total / len(size) / size[place]
+            groups, place = np.unique(examples.groups[own], return_inverse=True)
+            weights[own] = total / len(groups) * wrong[own] / np.bincount(place, wrong[own])[place]
     return weights
