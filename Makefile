@@ -24,7 +24,7 @@ types: $(READY)
 	MYPYPATH=.types:scripts:scripts/developer $(BIN)/mypy -p guide $(addprefix -m ,$(SCRIPTS))
 
 pytest: $(READY)
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 # About an hour and a half on two cores; goes on where it stopped.
 baseline: $(READY)
