@@ -6,7 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -62,6 +62,11 @@ class WordTrial:
     negative: int
     seconds: float
     metrics: CountMetrics
+
+    @property
+    def place(self) -> tuple[str, str, int, int]:
+        """What tells it from others."""
+        return self.scene, self.taught, self.positive, self.negative
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,44 +194,32 @@ def new_name(species: str) -> str:
 
 
 def try_words(
-    trees: Sequence[Tree],
-    lessons: Sequence[tuple[int, int]],
-    out: Path,
-    known: Sequence[WordTrial] = (),
-    report: Callable[[WordTrial], None] = lambda _: None,
-) -> list[WordTrial]:
+    trees: Sequence[Tree], lessons: Sequence[tuple[int, int]], out: Path, known: Sequence[WordTrial] = ()
+) -> Iterator[WordTrial]:
     """Count trees of one species with their built-in word and with words that are taught in each of them.
 
     lessons: numbers of positive and of negative clicks; out: folder of words and results; known: trials that are not
     done again.
     """
-    done = {_place(trial): trial for trial in known}
-    trials = []
-
-    def kept(trial: WordTrial) -> None:
-        trials.append(trial)
-        report(trial)
-
+    done = {trial.place: trial for trial in known}
     for tree in trees:
-        place = (tree.folder.name, BUILT_IN, 0, 0)
-        kept(done.get(place) or _trial(tree, BUILT_IN, (0, 0), 0.0, tree.measured(tree.result)))
+        built_in = _trial(tree, BUILT_IN, (0, 0), 0.0, tree.measured(tree.result))
+        yield done.get(built_in.place, built_in)
     for teacher in trees:
         name = new_name(teacher.species)
-        for positive, negative in lessons:
-            places = [(tree.folder.name, teacher.folder.name, positive, negative) for tree in trees]
-            missing = [place for place in places if place not in done]
-            words, seconds = out / teacher.folder.name / f"{positive}+{negative}", 0.0
-            if missing:
-                word, seconds = teacher.taught(name, positive, negative)
+        for lesson in lessons:
+            places = [(tree.folder.name, teacher.folder.name, *lesson) for tree in trees]
+            words, seconds = out / teacher.folder.name / "{}+{}".format(*lesson), 0.0
+            if not all(place in done for place in places):
+                word, seconds = teacher.taught(name, *lesson)
                 save_word(word_file(words, word.name), word)
             for tree, place in zip(trees, places, strict=True):
                 if place in done:
-                    kept(done[place])
+                    yield done[place]
                     continue
                 config = Config(embed=EmbedConfig(words=str(words)))
                 counted = count_scene(tree.result.out, [name], words / tree.folder.name, config=config)
-                kept(_trial(tree, teacher.folder.name, (positive, negative), seconds, tree.measured(counted)))
-    return trials
+                yield _trial(tree, teacher.folder.name, lesson, seconds, tree.measured(counted))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,10 +289,6 @@ def _trial(tree: Tree, taught: str, lesson: tuple[int, int], seconds: float, met
         seconds=seconds,
         metrics=metrics,
     )
-
-
-def _place(trial: WordTrial) -> tuple[str, str, int, int]:
-    return trial.scene, trial.taught, trial.positive, trial.negative
 
 
 def words_table(trials: Sequence[WordTrial]) -> str:

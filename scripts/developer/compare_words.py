@@ -83,13 +83,16 @@ def teach_scenes(options: Options, lessons: Sequence[tuple[int, int]]) -> None:
         print(corrections_table([each for own in found for each in own]))
         return
     file = options.out / "words.csv"
-    known, trials = read_words_csv(file), list[WordTrial]()
+    kept = {trial.place: trial for trial in read_words_csv(file)}
     for species in dict.fromkeys(read_origin(folder).species for folder in folders):
         own = [folder for folder in folders if read_origin(folder).species == species]
         trees = [Tree.grown(folder, options.out / folder.name, progress) for folder in own]
-        trials += try_words(trees, lessons, options.out / "words", known, say)
-        write_text(file, words_csv([*trials, *(trial for trial in known if trial.species not in species_of(trials))]))
-    print(words_table(trials))
+        for trial in try_words(trees, lessons, options.out / "words", [*kept.values()]):
+            report(line_of(trial))
+            kept[trial.place] = trial
+            write_text(file, words_csv([*kept.values()]))
+    named = {folder.name for folder in folders}
+    print(words_table([trial for trial in kept.values() if trial.scene in named]))
 
 
 def photos_table(scores: Mapping[str, TaughtScore]) -> str:
@@ -101,12 +104,9 @@ def photos_table(scores: Mapping[str, TaughtScore]) -> str:
     return markdown(lines)
 
 
-def species_of(trials: list[WordTrial]) -> set[str]:
-    return {trial.species for trial in trials}
-
-
-def say(trial: WordTrial) -> None:
-    report(
+def line_of(trial: WordTrial) -> str:
+    """For people who wait."""
+    return (
         f"{trial.scene} with the word of {trial.taught}, {trial.positive} + {trial.negative} clicks: "
         f"F1 {trial.metrics.f1:.3f}, learnt in {trial.seconds:.2f} s"
     )

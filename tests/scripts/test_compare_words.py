@@ -63,7 +63,7 @@ def test_negative_clicks_are_where_no_photo_shows_fruit_and_on_places_of_their_o
 
 
 def test_a_taught_word_is_counted_with_and_what_is_known_is_not_done_again(tree: Tree, tmp_path: Path):
-    trials = try_words([tree], [(3, 1)], tmp_path / "words")
+    trials = list(try_words([tree], [(3, 1)], tmp_path / "words"))
     built_in, taught = trials
     assert (built_in.taught, built_in.positive, built_in.metrics.matched) == (BUILT_IN, 0, 5)
     assert (taught.taught, taught.positive, taught.negative) == (tree.folder.name, 3, 1)
@@ -73,7 +73,7 @@ def test_a_taught_word_is_counted_with_and_what_is_known_is_not_done_again(tree:
     known = read_words_csv(file)
     assert known == trials
     wrong = replace(taught, metrics=replace(taught.metrics, f1=0.25))
-    again = try_words([tree], [(3, 1)], tmp_path / "none", [built_in, wrong])
+    again = list(try_words([tree], [(3, 1)], tmp_path / "none", [built_in, wrong]))
     assert again == [built_in, wrong]
     assert not (tmp_path / "none").exists()
     assert "3 + 1, same" in words_table(again)
