@@ -6,6 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from typing import Any
 
+from ...engine.language.taught.name import refines
+
 
 @dataclass(frozen=True)
 class LessonText:
@@ -21,10 +23,11 @@ class LessonText:
 
 
 def read_lesson(settings: Any) -> LessonText | None:
-    """The word and its examples; None before there is a positive one."""
+    """The word and its examples; None before there is a positive one, or any one that corrects a built-in word."""
     teach = settings.teach
     places = tuple((bool(example.positive), _three(example.place)) for example in teach.examples)
-    if not teach.word.strip() or not any(positive for positive, _ in places):
+    enough = any(positive for positive, _ in places) or (bool(places) and refines(teach.word))
+    if not teach.word.strip() or not enough:
         return None
     return LessonText(teach.word.strip(), places)
 

@@ -41,7 +41,7 @@ from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import require_writable, write_text
 from fruitlangs.fitting.encoder.pictures import read_photos
-from fruitlangs.fitting.encoder.taught_photos import TaughtScore, taught_scores
+from fruitlangs.fitting.taught_photos import TaughtScore, taught_scores
 
 tyro = import_tyro()
 

@@ -95,6 +95,18 @@ def test_without_a_positive_example_nothing_is_taught(settings, ball):
     assert not bpy.ops.fruitlangs.save_word.poll()
 
 
+def test_one_rejected_place_corrects_a_built_in_word(settings, ball, counted_balls):
+    members = counted_balls.fruit_count.fruits[0].members
+    settings.prompt, settings.teach.word = "apple", "apple"
+    attend()
+    before = probability()[members].mean()
+    teach.add_example(settings, ball, positive=False, source="click")
+    attend()
+    assert settings.answer.problem == ""
+    assert probability()[members].mean() < 0.5 < before
+    assert bpy.ops.fruitlangs.save_word.poll()
+
+
 def test_a_name_that_cannot_be_a_word_is_a_problem_in_the_panel(settings, ball):
     settings.teach.word = "red fig"
     teach.add_example(settings, ball, positive=True, source="click")

@@ -45,6 +45,14 @@ def word_name(text: str) -> str:
     return known if known in CONCEPTS else " ".join(folded)
 
 
+def refines(text: str) -> bool:
+    """Whether a word of this name would correct a built-in one."""
+    try:
+        return word_name(text) in CONCEPTS
+    except VocabularyError:
+        return False
+
+
 def _is_spelled(text: str) -> bool:
     """Whether a text has letters of any language only, with single characters of _BETWEEN in between."""
     letters = [unicodedata.category(character)[0] in "LM" for character in text]

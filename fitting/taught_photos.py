@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
-from ...engine.language.encoders.embedded import EmbeddedEncoder
-from ...engine.language.prompts.relevancy import answer
-from ...engine.language.teaching.learning import Background, Examples, learn
-from ...engine.language.teaching.region import MOST, SAMPLE
-from ...engine.language.vocabulary import CONCEPTS
-from .pictures import IGNORED, POSITIVE_SHARE, Picture, inside
-from .samples import STEP, FloatArray
+from ..engine.language.encoders.embedded import EmbeddedEncoder
+from ..engine.language.prompts.relevancy import answer
+from ..engine.language.teaching.learning import Background, Examples, learn
+from ..engine.language.teaching.region import MOST, SAMPLE
+from ..engine.language.vocabulary import CONCEPTS
+from .encoder.pictures import IGNORED, POSITIVE_SHARE, Picture, inside
+from .encoder.samples import STEP, FloatArray
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from fruitlangs.benchmarks.teaching import (
     words_table,
 )
 from fruitlangs.engine.errors import ConfigError, FormatError
-from fruitlangs.fitting.encoder.taught_photos import TaughtScore
+from fruitlangs.fitting.taught_photos import TaughtScore
 
 
 @pytest.fixture(scope="module")
