@@ -22,6 +22,7 @@ from ..engine.evaluation.judgement import judge
 from ..engine.evaluation.metrics import CountMetrics, count_metrics
 from ..engine.evaluation.renders import read_instances
 from ..engine.evaluation.truth import Truth, read_truth
+from ..engine.language.encoders.encoder import Encoder
 from ..engine.language.features.embedder import Embedder
 from ..engine.language.prompts.relevancy import relevancy
 from ..engine.language.taught.library import word_file
@@ -30,11 +31,11 @@ from ..engine.language.teaching.lesson import Lesson, Mark
 from ..engine.language.teaching.photo_marks import Click, marks_of_clicks
 from ..engine.language.teaching.region import Ground
 from ..engine.language.vocabulary import CONCEPTS
-from ..engine.open_result import open_result
 from ..engine.pipeline import count_scene
 from ..engine.progress import Progress, silent
 from ..engine.publishing import Result
 from ..engine.splatting.rendering.rasterize import render
+from .counting.trials import metrics_of
 from .ladder.stages import TRUE_POSES, masked_probability
 from .markdown import markdown
 from .orchards import TRUTH, read_origin
@@ -74,6 +75,7 @@ class Tree:
     """A generated scene that was counted. fruit: (H, W) bool per view, where its true fruit is."""
 
     folder: Path
+    species: str
     result: Result
     ground: Ground
     truth: Truth
@@ -85,27 +87,38 @@ class Tree:
         """The scene in `folder`, counted with its own word, or as "fruit" if that is not built in. Cached as the stage
         with true poses of the ladder in the same `out`."""
         species = read_origin(folder).species
-        result = out / TRUE_POSES
-        count_scene(folder, [species if species in CONCEPTS else "fruit"], result, progress=progress)
-        return cls.of(folder, open_result(result))
+        word = species if species in CONCEPTS else "fruit"
+        return cls.of(folder, count_scene(folder, [word], out / TRUE_POSES, progress=progress))
 
     @classmethod
-    def of(cls, folder: Path, opened: Result) -> Tree:
+    def of(cls, folder: Path, result: Result) -> Tree:
         """The scene in `folder` with its result.
 
         Raises:
             FormatError: its truth or its masks cannot be read.
         """
-        truth = read_truth(folder / TRUTH, {read_origin(folder).species})
+        species = read_origin(folder).species
+        truth = read_truth(folder / TRUTH, {species})
         if truth.ids is None:
             raise FormatError(f"{folder / TRUTH} records no ids of fruit. Make the scene again")
-        instances = read_instances(folder, opened.scene)
-        ground = Ground.of(opened.gaussians.means, opened.features)
-        return cls(folder, opened, ground, truth, instances, [np.isin(each, truth.ids) for each in instances])
+        instances = read_instances(folder, result.scene)
+        fruit = [np.isin(each, truth.ids) for each in instances]
+        ground = Ground.of(result.gaussians.means, result.features)
+        return cls(folder, species, result, ground, truth, instances, fruit)
 
-    @property
-    def species(self) -> str:
-        return read_origin(self.folder).species
+    @cached_property
+    def _encoder(self) -> Encoder:
+        return Embedder.open(self.result.config.embed).encoder
+
+    def lesson(self, name: str) -> Lesson:
+        """To teach a word in this tree."""
+        return Lesson(name, self.ground, self.result.features, self._encoder)
+
+    def counted_with(self, word: TaughtWord, folder: Path) -> Result:
+        """The tree counted with a word that was taught, which is written to the folder next to the result."""
+        save_word(word_file(folder, word.name), word)
+        config = Config(embed=EmbedConfig(words=str(folder)))
+        return count_scene(self.result.out, [word.name], folder / self.folder.name, config=config)
 
     def measured(self, result: Result) -> CountMetrics:
         """A count of this tree against its truth."""
@@ -131,8 +144,7 @@ class Tree:
     def negative_marks(self, word: TaughtWord, number: int) -> list[Mark]:
         """Clicks where photos show no fruit and the word matches best: one a photo, none on what another one has, and
         none whose region a user would not accept, because it reaches over fruit."""
-        encoder = Embedder.open(EmbedConfig()).encoder.with_words({word.name: word})
-        probability = relevancy(self.result.features, encoder, [word.name])
+        probability = relevancy(self.result.features, self._encoder.with_words({word.name: word}), [word.name])
         found = []
         views = zip(self.result.scene.cameras, self.instances, self.fruit, strict=True)
         for view, (camera, ids, fruit) in enumerate(views):
@@ -145,12 +157,14 @@ class Tree:
         marks: list[Mark] = []
         taken = np.zeros(0, np.int64)
         for _, view, place in sorted(found):
+            if len(marks) == number:
+                break
             try:
                 (mark,) = self.marks([self._click(view, place, positive=False)])
             except FruitLangsError:  # nothing was reconstructed there
                 continue
             shows = float(self._shown[mark.rows].mean())
-            if len(marks) < number and shows < ACCEPTED and not np.isin(mark.rows, taken).any():
+            if shows < ACCEPTED and not np.isin(mark.rows, taken).any():
                 marks.append(mark)
                 taken = np.concatenate([taken, mark.rows])
         return marks
@@ -172,9 +186,7 @@ class Tree:
 
     def taught(self, name: str, positive: int, negative: int) -> tuple[TaughtWord, float]:
         """The word, and how long the last learning took, in seconds."""
-        encoder = Embedder.open(EmbedConfig()).encoder
-        lesson = Lesson(name, self.ground, self.result.features, encoder)
-        marks = self.marks(self.positive_clicks(positive))
+        lesson, marks = self.lesson(name), self.marks(self.positive_clicks(positive))
         if negative:
             marks += self.negative_marks(lesson.word(marks), negative)
         start = time.perf_counter()
@@ -209,16 +221,15 @@ def try_words(
         name = new_name(teacher.species)
         for lesson in lessons:
             places = [(tree.folder.name, teacher.folder.name, *lesson) for tree in trees]
-            words, seconds = out / teacher.folder.name / "{}+{}".format(*lesson), 0.0
-            if not all(place in done for place in places):
-                word, seconds = teacher.taught(name, *lesson)
-                save_word(word_file(words, word.name), word)
+            if all(place in done for place in places):
+                yield from (done[place] for place in places)
+                continue
+            word, seconds = teacher.taught(name, *lesson)
             for tree, place in zip(trees, places, strict=True):
                 if place in done:
                     yield done[place]
                     continue
-                config = Config(embed=EmbedConfig(words=str(words)))
-                counted = count_scene(tree.result.out, [name], words / tree.folder.name, config=config)
+                counted = tree.counted_with(word, out / teacher.folder.name / "{}+{}".format(*lesson))
                 yield _trial(tree, teacher.folder.name, lesson, seconds, tree.measured(counted))
 
 
@@ -240,22 +251,14 @@ def correct(tree: Tree, out: Path, most: int = 3) -> list[Correction]:
     """Teach the built-in word of a tree that a false fruit is none, by that one example, and count again: each of the
     most probable false fruit in turn."""
     counted = tree.result.fruit_count
-    false = judge(counted.centers, counted.diameters, tree.truth).false
-    ranked = sorted(
-        (counted.fruits[place] for place in false.tolist()), key=lambda fruit: (-fruit.probability, fruit.id)
-    )
-    lesson = Lesson(tree.species, tree.ground, tree.result.features, Embedder.open(EmbedConfig()).encoder)
-    corrections = []
-    for wrong in ranked[:most]:
-        mark = Mark(False, f"fruit {wrong.id}", tree.ground.around(wrong.center))
-        word = lesson.word([mark])
-        words = out / tree.folder.name / f"without {wrong.id}"
-        save_word(word_file(words, word.name), word)
-        config = Config(embed=EmbedConfig(words=str(words)))
-        result = count_scene(tree.result.out, [tree.species], words / tree.folder.name, config=config).fruit_count
+    before = judge(counted.centers, counted.diameters, tree.truth)
+    false = [counted.fruits[place] for place in before.false.tolist()]
+    lesson, corrections = tree.lesson(tree.species), list[Correction]()
+    for wrong in sorted(false, key=lambda fruit: (-fruit.probability, fruit.id))[:most]:
+        word = lesson.word([Mark(False, f"fruit {wrong.id}", tree.ground.around(wrong.center))])
+        result = tree.counted_with(word, out / tree.folder.name / f"without {wrong.id}").fruit_count
         apart = np.linalg.norm(result.centers - wrong.center, axis=1)
         after = judge(result.centers, result.diameters, tree.truth)
-        before = judge(counted.centers, counted.diameters, tree.truth)
         corrections.append(
             Correction(
                 scene=tree.folder.name,
@@ -340,7 +343,6 @@ def read_words_csv(path: Path) -> list[WordTrial]:
     Raises:
         FormatError: the file is damaged.
     """
-    kinds = CountMetrics.__annotations__
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return [
@@ -351,9 +353,7 @@ def read_words_csv(path: Path) -> list[WordTrial]:
                     positive=int(row["positive"]),
                     negative=int(row["negative"]),
                     seconds=float(row["seconds"]),
-                    metrics=CountMetrics(
-                        **{name: int(row[name]) if kind == "int" else float(row[name]) for name, kind in kinds.items()}  # type: ignore[arg-type]
-                    ),
+                    metrics=metrics_of(row),
                 )
                 for row in csv.DictReader(file)
             ]

@@ -90,7 +90,6 @@ def read_trials(path: Path) -> list[Trial]:
 
 
 def _trial(row: Mapping[str, str]) -> Trial:
-    figures: dict[str, Any] = {name: _parsed(row[name], kind) for name, kind in _figures().items()}
     classes = []
     for number, names in enumerate(_classes()):
         visible, *errors = (row[name] for name in names)
@@ -101,19 +100,23 @@ def _trial(row: Mapping[str, str]) -> Trial:
         seed=int(row["seed"]),
         method=row["method"],
         key=row["key"],
-        metrics=CountMetrics(**figures),
+        metrics=metrics_of(row),
         classes=tuple(classes),
         touching=Touching(*(int(row[name]) for name in _touching())),
     )
 
 
+def metrics_of(row: Mapping[str, str]) -> CountMetrics:
+    """The figures in a line of a table that has a column for each."""
+    figures: dict[str, Any] = {
+        name: int(row[name]) if kind == "int" else float(row[name]) for name, kind in _figures().items()
+    }
+    return CountMetrics(**figures)
+
+
 def _figures() -> Mapping[str, str]:
     """Names and types of all figures."""
     return CountMetrics.__annotations__
-
-
-def _parsed(cell: str, kind: str) -> float:
-    return int(cell) if kind == "int" else float(cell)
 
 
 def _touching() -> Sequence[str]:

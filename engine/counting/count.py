@@ -28,6 +28,7 @@ from .accounts.interval import Estimate, estimate, evidence_of
 from .accounts.zero import UNKNOWN, Matching, Quality
 from .evidence.cluster import Clusters, Search, find_fruit, search
 from .evidence.fruit_colours import FruitColours
+from .evidence.long_fruit import Parts
 from .evidence.picture_size import size_from_pictures
 from .evidence.pixel_width import pixel_widths
 from .evidence.size import FruitSize
@@ -163,8 +164,7 @@ def count_fruit(
     if searched is not None:
         candidates = searched.found.spheres
         counts = region.contains(candidates.centers) * colours.chances(candidates.centers, candidates.radii)
-        shares = np.ones(len(counts)) if found.parts is None else found.parts.shares(candidates.centers)
-        placed = _with_intervals(placed, searched, counts, shares, pictures, config.seed)
+        placed = _with_intervals(placed, searched, counts, found.parts, pictures, config.seed)
     if len(spheres):
         return placed
     if len(within.spheres):
@@ -250,15 +250,17 @@ def _with_intervals(
     counted: FruitCount,
     searched: Search,
     counts: FloatArray,
-    shares: FloatArray,
+    parts: Parts | None,
     pictures: Sequence[Picture],
     seed: int,
 ) -> FruitCount:
     """The count and its trees with intervals; a candidate belongs to the tree of its nearest fruit.
 
-    counts, shares: (C,) as of `evidence_of`. Without fruit, trees have no interval.
+    counts: (C,) probability that a candidate counts if it is a fruit; parts: of long fruit, None if they are round.
+    Without fruit, trees have no interval.
     """
     centers = searched.found.spheres.centers
+    shares = None if parts is None else parts.shares(centers)
     numbers = np.array([NO_TREE if fruit.tree is None else fruit.tree for fruit in counted.fruits])
     known = counted.trees and counted.fruits
     own = numbers[cKDTree(counted.centers).query(centers)[1]] if known else np.full(len(centers), NO_TREE)

@@ -134,10 +134,10 @@ def evidence_of(
 ) -> Evidence:
     """What the candidates and the views show about a count.
 
-    counts: (C,) probability that each counts if it is a fruit; shares: (C,) how much of a fruit each is, 1 without. The
-    parts of a fruit are right or wrong together.
+    counts: (C,) probability that each counts if it is a fruit; shares: (C,) how much of a fruit each is if fruit are
+    long, whose parts are right or wrong together.
     """
-    dissent = found.dissent if shares is None or bool((shares == 1.0).all()) else max(found.dissent, JOINED)
+    dissent = found.dissent if shares is None else max(found.dissent, JOINED)
     probabilities = counts * found.probabilities
     parts = probabilities if shares is None else shares * probabilities
     expected = float(parts.sum())

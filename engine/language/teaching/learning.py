@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import expit
 from torch import Tensor
 
 from ...errors import VocabularyError
@@ -26,7 +27,8 @@ ROUNDS = 6
 word is learnt again, this many times in all."""
 LEAST_LIKE = 25.0
 """Percentile of the positive examples' log odds from which the background is left out, if that is below 0: at first,
-where much of the background is fruit, even the examples have log odds below 0."""
+where much of the background is fruit, even the examples have log odds below 0. Of the negative examples of a refined
+word it is the percentile from the other end, if that is above 0."""
 LEAST_WRONG = 1e-3
 """Added to how wrong a built-in word is about a Gaussian of an example."""
 STEPS, CONVERGED = 30, 1e-9
@@ -77,34 +79,35 @@ def learn(examples: Examples, background: Background) -> tuple[Tensor, float]:
     weights = np.concatenate([_shares(examples, positive, negative, refines=refines), around])
     vectors = np.concatenate([own, rest])
     prior = np.concatenate([examples.prior, background.prior])
-    known = 1.0 / (1.0 + np.exp(-background.prior)) if refines else np.zeros(len(rest))
+    known = expit(background.prior) if refines else np.zeros(len(rest))
     target = np.concatenate([examples.positive, known])
     solved = logistic(vectors, target, weights, prior)
     for _ in range(ROUNDS - 1):
         odds = vectors @ solved[:-1] + solved[-1] + prior
-        alike = _like_examples(odds, prior, examples.positive, refines=refines)
+        said = background.prior if refines else None
+        alike = _like_examples(odds[: len(own)], odds[len(own) :], examples.positive, said)
         solved = logistic(vectors, target, weights * np.concatenate([np.ones(len(own)), ~alike]), prior)
     slopes = solved[:-1] / spread
     return torch.from_numpy(slopes.astype(np.float32)), float(solved[-1] - slopes @ mean)
 
 
 def _like_examples(
-    odds: FloatArray, prior: FloatArray, positive: NDArray[np.bool_], *, refines: bool
+    own: FloatArray, rest: FloatArray, positive: NDArray[np.bool_], said: FloatArray | None
 ) -> NDArray[np.bool_]:
     """(b,) which of the background looks like the examples, so that its own answer does not count.
 
-    odds, prior: (n + b,) log odds of the examples and of the background, now and of the built-in word.
+    own, rest: (n,), (b,) log odds of the examples and of the background; positive: (n,); said: (b,) log odds of the
+    built-in word that is refined: only what it says the opposite of can look like an example.
     """
-    own, rest = odds[: len(positive)], odds[len(positive) :]
-    alike = np.zeros(len(rest), bool)
+    fruit = np.zeros(len(rest), bool)
     if positive.any():
-        alike |= rest >= min(0.0, float(np.percentile(own[positive], LEAST_LIKE)))
-    if refines:
-        alike &= prior[len(positive) :] < 0.0
-        if not positive.all():
-            least = max(0.0, float(np.percentile(own[~positive], 100.0 - LEAST_LIKE)))
-            alike |= (rest < least) & (prior[len(positive) :] >= 0.0)
-    return alike
+        fruit = rest >= min(0.0, float(np.percentile(own[positive], LEAST_LIKE)))
+    if said is None:
+        return fruit
+    other = np.zeros(len(rest), bool)
+    if not positive.all():
+        other = rest < max(0.0, float(np.percentile(own[~positive], 100.0 - LEAST_LIKE)))
+    return np.where(said < 0.0, fruit, other)
 
 
 def contradiction(examples: Examples, background: Background) -> tuple[int, int] | None:
@@ -177,8 +180,7 @@ def _shares(examples: Examples, positive: float, negative: float, *, refines: bo
     """(n,) weight of each: examples of one sign share its weight, and the Gaussians of an example that of the example:
     equally for a new word, and by how wrong the built-in word is about each if that is refined."""
     weights = np.zeros(len(examples.vectors))
-    said = 1.0 / (1.0 + np.exp(-examples.prior))
-    wrong = np.abs(examples.positive - said) + LEAST_WRONG if refines else np.ones(len(weights))
+    wrong = np.abs(examples.positive - expit(examples.prior)) + LEAST_WRONG if refines else np.ones(len(weights))
     for sign, total in ((True, positive), (False, negative)):
         own = examples.positive == sign
         if own.any():

@@ -95,7 +95,7 @@ class Lesson:
         Raises:
             VocabularyError: there is no example that `learn` needs, or a positive one and a negative one are the same.
         """
-        shown = [_evenly(mark.rows, MOST_ROWS) for mark in marks]
+        shown = [evenly(mark.rows, MOST_ROWS) for mark in marks]
         own = np.concatenate([np.zeros(0, np.int64), *shown])
         vectors = torch.from_numpy(self._ground.evidence[own]).half()
         positive = torch.tensor([mark.positive for mark in marks], dtype=torch.bool)
@@ -129,7 +129,7 @@ class Lesson:
         return dataclasses.replace(taught, thumbnails=torch.stack(pictures[:MOST_THUMBNAILS])) if pictures else taught
 
 
-def _evenly(rows: IntArray, most: int) -> IntArray:
+def evenly(rows: IntArray, most: int) -> IntArray:
     """An even selection of at most `most` of the rows."""
     return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
 
@@ -148,4 +148,4 @@ def _within(groups: Tensor, most: int) -> Tensor:
     rank[order] = np.arange(len(own)) - starts[place[order]]
     size = sizes[place]
     kept = (size <= each) | (rank == 0) | (rank * each // size > (rank - 1) * each // size)
-    return torch.from_numpy(_evenly(np.flatnonzero(kept), most))
+    return torch.from_numpy(evenly(np.flatnonzero(kept), most))
