@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+
+from torch import Tensor
 
 from .compile_ahead import compiled_ahead
 from .config import Config
@@ -23,7 +26,7 @@ from .language.encoders.encoder import Encoder, sees_fruit
 from .language.features.embedder import Embedder
 from .language.features.photo_features import PhotoFeatures
 from .language.prompts.colour_choice import ColourChoice, colour_split
-from .language.prompts.photo_probability import photo_probabilities, photos_for
+from .language.prompts.photo_probability import PhotoMap, photo_probabilities, photos_for
 from .language.prompts.relevancy import check_prompts, taught_words
 from .language.prompts.selection import select
 from .photo_size import width_notices
@@ -36,6 +39,9 @@ from .scale import scaled
 from .scene.source import Source
 from .splatting.training.train import Watch
 from .storage.files import file_hash
+
+CLUMPED = 0.5
+"""Share of the fruit of a taught word that touch others, above which a message says that bunches are not counted."""
 
 
 def count_scene(
@@ -88,27 +94,18 @@ def count_scene(
         known = _known(made, source, out)
         with run.log.timed("count"):
             probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
-            found, maps, choice = probability, None, None
-            if config.count.method == "voting" and config.count.select != "dual":
-                split = colour_split(encoder, prompts, negatives)
-                sought = (prompts, negatives) if split is None else (split.prompts, split.negatives)
-                photos = _photos_for(sought, made, encoder, run.log, part(progress, 0.9, 0.92))
-                if split is not None:
-                    choice = ColourChoice.of(split, made.gaussians, photos)
-                    found = select(made.features, encoder, *sought, config.count, made.gaussians.means)
-                if photos is not None:
-                    maps = photo_probabilities(photos, made.features, encoder, *sought)
+            sought = _sought(prompts, negatives, probability, made, encoder, run.log, part(progress, 0.9, 0.92))
             fruit_count = count_fruit(
                 made.gaussians,
-                found,
+                sought.probability,
                 made.scene.cameras,
                 config.count,
                 label=_label(prompts, encoder),
                 known=known,
                 up=made.scene.up,
                 quality=Quality.of(made.origin["training"]),
-                photos=maps,
-                choice=choice,
+                photos=sought.photos,
+                choice=sought.choice,
                 progress=part(progress, 0.9, 0.97),
             )
         result = Result(
@@ -122,7 +119,7 @@ def count_scene(
             config=made.config,
             seconds=run.log.seconds,
             reused=run.log.reused,
-            notices=[*run.log.notices, *fruit_count.notices, *_narrow(fruit_count, made)],
+            notices=[*run.log.notices, *fruit_count.notices, *_narrow(fruit_count, made), *clumped(fruit_count, words)],
             out=out,
         )
         progress(0.97, "Writing results")
@@ -203,6 +200,39 @@ def _before_prompts(
     return scaled(made, encoder, run.config.units, run.log)
 
 
+@dataclass(frozen=True, eq=False)
+class _Sought:
+    """What fruit are searched in: the probability of each Gaussian (N,) and the maps of the photos; and which colours
+    are counted, where these two are of the fruit of any colour."""
+
+    probability: Tensor
+    photos: Sequence[PhotoMap] | None = None
+    choice: ColourChoice | None = None
+
+
+def _sought(
+    prompts: Sequence[str],
+    negatives: Sequence[str],
+    probability: Tensor,
+    made: Reconstruction,
+    encoder: Encoder,
+    log: RunLog,
+    progress: Progress,
+) -> _Sought:
+    """What the prompts' fruit are searched in; probability: (N,) that each Gaussian matches the prompts."""
+    config = made.config.count
+    if config.method != "voting" or config.select == "dual":
+        return _Sought(probability)
+    split = colour_split(encoder, prompts, negatives)
+    wanted = (prompts, negatives) if split is None else (split.prompts, split.negatives)
+    photos = _photos_for(wanted, made, encoder, log, progress)
+    maps = None if photos is None else photo_probabilities(photos, made.features, encoder, *wanted)
+    if split is None:
+        return _Sought(probability, maps)
+    uncoloured = select(made.features, encoder, *wanted, config, made.gaussians.means)
+    return _Sought(uncoloured, maps, ColourChoice.of(split, made.gaussians, photos))
+
+
 def _photos_for(
     sought: tuple[Sequence[str], Sequence[str]], made: Reconstruction, encoder: Encoder, log: RunLog, progress: Progress
 ) -> PhotoFeatures | None:
@@ -222,6 +252,14 @@ def _narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
     if "imported" in made.origin:
         return []
     return width_notices(fruit_count.pixel_width, made.scene.images, made.scene.cameras, made.config)
+
+
+def clumped(fruit_count: FruitCount, taught: Mapping[str, object]) -> list[str]:
+    """A message if most of the fruit of a taught word touch one another: the word may have been shown bunches."""
+    touching = sum(fruit.kind == "compound-part" for fruit in fruit_count.fruits)
+    if not taught or touching <= CLUMPED * fruit_count.count:
+        return []
+    return [f"{touching} of {fruit_count.count} fruit touch others and are counted one by one, not as bunches"]
 
 
 def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:

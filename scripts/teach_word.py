@@ -20,12 +20,12 @@ import _checkout  # noqa: F401
 
 from _help import asked_for_help, help_text
 from _terminal import arguments_of, import_tyro, run
-from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.errors import ConfigError, VocabularyError
 
 if TYPE_CHECKING:
     import tyro
 
-    from fruitlangs.engine.language.teaching.lesson import Lesson, Mark
+    from fruitlangs.engine.language.teaching.lesson import Mark
     from fruitlangs.engine.language.teaching.region import Ground
     from fruitlangs.engine.publishing import Result
 else:
@@ -87,7 +87,8 @@ def main() -> None:
     if file.name != name:
         raise ConfigError(f"--out {file} must be named {name}, as its word")
     lesson = Lesson(arguments.word, ground, result.features, encoder, start)
-    word = lesson.word(marks_of(arguments, lesson, result, ground), notes=arguments.notes, licence=arguments.licence)
+    marks = marks_of(arguments, lesson.name, result, ground)
+    word = lesson.word(marks, notes=arguments.notes, licence=arguments.licence)
     require_writable(file.parent)
     save_word(file, word)
     probability = relevancy(result.features, encoder.with_words({word.name: word}), [word.name])
@@ -105,8 +106,9 @@ def main() -> None:
     print(f'  python scripts/count_fruit.py {arguments.result} --prompt "{word.name}" --out DIR{folder}')
 
 
-def marks_of(arguments: Arguments, lesson: Lesson, result: Result, ground: Ground) -> list[Mark]:
+def marks_of(arguments: Arguments, name: str, result: Result, ground: Ground) -> list[Mark]:
     """All examples, in the order of the flags."""
+    from fruitlangs.engine.language.teaching.lesson import Mark
     from fruitlangs.engine.language.teaching.photo_marks import (
         Click,
         marks_of_boxes,
@@ -123,9 +125,14 @@ def marks_of(arguments: Arguments, lesson: Lesson, result: Result, ground: Groun
         for number in numbers:
             if number not in by_id:
                 raise ConfigError(f"{arguments.result} has no fruit {number}. See fruits.csv")
-            marks.append(lesson.mark_of(by_id[number].members, positive=positive, place=f"fruit {number}"))
+            if not len(by_id[number].members):
+                raise VocabularyError(
+                    f"Fruit {number} was found in the photos alone and has no Gaussians to learn from. Click on it in "
+                    "a photo instead"
+                )
+            marks.append(Mark(positive, f"fruit {number}", ground.around(by_id[number].center)))
     if arguments.boxes is not None:
-        marks += marks_of_boxes(arguments.boxes, lesson.name, scene, gaussians, ground)
+        marks += marks_of_boxes(arguments.boxes, name, scene, gaussians, ground)
     if arguments.masks is not None:
         marks += marks_of_masks(arguments.masks, scene, gaussians, ground)
     return marks

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ..blender_data import owned_object
-from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, spot_of
+from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, members, spot_of
 from ..jobs.jobs import busy, describe_error, linked
 from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
@@ -106,11 +106,19 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
         settings, root = context.scene.fruitlangs, owned_object(context.scene, "root")
         known = {example.source for example in settings.teach.examples}
         assert root is not None
+        alone = []
         for item in reviewed(context.scene):
             source = f"fruit {item.get('id', 0)}"
-            if source not in known:
-                positive = item.get(REVIEW) != REJECTED
-                add_example(settings, spot_of(item, root).center, positive=positive, source=source)
+            if source in known:
+                continue
+            if item.get(REVIEW) != ADDED and not len(members(context.scene, item)[0]):
+                alone.append(source)
+                continue
+            positive = item.get(REVIEW) != REJECTED
+            add_example(settings, spot_of(item, root).center, positive=positive, source=source)
+        if alone:
+            reason = "found in the photos alone, so there are no Gaussians to learn from"
+            self.report({"WARNING"}, f"Not added: {', '.join(alone)}, {reason}")
         return {"FINISHED"}
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -12,8 +14,11 @@ import pytest
 
 from fruitlangs.engine.language.taught.word import read_word
 from fruitlangs.operators.blender_data import get_attribute, owned_object
+from fruitlangs.operators.data.fruit_objects import give_members
 from fruitlangs.operators.settings.lesson import read_lesson
 from fruitlangs.operators.steps import ask, teach
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -86,6 +91,32 @@ def test_reviewed_fruit_become_examples_once(settings):
     assert bpy.ops.fruitlangs.add_reviewed() == {"FINISHED"}
     assert bpy.ops.fruitlangs.add_reviewed() == {"FINISHED"}
     assert sorted(example.positive for example in settings.teach.examples) == [False, True]
+
+
+def test_reviewed_fruit_teach_the_word_that_the_command_line_teaches(settings, counted_balls, tmp_path):
+    one, other = (fruit.id for fruit in counted_balls.fruit_count.fruits[:2])
+    fruit = {item["id"]: item for item in bpy.context.scene.objects if item.get("id")}
+    fruit[one]["review"], fruit[other]["review"] = "confirmed", "rejected"
+    settings.teach.word = "apple"
+    assert bpy.ops.fruitlangs.add_reviewed() == {"FINISHED"}
+    assert bpy.ops.fruitlangs.save_word() == {"FINISHED"}
+    out = tmp_path / "typed" / "apple.fruitword"
+    examples = ["--fruit", one, "--not-fruit", other]
+    command = [sys.executable, ROOT / "scripts" / "teach_word.py", counted_balls.out, "--word", "apple"]
+    subprocess.run([str(part) for part in (*command, *examples, "--out", out)], check=True)
+    clicked, typed = read_word(tmp_path / "words" / "apple.fruitword"), read_word(out)
+    np.testing.assert_allclose(clicked.weights, typed.weights, atol=1e-6)
+    np.testing.assert_array_equal(clicked.vectors, typed.vectors)
+
+
+def test_a_reviewed_fruit_without_gaussians_is_no_example(settings, counted_balls):
+    fruit = [item for item in bpy.context.scene.objects if item.get("id")]
+    for item in fruit[:2]:
+        item["review"] = "confirmed"
+    owners = get_attribute(owned_object(bpy.context.scene, "gaussians").data, "fruit_id")
+    give_members(bpy.context.scene, np.flatnonzero(owners == fruit[0]["id"]), -1)
+    assert bpy.ops.fruitlangs.add_reviewed() == {"FINISHED"}
+    assert [example.source for example in settings.teach.examples] == [f"fruit {fruit[1]['id']}"]
 
 
 def test_without_a_positive_example_nothing_is_taught(settings, ball):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.counting.fruit import Fruit
 from fruitlangs.engine.errors import Cancelled, ConfigError, CountingError, OutputError, VocabularyError
-from fruitlangs.engine.pipeline import Result, count_scene, reconstruct_scene
+from fruitlangs.engine.pipeline import Result, clumped, count_scene, reconstruct_scene
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
 SMALL = Config(
@@ -207,3 +209,12 @@ def test_progress_never_goes_back_and_ends_at_one(counted: Result, tmp_path: Pat
     count_scene(counted.out, ["apple"], tmp_path, progress=lambda fraction, message: fractions.append(fraction))
     assert np.all(np.diff(fractions) >= 0)
     assert fractions[-1] == 1.0
+
+
+def test_a_taught_word_whose_fruit_touch_is_said_to_be_no_word_for_bunches(counted_balls: Result) -> None:
+    counted = counted_balls.fruit_count
+    touching: list[Fruit] = [replace(fruit, kind="compound-part") for fruit in counted.fruits]
+    bunched = replace(counted, fruits=touching)
+    [sentence] = clumped(bunched, {"grape": "1"})
+    assert sentence.startswith(f"{len(touching)} of {len(touching)} fruit touch others")
+    assert clumped(bunched, {}) == clumped(counted, {"grape": "1"}) == []

@@ -209,6 +209,14 @@ def test_counted_fruit_teach_a_word_by_their_numbers(result: Path, own_words: Pa
     assert places == [(False, ON_GROUND), (True, "fruit 1"), (True, "fruit 3")]
 
 
+def test_a_fruit_without_gaussians_is_one_line(result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = open_result(result)
+    found = [replace(each, members=np.zeros(0, np.int64)) for each in opened.fruit_count.fruits]
+    changed = replace(opened, fruit_count=replace(opened.fruit_count, fruits=found))
+    monkeypatch.setattr("fruitlangs.engine.open_result.open_result", lambda _: changed)
+    assert_is_one_line(teach(result, "--word", "fig", "--fruit", "1"), "Fruit 1 was found in the photos alone")
+
+
 def test_a_word_can_be_continued_from_its_file(taught, result: Path, own_words: Path) -> None:
     start = taught[0] / "fig.fruitword"
     done = teach(result, "--word", "fig", "--positive", click_on_ball(4), "--start", start)

@@ -76,19 +76,6 @@ class Lesson:
         logit: FloatArray = torch.logit(said.double(), eps=LEAST_PRIOR).numpy()[self._ground.rows]
         return logit
 
-    def mark_of(self, members: IntArray, *, positive: bool, place: str) -> Mark:
-        """The example of Gaussians (M,), by their places among all, such as those of a counted fruit.
-
-        Raises:
-            VocabularyError: no photo shows any of them.
-        """
-        rows = np.flatnonzero(np.isin(self._ground.rows, members))
-        if not len(rows):
-            raise VocabularyError(
-                f"{place} was found in the photos alone and has no Gaussians to learn from. Click on it in a photo"
-            )
-        return Mark(positive, place, rows)
-
     def word(self, marks: Sequence[Mark], *, notes: str = "", licence: str = "") -> TaughtWord:
         """The word learnt from these examples and from those that it starts with.
 

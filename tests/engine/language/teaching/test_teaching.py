@@ -192,17 +192,6 @@ def test_a_contradiction_names_both_places() -> None:
         taught(ground, features, one, other)
 
 
-def test_a_fruit_can_be_an_example_by_its_gaussians() -> None:
-    ground, features = orchard()
-    weights = features.weights.clone()
-    weights[5] = 0.0
-    seen = replace(features, weights=weights)
-    hidden = Ground.of(torch.from_numpy(ground.means), seen)
-    mark = Lesson("fig", hidden, seen, small_encoder()).mark_of(np.array([3, 5, 60]), positive=True, place="fruit 7")
-    assert hidden.rows[mark.rows].tolist() == [3, 60]
-    assert (mark.positive, mark.place) == (True, "fruit 7")
-
-
 def test_of_a_large_example_an_even_selection_is_learnt_from() -> None:
     ground, features = orchard(figs=1000, wall=100)
     word = taught(ground, features, Mark(True, "IMG_1.png, area 1", np.arange(1000)))
