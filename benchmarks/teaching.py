@@ -201,7 +201,10 @@ def _width(numbers: NDArray[np.uint16]) -> float:
 
 
 def new_name(species: str) -> str:
-    """The name under which a species is taught: not that of a built-in word, which would be refined."""
+    """The name under which a species is taught: not that of a built-in word, which would be refined, and without the
+    colour orange, which no name may have."""
+    if species == "orange":
+        return "mandarin"
     return f"own {species}" if species in CONCEPTS else species
 
 

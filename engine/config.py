@@ -147,6 +147,8 @@ class TrainConfig(_Checked):
     """Stop when this many measurements in a row gain less than 0.02 dB; 0 never stops early."""
     checkpoint_every: int = number(500, 1, LARGEST)
     """Steps between two checkpoints."""
+    device: str = "auto"
+    """What trains: 'auto' takes a graphics card if one can be used; 'cpu', 'gpu', or a part of the card's name."""
     seed: int = number(0, 0, LARGEST)
     """Random seed of training."""
 
@@ -384,10 +386,11 @@ class Config:
 STAGES: dict[str, Any] = {stage.name: stage.default_factory for stage in fields(Config)}
 """{stage: class of its settings}, in the order of the stages."""
 WITHOUT_EFFECT: dict[type, tuple[str, ...]] = {
-    TrainConfig: ("checkpoint_every",),
+    TrainConfig: ("checkpoint_every", "device"),
     EmbedConfig: ("clip", "sam", "allow_download", "words"),
 }
-"""{settings: names} of those that do not change a result: paths, which differ between computers, and checkpoints."""
+"""{settings: names} of those that do not change a result: paths, which differ between computers, and checkpoints; the
+device only rounds differently, and keys hold its name."""
 REMOVED: dict[str, dict[str, float]] = {
     "photos": {"max_features": 8192},
     "train": {"ssim_weight": 0.2, "densify_gradient": 4e-4, "prune_opacity": 0.005},

@@ -18,6 +18,10 @@ class TrainingError(FruitLangsError):
     """The Gaussians could not be trained or a checkpoint could not be used."""
 
 
+class GpuError(FruitLangsError):
+    """A graphics card cannot be used, or failed."""
+
+
 class FormatError(FruitLangsError):
     """A file does not have the format that its name or place suggests."""
 

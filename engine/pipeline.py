@@ -37,6 +37,8 @@ from .report.results import known_fruit
 from .result_folder import ResultFolder
 from .scale import scaled
 from .scene.source import Source
+from .splatting.rendering.device import DrawingCard, drawing_on
+from .splatting.training.card_step import adapter_for
 from .splatting.training.train import Watch
 from .storage.files import file_hash
 
@@ -75,6 +77,7 @@ def count_scene(
     Raises:
         OutputError: among others, another run writes to `out`, or `out` is the folder of the photos: it would look like
             a result from then on.
+        GpuError: the graphics card that was asked for is not there.
         FruitLangsError: an error that the user can act on; earlier results in `out` stay unchanged.
         Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
     """
@@ -87,9 +90,9 @@ def count_scene(
         read_template(Path(config.count.template))  # nor must an invalid template
         template["template_sha256"] = file_hash(Path(config.count.template))
     folder = ResultFolder(out)
-    run = Run(folder.cache, embedder, config, given, watch)
+    run = Run(folder.cache, embedder, config, given, watch, *adapter_for(config.train, joint=embedder.trains))
     opened = _opened(source, imported, out, progress)
-    with folder.locked():
+    with folder.locked(), drawing_on(run.adapter) as card:
         made = _before_prompts(opened, imported, run, part(progress, 0.0, 0.9))
         known = _known(made, source, out)
         with run.log.timed("count"):
@@ -119,7 +122,13 @@ def count_scene(
             config=made.config,
             seconds=run.log.seconds,
             reused=run.log.reused,
-            notices=[*run.log.notices, *fruit_count.notices, *_narrow(fruit_count, made), *clumped(fruit_count, words)],
+            notices=[
+                *run.log.notices,
+                *fruit_count.notices,
+                *_narrow(fruit_count, made),
+                *clumped(fruit_count, words),
+                *_drawing_problem(card),
+            ],
             out=out,
         )
         progress(0.97, "Writing results")
@@ -143,10 +152,12 @@ def reconstruct_scene(
     Returns it with the log of the run. Arguments and errors as of `count_scene`.
     """
     folder = ResultFolder(out)
-    run = Run(folder.cache, Embedder.open(config.embed), config, given, watch)
+    embedder = Embedder.open(config.embed)
+    run = Run(folder.cache, embedder, config, given, watch, *adapter_for(config.train, joint=embedder.trains))
     opened = _opened(source, imported, out, progress)
-    with folder.locked():
+    with folder.locked(), drawing_on(run.adapter) as card:
         made = _before_prompts(opened, imported, run, progress)
+    run.log.notices += _drawing_problem(card)
     progress(1.0, "Done")
     return made, run.log
 
@@ -252,6 +263,11 @@ def _narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
     if "imported" in made.origin:
         return []
     return width_notices(fruit_count.pixel_width, made.scene.images, made.scene.cameras, made.config)
+
+
+def _drawing_problem(card: DrawingCard | None) -> list[str]:
+    """A message if a graphics card did not draw all views."""
+    return [f"the CPU drew views: {card.problem}"] if card is not None and card.problem else []
 
 
 def clumped(fruit_count: FruitCount, taught: Mapping[str, object]) -> list[str]:

@@ -38,9 +38,10 @@ from .scene.scale import scale_by_length
 from .scene.sfm.find_cameras import list_photos
 from .scene.source import Source
 from .splatting.gaussians import Gaussians
+from .splatting.gpu.adapters import Adapter
 from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
 from .splatting.ply import read_ply, write_ply
-from .splatting.training.train import Watch, train
+from .splatting.training.train import CPU, Watch, train
 from .storage.files import write_text
 from .storage.keys import stage_key
 
@@ -101,7 +102,8 @@ class Run:
     """What all stages of a run share.
 
     cache: the folder of the outputs of stages; given: settings ("train.steps") that the user gave, whatever their
-    value, None if that is not known; watch: receives the Gaussians during training.
+    value, None if that is not known; watch: receives the Gaussians during training; adapter, without_card: the graphics
+    card, None for the CPU, and why it is the CPU (see `adapter_for`).
     """
 
     cache: Path
@@ -109,6 +111,8 @@ class Run:
     config: Config
     given: Collection[str] | None = None
     watch: Watch | None = None
+    adapter: Adapter | None = None
+    without_card: str = ""
     log: RunLog = field(default_factory=RunLog)
 
 
@@ -209,7 +213,8 @@ def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: 
     embedder, config = run.embedder, run.config
     # The up direction does not affect training.
     settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
-    key = stage_key(("scene", "splatting"), inputs["inputs_sha256"], *settings)
+    device = [] if run.adapter is None else [run.adapter.identity]
+    key = stage_key(("scene", "splatting"), inputs["inputs_sha256"], *settings, *device)
     if embedder.trains:
         key = stage_key(("language",), key, embedder.key)
     folder = run.cache / f"train-{key}"
@@ -221,6 +226,10 @@ def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: 
         else:
             require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
             training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
+        if run.without_card or training.get("device", CPU) not in (CPU, *device):
+            run.log.notices.append(
+                run.without_card or f"the graphics card did not train to the end: {training['device']}"
+            )
         if Quality.of(training).poor:
             run.log.notices.append(
                 f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
@@ -272,7 +281,8 @@ def _photos(files: Files) -> PhotoFeatures | None:
 def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress, kept: bool) -> Path:
     """The file of the features for these Gaussians, named by `key`; computed if it does not exist. kept: with features
     of the photos' pixels, in a file next to it."""
-    embed_key = stage_key(("language", "splatting"), key, run.embedder.key)
+    device = [] if run.adapter is None else [run.adapter.identity]
+    embed_key = stage_key(("language", "splatting"), key, run.embedder.key, *device)
     features_file = run.cache / f"embed-{embed_key}" / FEATURES
     with run.log.timed("embed"):
         if features_file.is_file():
@@ -296,7 +306,9 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
         extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
     else:
         views, semantics, extra = None, None, None
-    training = train(scene, config.train, checkpoint=checkpoint, extra=extra, watch=run.watch, progress=progress)
+    training = train(
+        scene, config.train, checkpoint=checkpoint, extra=extra, adapter=run.adapter, watch=run.watch, progress=progress
+    )
     if semantics is not None and views is not None:
         features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
         save_features(folder / FEATURES, features.of(training.gaussians.means))
@@ -305,6 +317,7 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
     results = {
         "steps": training.steps,
         "gaussians": len(training.gaussians),
+        "device": training.device,
         "psnr": _rounded(training.psnr),
         "ssim": _rounded(training.ssim),
         "held_out": [

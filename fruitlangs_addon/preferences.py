@@ -14,6 +14,7 @@ import bpy
 from ..operators.package_folder import EXTENSION, installs, packages_folder
 from ..operators.packages.caches import FRUITLANGS_OT_clear_caches
 from ..operators.settings.settings import online
+from ..operators.steps.device import ON_CPU, trains_on
 from .panels.missing_packages import draw_missing_packages
 
 
@@ -50,14 +51,17 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
 
 
 def device_text() -> str:
-    """The device of computation. Nothing is imported for it: whether PyTorch supports a card is known after its first
+    """The devices of computation. PyTorch is not imported for it: whether it supports a card is known after its first
     use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     text = f"Computes on the CPU with {cores} core{'s' if cores > 1 else ''}"
     torch: Any = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
         text += f"; CLIP and SAM on {torch.cuda.get_device_name(0)}"
-    return text
+    elif torch is not None and torch.backends.mps.is_available():
+        text += "; CLIP and SAM on the Apple card"
+    card = trains_on("auto")
+    return text if card in ("", ON_CPU) else f"{text}. {card}"
 
 
 def draw_online(layout: Any) -> None:

@@ -137,7 +137,8 @@ def main() -> None:
         print(f"  {scale_text(result.origin['scale'])}")
     training = result.origin["training"]
     if training["psnr"] is not None:
-        print(f"  held-out photos: PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}")
+        by = f", trained on {training['device']}" if "device" in training else ""  # earlier results have none
+        print(f"  held-out photos: PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}{by}")
     if result.reused:
         print(f"  reused from an earlier run: {', '.join(result.reused)}")
     for notice in result.notices:

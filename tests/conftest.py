@@ -26,6 +26,21 @@ SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orchard_tree"
 
 
 @pytest.fixture(scope="session")
+def adapter() -> Any:
+    """Any graphics card that this computer has, also one that a program plays (Mesa's lavapipe)."""
+    from fruitlangs.engine.errors import GpuError
+    from fruitlangs.engine.splatting.gpu.adapters import find_adapters
+
+    try:
+        found = [each for each in find_adapters() if not each.missing]
+    except GpuError as error:
+        pytest.skip(str(error))
+    if not found:
+        pytest.skip("no graphics card; Debian's package mesa-vulkan-drivers plays one")
+    return found[0]
+
+
+@pytest.fixture(scope="session")
 def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Photos, cameras and truth of five red balls over ground: trained and counted in seconds."""
     import ball_scene

@@ -18,7 +18,8 @@ _ENGINE = Path(__file__).resolve().parents[1]
 def _code_hash(room: str) -> str:
     """Hash of the sources, fitted numbers and weights of a package, so that changed code never uses an older output."""
     return files_hash(
-        sorted(path for kind in ("*.py", "*.json", "*.safetensors") for path in (_ENGINE / room).rglob(kind)), _ENGINE
+        sorted(path for kind in ("*.py", "*.wgsl", "*.json", "*.safetensors") for path in (_ENGINE / room).rglob(kind)),
+        _ENGINE,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...operators.jobs.jobs import running
+from ...operators.steps.device import trains_on
 from ...operators.steps.reconstruct import FRUITLANGS_OT_reconstruct
 from .panel_parts import StepPanel, draw_job, draw_settings, draw_splat_problem, draw_text
 from .settings_panels import settings_panels
@@ -28,6 +29,7 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
             column.prop(settings, "preset")
             column.prop(settings.config.scene, "downscale")
             draw_settings(column, settings.config.train, MAIN)
+            draw_text(layout, trains_on(settings.config.train.device), context)
         column.prop(settings, "out")
         if not draw_job(layout, FRUITLANGS_OT_reconstruct.title, context):
             layout.operator(FRUITLANGS_OT_reconstruct.bl_idname, icon="OUTLINER_OB_POINTCLOUD")

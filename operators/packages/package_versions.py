@@ -24,6 +24,7 @@ REQUIRED = {
     "pillow_heif": "pillow-heif",
     "av": "av",
     "jinja2": "jinja2",
+    "wgpu": "wgpu",
 }
 """{module: pip package} of what the panel needs; the command line also needs tyro and tqdm, and says so."""
 
@@ -32,6 +33,7 @@ NEVER = ("numpy",)
 
 VERSIONS = {
     "av": "18.1.0",
+    "cffi": "2.1.1",
     "cloudpickle": "3.1.2",
     "filelock": "4.2.11",
     "fsspec": "2026.9.0",
@@ -51,6 +53,8 @@ VERSIONS = {
     "plyfile": "1.1.3",
     "psutil": "7.2.2",
     "pycolmap": "4.2.1",
+    "pycparser": "3.12",
+    "rendercanvas": "2.7.2",
     "safetensors": "0.8.0",
     "scikit-image": "0.26.0",
     "scikit-learn": "1.9.1",
@@ -62,6 +66,7 @@ VERSIONS = {
     "torch": "2.13.0",
     "trimesh": "5.2.0",
     "typing-extensions": "4.16.0",
+    "wgpu": "0.32.0",
 }
 """{pip package: version} of all needed packages and their dependencies, except NumPy; the tested versions."""
 
@@ -121,6 +126,7 @@ _MEGABYTES = {
     "pillow-heif": {"linux": 6, "win32": 7, "darwin": 4},
     "sympy": {"linux": 6, "win32": 6, "darwin": 6},
     "numba": {"linux": 4, "win32": 3, "darwin": 3},
+    "wgpu": {"linux": 3, "win32": 3, "darwin": 3},
     "networkx": {"linux": 2, "win32": 2, "darwin": 2},
 }
 """{package: {sys.platform: megabytes of its wheel}}, measured; the others have less than one."""

@@ -154,7 +154,8 @@ def _keep_gaussians(shown: Any, count: int, training: Any, features: Path) -> No
     shown.gaussians = count
     shown.features = stored_path(features)
     psnr, ssim = training["psnr"], training["ssim"]
-    shown.quality = "" if psnr is None else f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}"
+    by = f", trained on {training['device']}" if "device" in training else ""  # results of earlier versions have none
+    shown.quality = "" if psnr is None else f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}{by}"
 
 
 def report_line(shown: Any) -> str:

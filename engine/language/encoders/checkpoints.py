@@ -207,9 +207,12 @@ def _conversion(folder: Path) -> str:
 
 
 def _placed(model: Any) -> Any:
+    """On an NVIDIA or Apple card, in half precision, if PyTorch has one; else on the CPU."""
     import torch
 
-    return model.half().cuda() if torch.cuda.is_available() else model
+    if torch.cuda.is_available():
+        return model.half().to("cuda")
+    return model.half().to("mps") if torch.backends.mps.is_available() else model
 
 
 @contextmanager

@@ -1,16 +1,20 @@
-"""The difference between the rasteriser's values and gradients and those of its float64 reference implementation."""
+"""The difference between values and gradients of the CPU, or of a graphics card, and those of the float64 reference."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ...scene.camera import Camera
 from ..gaussians import PARAMETERS, Gaussians
+from ..gpu.drawing import Canvas, view_of
+from ..kernels.tile import TRANSMITTANCE
 from .rasterize import Rendering, render
 from .reference import render_reference
+from .render import DrawRules, arrays_of
 
 FEATURES = 3
 """Extra channels that are rendered and differentiated as well."""
@@ -37,6 +41,42 @@ def compare_with_reference(gaussians: Gaussians, camera: Camera, *, seed: int = 
         name: float((ours[name].double() - reference[name]).abs().max() / reference[name].abs().max().clamp_min(1e-30))
         for name in reference
     }
+
+
+def compare_card_with_reference(
+    canvas: Canvas, gaussians: Gaussians, camera: Camera, *, seed: int = 0
+) -> dict[str, float]:
+    """Largest difference over the largest reference value: of colour, depth and alpha, and of each gradient of a random
+    weighting of them. Scenes are small, as for `rendering.agreement.compare_with_reference`.
+
+    Raises:
+        GpuError: the card failed.
+    """
+    pixels = np.random.default_rng(seed).standard_normal((5, camera.height, camera.width)).astype(np.float32)
+    rules = DrawRules(sh_degree=gaussians.sh_degree, antialiased=gaussians.antialiased)
+    view = view_of(camera, rules, len(gaussians))
+    view["with_depth"] = view["with_mean_gradients"] = 1
+    ours = canvas.compute(arrays_of(gaussians), view, pixel_gradients=pixels)
+    leaves = {name: getattr(gaussians, name).detach().double().requires_grad_() for name in PARAMETERS}
+    offsets = torch.zeros(len(gaussians), 2, dtype=torch.float64, requires_grad=True)
+    exact = Gaussians(**leaves, antialiased=gaussians.antialiased)
+    theirs = render_reference(exact, camera, screen_offsets=offsets)
+    weights = torch.from_numpy(pixels).double()
+    total = (theirs.color * weights[:3].permute(1, 2, 0)).sum() + (theirs.weighted_depth * weights[3]).sum()
+    (total + (theirs.alpha * weights[4]).sum()).backward()  # type: ignore[no-untyped-call]
+    pairs = {
+        "color": (ours.planes[:3].transpose(1, 2, 0), theirs.color),
+        "depth": (ours.planes[3], theirs.weighted_depth),
+        "alpha": (1.0 - ours.planes[TRANSMITTANCE], theirs.alpha),
+        **{f"d {name}": (ours.gradients[name], leaf.grad) for name, leaf in leaves.items()},
+        "d offsets": (ours.gradients["offsets"], offsets.grad),
+    }
+    found = {}
+    for name, (own, other) in pairs.items():
+        assert other is not None
+        expected = other.detach().numpy()
+        found[name] = float(np.abs(own - expected).max() / max(np.abs(expected).max(), 1e-30))
+    return found
 
 
 def _run(

@@ -11,10 +11,15 @@ from ...compiled.jit import threads
 from ...errors import SceneError
 from ...scene.camera import Camera
 from ..gaussians import Gaussians
+from ..gpu.views import CardViews
 from ..kernels.labels import count_labels, gather_labels, sum_labels
-from .rasterize import arrays_of, check_camera
-from .render import DrawRules, project_view, tile_view
+from .device import on_card
+from .rasterize import check_camera
+from .render import DrawRules, arrays_of, project_view, tile_view
 from .workspace import Workspace
+
+LABELS_AT_ONCE = 64
+"""Labels that a graphics card sums in one pass over the pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +53,9 @@ def label_weights(
         )
     workspace = workspace or Workspace()
     rules = DrawRules(sh_degree=0, antialiased=gaussians.antialiased)
+    summed = on_card(lambda views: _on_card(views, gaussians, camera, rules, labels))
+    if summed is not None:
+        return summed
     tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
     labels = np.ascontiguousarray(labels, np.int32)
     in_tile = np.empty(len(tiles.tile_starts) - 1, np.int64)
@@ -71,3 +79,23 @@ def label_weights(
         found, sums = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
         gather_labels(threads(), highest, *listed, starts, found, sums)
     return LabelWeights(starts, found, sums)
+
+
+def _on_card(
+    views: CardViews, gaussians: Gaussians, camera: Camera, rules: DrawRules, labels: NDArray[np.int32]
+) -> LabelWeights:
+    """The same by a graphics card: a channel for each label."""
+    rows, columns, weights = [], [], []
+    for first in range(0, int(labels.max(initial=-1)) + 1, LABELS_AT_ONCE):
+        wanted = np.arange(first, min(first + LABELS_AT_ONCE, int(labels.max()) + 1), dtype=np.int32)
+        target = (labels[..., None] == wanted).astype(np.float32)
+        sums, _ = views.accumulate(gaussians, camera, rules, target)
+        row, column = np.nonzero(sums > 0.0)
+        rows.append(row)
+        columns.append(wanted[column])
+        weights.append(sums[row, column])
+    row = np.concatenate([np.zeros(0, np.int64), *rows])
+    order = np.argsort(row, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(gaussians)))])
+    listed = np.concatenate([np.zeros(0, np.int32), *columns])[order]
+    return LabelWeights(starts, listed, np.concatenate([np.zeros(0, np.float32), *weights])[order])

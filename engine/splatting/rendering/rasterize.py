@@ -19,7 +19,19 @@ from ..kernels.accumulate import accumulate_pairs
 from ..kernels.blend_backward import sum_pairs
 from ..kernels.surface import measure_surface
 from ..kernels.tile import CHANNELS, TRANSMITTANCE
-from .render import FAINTEST, DrawRules, Tiles, blend_view, load_view, project_view, tile_view, view_backward
+from .device import on_card
+from .render import (
+    FAINTEST,
+    DrawRules,
+    Tiles,
+    arrays_of,
+    blend_view,
+    flat,
+    load_view,
+    project_view,
+    tile_view,
+    view_backward,
+)
 from .workspace import Workspace
 
 LIFTED_AT_ONCE = 64
@@ -32,7 +44,7 @@ class Rendering:
 
     color: (H, W, 3) sRGB over the background; alpha: (H, W) in [0, 1); weighted_depth: (H, W) Σ α T z in scene units;
     features: (H, W, C) Σ α T f, not divided by alpha; radii: (N,) px half the larger side of the box in which each
-    Gaussian was drawn, 0 if it was not drawn.
+    Gaussian was drawn, 0 if it was not drawn; empty if a graphics card drew it.
     """
 
     color: Tensor
@@ -55,15 +67,6 @@ class Accumulated:
     weights: Tensor
 
 
-def _flat(tensor: Tensor) -> NDArray[Any]:
-    return tensor.detach().to(torch.float32).contiguous().numpy()
-
-
-def arrays_of(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
-    """The parameters as arrays for kernels."""
-    return {name: _flat(getattr(gaussians, name)) for name in PARAMETERS}
-
-
 class _Render(torch.autograd.Function):
     """Projection and blending as one autograd function."""
 
@@ -84,8 +87,8 @@ class _Render(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         parameters = arrays_of(Gaussians(means, log_scales, quats, opacity_logits, sh))
         workspace = Workspace()
-        tiles = tile_view(project_view(parameters, camera, rules, workspace, _flat(offsets)), camera, rules, workspace)
-        planes = blend_view(tiles, _flat(features), camera, workspace)
+        tiles = tile_view(project_view(parameters, camera, rules, workspace, flat(offsets)), camera, rules, workspace)
+        planes = blend_view(tiles, flat(features), camera, workspace)
         ctx.save_for_backward(means, log_scales, quats, opacity_logits, sh, features, background)
         ctx.tiles, ctx.planes, ctx.rules, ctx.camera, ctx.mean_gradients = tiles, planes, rules, camera, mean_gradients
         ctx.set_materialize_grads(False)
@@ -107,7 +110,7 @@ class _Render(torch.autograd.Function):
             gradients[place] = 0.0 if gradient is None else gradient.numpy()
         parameter_gradients = view_backward(
             arrays_of(Gaussians(*parameters)), ctx.camera, ctx.rules, tiles, planes, gradients, Workspace(),
-            features=_flat(features), background=_flat(background),
+            features=flat(features), background=flat(background),
             with_depth=depth is not None, with_mean_gradients=ctx.mean_gradients is not None,
         )  # fmt: skip
         undrawn = tiles.counts == 0
@@ -164,16 +167,34 @@ def render(
         pair_alpha=pair_alpha,
         literal_pairs=literal_pairs,
     )
-    parameters = (getattr(gaussians, name) for name in PARAMETERS)
-    color, alpha, depth, blended, radii = _Render.apply(
-        *parameters, extra, behind, offsets, rules, camera, screen_pulls
-    )
+    leaves = [getattr(gaussians, name) for name in PARAMETERS]
+    learns = torch.is_grad_enabled() and any(each.requires_grad for each in (*leaves, extra, behind))
+    if not learns and screen_offsets is None and screen_pulls is None:
+        drawn = on_card(lambda views: views.draw(gaussians, camera, rules, flat(extra)))
+        if drawn is not None:
+            return _rendering(*drawn, behind, features is not None)
+    color, alpha, depth, blended, radii = _Render.apply(*leaves, extra, behind, offsets, rules, camera, screen_pulls)
     return Rendering(
         color=color.permute(1, 2, 0),
         alpha=alpha,
         weighted_depth=depth,
         features=None if features is None else blended.permute(1, 2, 0),
         radii=radii,
+    )
+
+
+def _rendering(
+    planes: NDArray[np.float32], blended: NDArray[np.float32], background: Tensor, with_features: bool
+) -> Rendering:
+    """A view from the planes and features of a graphics card; radii are not known there."""
+    left = torch.from_numpy(planes[TRANSMITTANCE])
+    color = torch.addcmul(torch.from_numpy(planes[:3]), background.detach()[:, None, None], left[None])
+    return Rendering(
+        color=color.permute(1, 2, 0),
+        alpha=1.0 - left,
+        weighted_depth=torch.from_numpy(planes[3]),
+        features=torch.from_numpy(blended).permute(1, 2, 0) if with_features else None,
+        radii=torch.zeros(0),
     )
 
 
@@ -198,8 +219,11 @@ def draw_surface(gaussians: Gaussians, camera: Camera, features: Tensor) -> Surf
     """
     check_camera(camera)
     rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased), Workspace()
+    drawn = on_card(lambda views: (views.draw(gaussians, camera, rules, flat(features))[1], views.surface(camera)))
+    if drawn is not None:
+        return SurfaceView(drawn[1], np.ascontiguousarray(drawn[0].transpose(1, 2, 0)))
     tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
-    planes = blend_view(tiles, _flat(features), camera, workspace)
+    planes = blend_view(tiles, flat(features), camera, workspace)
     depth = np.empty((camera.height, camera.width), np.float32)
     measure_surface(
         threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), tiles.tile_starts, tiles.gaussian_of, depth
@@ -226,11 +250,14 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
         )
     n, channels = len(gaussians), target.shape[2]
     rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased), Workspace()
+    lifted = on_card(lambda views: views.accumulate(gaussians, camera, rules, flat(target)))
+    if lifted is not None:
+        return Accumulated(*map(torch.from_numpy, lifted))
     tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
     sums = np.empty((n, channels), np.float32)
     weights = np.empty(n, np.float32)
     for begin in range(0, max(channels, 1), LIFTED_AT_ONCE):
-        part = _flat(target[:, :, begin : begin + LIFTED_AT_ONCE])
+        part = flat(target[:, :, begin : begin + LIFTED_AT_ONCE])
         columns = part.shape[2]
         padded = -(-columns // LANES) * LANES
         pairs = np.empty((tiles.pairs, padded + 1), np.float32)

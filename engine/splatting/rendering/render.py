@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ...compiled.blocks import BLOCK
 from ...compiled.jit import threads
 from ...scene.camera import Camera
-from ..gaussians import PARAMETERS
+from ..gaussians import PARAMETERS, Gaussians
 from ..kernels.blend import blend
 from ..kernels.blend_backward import blend_backward, sum_pairs
 from ..kernels.load import loads_backward, measure_loads
@@ -36,6 +38,16 @@ LOOKED_AT = 10_000
 """Above this number of Gaussians, every n-th determines the near plane."""
 Arrays = Mapping[str, NDArray[np.float32]]
 """Parameters, or their gradients, by the field names of `Gaussians`: contiguous float32."""
+
+
+def flat(tensor: Tensor) -> NDArray[Any]:
+    """A tensor as a contiguous array of float32 for kernels."""
+    return tensor.detach().to(torch.float32).contiguous().numpy()
+
+
+def arrays_of(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
+    """The parameters as arrays for kernels."""
+    return {name: flat(getattr(gaussians, name)) for name in PARAMETERS}
 
 
 @dataclass(frozen=True, kw_only=True)

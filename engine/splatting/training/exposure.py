@@ -49,7 +49,11 @@ class Exposures(ViewMoments):
         """
         row_sums = workspace.take("exposure_rows", (image.shape[1], 3, 4))
         colors_backward(image, self.matrices[view], gradient, row_sums)
-        g = row_sums.sum(0, dtype=np.float64) + PULL * (self.matrices[view] - IDENTITY)
+        self.update(view, row_sums.sum(0, dtype=np.float64), done)
+
+    def update(self, view: int, sums: NDArray[np.float64], done: float) -> None:
+        """Update the map of a view. sums: (3, 4) gradient of the loss; done: as in `learn`."""
+        g = sums + PULL * (self.matrices[view] - IDENTITY)
         self.matrices[view] -= self.step(view, g, falling(RATE, LAST_RATE, done)).astype(np.float32)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -32,8 +32,33 @@ PATCH = 15
 _BLACK = np.zeros(3, np.float32)
 
 
+class Stepper(Protocol):
+    """What takes the steps of a training: the CPU, or a graphics card."""
+
+    look_every: int
+    """Steps between two looks at the Gaussians, to see whether training broke down."""
+
+    def take(self, state: TrainingState, picture: Picture) -> float:
+        """Render, compare, update; densify and prune when due. Returns the last loss that is known.
+
+        Raises:
+            GpuError: the graphics card failed; `state` is as it was when it was last collected.
+        """
+        ...
+
+    def collect(self, state: TrainingState) -> None:
+        """Bring `state` up to the last step.
+
+        Raises:
+            GpuError: as `take`.
+        """
+        ...
+
+
 class Step:
-    """What steps share: reused memory, and the loss's cache of photos."""
+    """Takes steps on the CPU; holds what steps share: reused memory, and the loss's cache of photos."""
+
+    look_every = 20
 
     def __init__(self, schedule: Schedule, extra: ExtraChannels | None = None) -> None:
         self.schedule = schedule
@@ -42,10 +67,9 @@ class Step:
         self.loss = PhotometricLoss(SSIM_WEIGHT, self.workspace)
 
     def take(self, state: TrainingState, picture: Picture) -> float:
-        """Render, compare, update; densify and prune when due. Returns the loss of the picture and of further
-        channels."""
+        """As `Stepper`; the loss is that of the picture and of further channels."""
         schedule, config, step = self.schedule, self.schedule.config, state.step
-        drawn, parameter_gradients, loss = self._backward(state, picture, step)
+        drawn, parameter_gradients, loss = self.gradients(state, picture, step)
         regularise(parameter_gradients, state.parameters, config, schedule.extent)
         rates = replace(schedule.rates(step), channels=self._channel_rate(step))
         state.parameters.update(parameter_gradients, rates, schedule.rules(step).sh_degree, drawn)
@@ -57,10 +81,13 @@ class Step:
             )
         if step % HOLD_EVERY == 0:
             clamp_sizes(state.parameters, schedule.middle, schedule.extent)
-        self._densify_and_prune(state)
+        densify_and_prune(state, schedule)
         return loss
 
-    def _backward(
+    def collect(self, state: TrainingState) -> None:
+        """As `Stepper`: nothing is elsewhere."""
+
+    def gradients(
         self, state: TrainingState, picture: Picture, step: int
     ) -> tuple[NDArray[np.int32], dict[str, NDArray[Any]], float]:
         """Which Gaussians the view rendered (N,), the gradients by parameter, and the loss."""
@@ -104,27 +131,30 @@ class Step:
     def _channel_rate(self, step: int) -> float:
         return 0.0 if self.extra is None else self.extra.rate_at(self.schedule.done(step))
 
-    def _densify_and_prune(self, state: TrainingState) -> None:
-        schedule, config, done = self.schedule, self.schedule.config, state.step
-        if schedule.densifies(done):
-            if config.densify == "mcmc":
-                relocate(
-                    state.parameters,
-                    config.max_gaussians,
-                    schedule.densifications_left(done),
-                    [config.seed, done, 1],
-                )
-            else:
-                densify(
-                    state.parameters,
-                    state.mean_gradients,
-                    schedule.densify_rules(),
-                    schedule.middle,
-                    [config.seed, done],
-                )
-            state.mean_gradients = GradientStats.none(len(state.parameters))
-        if schedule.resets_opacity(done):
-            reset_opacity(state.parameters, 0.05)
+
+def changes_number(schedule: Schedule, done: int) -> bool:
+    """Whether `densify_and_prune` does anything after this many steps."""
+    return schedule.densifies(done) or schedule.resets_opacity(done)
+
+
+def densify_and_prune(state: TrainingState, schedule: Schedule) -> None:
+    """What is due after a step, besides the step itself."""
+    config, done = schedule.config, state.step
+    if schedule.densifies(done):
+        if config.densify == "mcmc":
+            relocate(
+                state.parameters,
+                config.max_gaussians,
+                schedule.densifications_left(done),
+                [config.seed, done, 1],
+            )
+        else:
+            densify(
+                state.parameters, state.mean_gradients, schedule.densify_rules(), schedule.middle, [config.seed, done]
+            )
+        state.mean_gradients = GradientStats.none(len(state.parameters))
+    if schedule.resets_opacity(done):
+        reset_opacity(state.parameters, 0.05)
 
 
 def unforgiven(image: NDArray[np.float32], picture: Picture, share: float) -> NDArray[np.bool_]:

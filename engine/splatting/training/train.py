@@ -14,11 +14,13 @@ from torch import Tensor
 
 from ...compiled.jit import all_compiled
 from ...config import TrainConfig
-from ...errors import TrainingError
+from ...errors import GpuError, TrainingError
 from ...progress import Progress, silent
 from ...scene.camera import Camera, Scene
 from ..gaussians import PARAMETERS, Gaussians
+from ..gpu.adapters import Adapter
 from ..rendering.rasterize import accumulate, render
+from .card_step import CardStep
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
 from .densify import GradientStats
 from .exposure import Exposures, fitted
@@ -29,7 +31,10 @@ from .parameters import Parameters
 from .photos import PhotoShelf, Picture
 from .poses import Poses
 from .schedule import Schedule, view_at
-from .step import Step
+from .step import Step, Stepper
+
+CPU = "CPU"
+"""The name of the CPU as a device."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,8 @@ class Training:
     """Trained Gaussians and their quality.
 
     held_out: scores of held-out photos; steps: number of optimiser steps; checks: (step, held-out PSNR in dB) during
-    training; cameras: of the scene, at their refined poses; channels: (N, C) the further channels, C = 0 without any.
+    training; cameras: of the scene, at their refined poses; channels: (N, C) the further channels, C = 0 without any;
+    device: what took the steps.
     """
 
     gaussians: Gaussians
@@ -55,6 +61,7 @@ class Training:
     checks: tuple[tuple[int, float], ...]
     cameras: tuple[Camera, ...]
     channels: Tensor
+    device: str = CPU
 
     @property
     def psnr(self) -> float | None:
@@ -82,10 +89,14 @@ def train(
     *,
     checkpoint: Path | None = None,
     extra: ExtraChannels | None = None,
+    adapter: Adapter | None = None,
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> Training:
     """Train Gaussians on the photos of a scene, and with `extra` further channels.
+
+    adapter: the graphics card that takes the steps (see `adapter_for`), None for the CPU. If the card fails, the CPU
+    goes on from the last sound state.
 
     With `checkpoint`, the state is written there every `config.checkpoint_every` steps, and a call that finds it
     resumes: the result is the same, bit for bit, as without the interruption. A checkpoint that is damaged or belongs
@@ -110,13 +121,14 @@ def train(
             "--train.patience needs measurements of held-out photos: give --train.check-every, and a"
             " --train.holdout-every that keeps some"
         )
-    key = training_key(scene, config, "" if extra is None else extra.key)
+    device = "" if adapter is None else adapter.identity
+    key = training_key(scene, config, ("" if extra is None else extra.key) + device)
     near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
         shown = None if watch is None else lambda gaussians: watch(_at(gaussians, middle), scene)
         photos = _Photos(shelf, views, measured)
-        training = _train(near, config, photos, _Saved(checkpoint, key), extra, shown, progress)
+        training = _train(near, config, photos, _Saved(checkpoint, key), extra, adapter, shown, progress)
     finally:
         shelf.close()
     cameras = (
@@ -182,6 +194,7 @@ def _train(
     photos: _Photos,
     saved: _Saved,
     extra: ExtraChannels | None,
+    adapter: Adapter | None,
     watch: Callable[[Gaussians], None] | None,
     progress: Progress,
 ) -> Training:
@@ -191,21 +204,29 @@ def _train(
     if not all_compiled():
         progress(0.0, "Compiling for this computer, about 15 s (first run only)")
     schedule = Schedule(config, scene)
-    step = Step(schedule, extra)
+    stepper, device = _stepper(schedule, extra, adapter, progress)
     blank = 0
     while state.step < config.steps:
         picture = _picture(shelf, state.step, views, schedule)
         blank = blank + 1 if picture.mask is not None and not picture.mask.any() else 0
         if blank == 2 * len(views) - 1:  # includes a whole round, whatever its order
             raise TrainingError("The masks leave no pixel of any photo to learn from. White is what may be used")
-        loss = step.take(state, picture)
-        done = state.step
+        try:
+            loss = stepper.take(state, picture)
+            done = state.step
+            if _looks(done, stepper.look_every, schedule, saved, config, watch is not None):
+                stepper.collect(state)
+        except GpuError as error:
+            device = f"{CPU} from step {state.step} on: {error}"
+            progress(0.95 * state.step / config.steps, f"{error}. The CPU goes on from step {state.step}")
+            stepper = Step(schedule, extra)
+            continue
         if not math.isfinite(loss):
             raise _breakdown(done, f"the loss is {loss}")
         if schedule.drops_unneeded(done):
             state.select(_needed(state, config, [_posed(state, scene, view) for view in views]))
         if done % 20 == 0 or done == config.steps:
-            if not finite(state.parameters.gaussians()).any():
+            if done % stepper.look_every == 0 and not finite(state.parameters.gaussians()).any():
                 raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
         if watch is not None and done % WATCH_EVERY == 0:
@@ -232,6 +253,32 @@ def _train(
         checks=tuple(state.checks),
         cameras=tuple(_posed(state, scene, view) for view in range(len(scene.cameras))),
         channels=torch.from_numpy(state.parameters.channels())[whole],
+        device=device,
+    )
+
+
+def _stepper(
+    schedule: Schedule, extra: ExtraChannels | None, adapter: Adapter | None, progress: Progress
+) -> tuple[Stepper, str]:
+    """What takes the steps, and its name for the provenance."""
+    if adapter is None:
+        return Step(schedule, extra), CPU
+    try:
+        return CardStep(schedule, adapter), adapter.identity
+    except GpuError as error:
+        progress(0.0, f"{error}. The CPU trains")
+        return Step(schedule, extra), f"{CPU}: {error}"
+
+
+def _looks(done: int, every: int, schedule: Schedule, saved: _Saved, config: TrainConfig, watched: bool) -> bool:
+    """Whether something besides the next step needs the Gaussians after this many steps."""
+    return (
+        done % every == 0
+        or done == config.steps
+        or schedule.drops_unneeded(done)
+        or schedule.checks(done)
+        or (watched and done % WATCH_EVERY == 0)
+        or (saved.file is not None and done % config.checkpoint_every == 0)
     )
 
 

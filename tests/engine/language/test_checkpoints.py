@@ -8,6 +8,7 @@ import socket
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import huggingface_hub
 import pytest
@@ -16,7 +17,7 @@ from checkpoints import write_clip, write_sam
 from safetensors.torch import load_file, save_file
 
 from fruitlangs.engine.errors import EncoderError
-from fruitlangs.engine.language.encoders.checkpoints import CLIP, SAM, open_checkpoint
+from fruitlangs.engine.language.encoders.checkpoints import CLIP, SAM, _placed, open_checkpoint
 
 ABSENT = "somebody/no-such-clip"
 
@@ -181,3 +182,15 @@ def test_a_hub_that_cannot_be_reached_is_an_error(own_folder):
     said = refusal(ABSENT, allow_download=True)
     assert "cannot be downloaded" in said
     assert str(own_folder / ABSENT) in said
+
+
+@pytest.mark.parametrize(("cuda", "mps", "place"), [(True, False, "cuda"), (False, True, "mps"), (False, False, None)])
+def test_a_checkpoint_is_put_on_the_card_that_pytorch_has(
+    cuda: bool, mps: bool, place: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: cuda)
+    monkeypatch.setattr("torch.backends.mps.is_available", lambda: mps)
+    model = Mock()
+    assert _placed(model) is (model if place is None else model.half.return_value.to.return_value)
+    if place is not None:
+        model.half.return_value.to.assert_called_once_with(place)

@@ -1,0 +1,149 @@
+"""What `rasterize` draws, on a graphics card: views with further channels, surfaces, sums of pixel features."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...errors import GpuError
+from ...scene.camera import Camera
+from ..gaussians import PARAMETERS, Gaussians
+from ..kernels.tile import CHANNELS
+from ..rendering.render import DrawRules, arrays_of, blend_view, project_view, tile_view
+from ..rendering.workspace import Workspace
+from .adapters import Adapter
+from .card import Card
+from .drawing import FULL, NEEDED, PLAN, Canvas, Recording, Size, size_of, view_of
+
+TOGETHER, CHUNK = 8, 16
+"""Channels that the kernels blend, and sum, at once."""
+SAME_IMAGE = 1e-4
+"""Mean difference of a view's colours up to which a card agrees with the CPU: rounding moves an edge by a pixel."""
+
+FloatArray = NDArray[np.float32]
+
+
+class CardViews:
+    """Draws on a card. The first view is drawn on the CPU too; a card that draws another one is not used."""
+
+    def __init__(self, adapter: Adapter) -> None:
+        """Open the card.
+
+        Raises:
+            GpuError: it cannot be opened.
+        """
+        self.canvas = Canvas(Card.open(adapter))
+        self._shown: list[tuple[Tensor, int]] = []
+        self._agreed = False
+        card = self.canvas.card
+        self._blended = card.program("view", "blended", NOTHING=1e30)
+        self._accumulate = card.program("view", "accumulate")
+
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, rules: DrawRules, features: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """(CHANNELS, H, W) planes as `kernels.blend` writes them, and (C, H, W) the features (N, C), C = 0 for None.
+
+        Raises:
+            GpuError: the card failed, or draws something else than the CPU.
+        """
+        view = self._view(gaussians, camera, rules, 0 if features is None else features.shape[1])
+        planes = self._drawn(gaussians, camera, rules, view)
+        size, channels = size_of(view), int(view["channels"][0])
+        if features is None or channels == 0:
+            return planes, np.zeros((0, size.height, size.width), np.float32)
+        card = self.canvas.card
+        card.upload("features", features)
+        card.buffer("blended", channels * size.width * size.height)
+        self._run("blend_features", size, -(-channels // TOGETHER))
+        blended = card.download("blended", np.float32, channels * size.width * size.height)
+        return planes, blended.reshape(channels, size.height, size.width)
+
+    def surface(self, camera: Camera) -> FloatArray:
+        """(H, W) depth of the front surface in the view that was drawn last, as `kernels.surface` measures it."""
+        size = Size(camera.width, camera.height)
+        self._run("measure_surface", size, 1)
+        depths = self.canvas.card.download("depths", np.float32, size.width * size.height)
+        return depths.reshape(size.height, size.width)
+
+    def accumulate(
+        self, gaussians: Gaussians, camera: Camera, rules: DrawRules, target: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Sums (N, D) of the target (H, W, D) by blending weight, and the weights (N,).
+
+        Raises:
+            GpuError: as `draw`.
+        """
+        channels = target.shape[2]
+        whole = np.zeros((camera.height, camera.width, -(-(channels + 1) // CHUNK) * CHUNK), np.float32)
+        whole[..., :channels], whole[..., channels] = target, 1.0
+        view = self._view(gaussians, camera, rules, whole.shape[2])
+        self._drawn(gaussians, camera, rules, view)
+        canvas, count = self.canvas, len(gaussians)
+        canvas.card.upload("target_values", whole)
+        canvas.card.buffer("pair_sums", CHUNK * canvas.capacity)
+        canvas.card.buffer("lifted", count * whole.shape[2])
+        size, held = size_of(view), canvas.listed(size_of(view))
+        for first in range(0, whole.shape[2], CHUNK):
+            view["first_channel"] = first
+            canvas.card.upload("view", view.view(np.uint32))
+            work = canvas.card.record()
+            work.run(self._accumulate, "accumulate", held, size.columns, size.rows)
+            work.run_for(self._accumulate, "gather", held, count * CHUNK)
+            work.submit()
+        lifted = canvas.card.download("lifted", np.float32, count * whole.shape[2]).reshape(count, -1)
+        return lifted[:, :channels].copy(), lifted[:, channels].copy()
+
+    def _run(self, entry: str, size: Size, layers: int) -> None:
+        """Run an entry point of `blended` over the view that was drawn last."""
+        card = self.canvas.card
+        card.buffer("depths", size.width * size.height)
+        for name in ("features", "blended"):
+            card.buffer(name, 1)
+        work: Recording = card.record()
+        work.run(self._blended, entry, self.canvas.listed(size), size.columns, size.rows, layers)
+        work.submit()
+
+    def _view(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, channels: int) -> NDArray[Any]:
+        view = view_of(camera, rules, len(gaussians))
+        view["channels"] = channels
+        return view
+
+    def _drawn(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, view: NDArray[Any]) -> FloatArray:
+        """The planes of a view."""
+        canvas, size, count = self.canvas, size_of(view), len(gaussians)
+        tensors = [getattr(gaussians, name) for name in PARAMETERS]
+        if [(id(each), each._version) for each in tensors] != [(id(each), version) for each, version in self._shown]:
+            canvas.show(arrays_of(gaussians))
+            self._shown = [(each, each._version) for each in tensors]
+        while True:
+            canvas.reserve(count, size)
+            view["capacity"] = canvas.capacity
+            canvas.card.upload("view", view.view(np.uint32))
+            canvas.card.upload("plan", np.zeros(PLAN, np.uint32))
+            work = canvas.card.record()
+            canvas.draw(work, count, size)
+            work.submit()
+            plan = canvas.card.download("plan", np.uint32, PLAN)
+            if not plan[FULL]:
+                break
+            canvas.make_room(int(plan[NEEDED]))
+        found = canvas.card.download("planes", np.float32, CHANNELS * size.width * size.height)
+        planes = found.reshape(CHANNELS, size.height, size.width)
+        if not self._agreed:
+            self._compare(gaussians, camera, rules, planes)
+        return planes
+
+    def _compare(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, planes: FloatArray) -> None:
+        """Raises GpuError if the CPU draws something else."""
+        workspace = Workspace()
+        tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
+        ours = blend_view(tiles, np.zeros((len(gaussians), 0), np.float32), camera, workspace)
+        away = float(np.abs(planes[:3] - ours[:3]).mean())
+        if not away <= SAME_IMAGE:
+            name = self.canvas.card.adapter.name
+            raise GpuError(f"{name} draws another image than the CPU (mean difference {away:.2g})")
+        self._agreed = True
