@@ -32,6 +32,7 @@ from ..gpu.drawing import (
     packed,
     view_of,
 )
+from ..gpu.trial import refusal
 from .checkpoint import TrainingState
 from .densify import GradientStats
 from .exposure import Exposures
@@ -68,7 +69,8 @@ def adapter_for(config: TrainConfig, *, joint: bool) -> tuple[Adapter | None, st
     for name, used in missing.items():
         if used:
             return None, f"{name} cannot be computed on a graphics card yet, so the CPU trains"
-    return adapter, ""
+    reason = refusal(adapter)
+    return (None, f"{adapter.name} is not used: {reason}") if reason else (adapter, "")
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,15 +5,19 @@ from __future__ import annotations
 import builtins
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from fruitlangs.engine.errors import GpuError
-from fruitlangs.engine.splatting.gpu import adapters
+from fruitlangs.engine.child_process import ChildError
+from fruitlangs.engine.config import TrainConfig
+from fruitlangs.engine.errors import Cancelled, GpuError
+from fruitlangs.engine.splatting.gpu import adapters, trial
 from fruitlangs.engine.splatting.gpu.adapters import LIMITS, Adapter, choose_adapter, find_adapters
+from fruitlangs.engine.splatting.training.card_step import adapter_for
 
 ROOT = Path(__file__).resolve().parents[4]
 ENOUGH = {**LIMITS, "max-buffer-size": 1 << 30, "max-storage-buffer-binding-size": 1 << 28}
@@ -32,6 +36,7 @@ LAVAPIPE = made("llvmpipe", software=True)
 def there(monkeypatch: pytest.MonkeyPatch) -> list[Adapter]:
     found: list[Adapter] = []
     monkeypatch.setattr(adapters, "find_adapters", lambda: found)
+    monkeypatch.setattr(trial, "find_adapters", lambda: found)
     return found
 
 
@@ -87,6 +92,46 @@ def test_a_driver_that_fails_is_an_error_in_one_line(monkeypatch: pytest.MonkeyP
 def test_a_card_without_enough_limits_is_not_opened() -> None:
     with pytest.raises(GpuError, match="Old Card cannot be used: max-compute-workgroup-storage-size is 16384"):
         OLD.request()
+
+
+def test_a_card_is_first_used_in_another_process_and_a_success_is_remembered(
+    adapter: Adapter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trial, "CACHE_FOLDER", tmp_path)
+    assert trial.refusal(adapter) == ""
+    assert [each.name for each in tmp_path.iterdir()] == [trial._marker(adapter)]
+    monkeypatch.setattr(trial, "run_child", lambda *_: pytest.fail("tried again"))
+    assert trial.refusal(adapter) == ""
+    other = replace(adapter, driver="of tomorrow")
+    monkeypatch.setattr(trial, "run_child", lambda *_: None)
+    assert trial._marker(other) != trial._marker(adapter)
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        (ChildError("it ended with code -11"), "a first use in a process of its own failed (it ended with code -11)"),
+        (Cancelled(), "it did not answer in 60 s"),
+    ],
+)
+def test_a_card_whose_driver_crashes_or_hangs_is_not_used(
+    failure: Exception, reason: str, there: list[Adapter], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any) -> None:
+        raise failure
+
+    there[:] = [RADEON]
+    monkeypatch.setattr(trial, "CACHE_FOLDER", tmp_path)
+    monkeypatch.setattr(trial, "run_child", fail)
+    assert adapter_for(TrainConfig(), joint=False) == (None, f"Radeon 780M is not used: {reason}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_card_that_is_not_there_in_the_other_process_is_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trial, "CACHE_FOLDER", tmp_path)
+    assert "a first use in a process of its own failed" in trial.refusal(RADEON)
 
 
 def test_the_command_line_says_before_anything_else_that_a_card_is_missing(tmp_path: Path) -> None:
