@@ -1,19 +1,36 @@
 """Makes the checkout importable as `fruitlangs`, whatever its folder is called; import this first.
 
-It also makes every text printable (`_console`).
+It also lets every text be printed on consoles and into files of any encoding, such as Windows' cp1252 or the C locale.
 
 An installed package or a loaded Blender extension of the same name is not changed; the checkout wins in this process.
 """
 
 from __future__ import annotations
 
+import codecs
 import importlib.util
 import sys
+import unicodedata
 from pathlib import Path
 
-import _console  # noqa: F401
-
 ROOT = Path(__file__).resolve().parent.parent
+
+PLAIN = {
+    **{"–": "-", "—": "-", "−": "-", "×": "x", "→": "->", "…": "...", "≥": ">=", "≤": "<=", "≈": "about", "·": "*"},
+    **{"τ": "tau", "σ": "sigma", "Σ": "sum", "Π": "product", "√": "sqrt", "°": " deg", "±": "+-", "’": "'"},
+    **{"“": '"', "”": '"', "‘": "'", "\N{NARROW NO-BREAK SPACE}": " "},
+}
+"""{character: what stands for it where it cannot be printed}; letters lose their accents, all else becomes "?"."""
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """What replaces the characters that an encoding lacks."""
+    assert isinstance(error, UnicodeEncodeError)
+    text = ""
+    for character in error.object[error.start : error.end]:
+        bare = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode("ascii")
+        text += PLAIN.get(character) or bare or "?"
+    return text, error.end
 
 
 def _load() -> None:
@@ -30,6 +47,10 @@ def _load() -> None:
     spec.loader.exec_module(module)
 
 
+codecs.register_error("plain", _plain)
+for stream in (sys.stdout, sys.stderr):
+    if hasattr(stream, "reconfigure"):  # a test's or Blender's may be another object
+        stream.reconfigure(errors="plain")
 _load()
 
 if sys.modules.get("bpy") is not None:  # Blender runs the script: let it find packages from install_dependencies.py

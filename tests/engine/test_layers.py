@@ -52,6 +52,7 @@ LAYERS = (
     ("engine/reconstruction", "engine/photo_check"),
     ("engine/publishing", "engine/scale"),
     ("engine/pipeline", "engine/open_result"),
+    ("engine/block",),
     # What Blender does.
     ("operators/blender_data", "operators/package_folder"),
     ("operators/jobs", "operators/viewport"),

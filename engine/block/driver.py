@@ -1,0 +1,124 @@
+"""The driver: starts workers with submitit, on this computer or by Slurm, and watches until every tree is settled."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import ConfigError
+from ..storage.files import write_text
+from .ledger import LOG, Ledger, TreeState, run_name
+
+Executor = Literal["local", "slurm"]
+STATUS = "status.json"
+POLL_SECONDS = 1.0
+WORKER_BYTES = 3 << 30
+"""Memory that a worker gets at least: 60 photos of 1600×1200 with cameras from photos alone take about that."""
+LONGEST_MINUTES = 60 * 24 * 7
+SettledTree = Callable[[str, TreeState], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """jobs: workers at a time, None for as many as fit; partition, minutes, gigabytes, gpus: of each, for Slurm."""
+
+    executor: Executor = "local"
+    jobs: int | None = None
+    partition: str = ""
+    minutes: int = LONGEST_MINUTES
+    gigabytes: float = 0.0
+    gpus: int = 0
+
+    def fitting(self, trees: int, cores: int, free: int) -> int:
+        """The number of workers for this many trees on a computer with these cores and bytes."""
+        if self.jobs is not None:
+            return max(min(self.jobs, trees), 1)
+        if self.executor == "slurm":
+            return max(min(trees, 16), 1)
+        return max(min(trees, cores // 2, free // WORKER_BYTES), 1)
+
+
+def drive(
+    ledger: Ledger, workers: Workers, command: Sequence[str], *, free: int, settled: SettledTree = lambda *_: None
+) -> dict[str, TreeState]:
+    """Have every tree of the block counted; returns the states. settled: called for each tree that is done or failed.
+
+    command: starts a worker, with the folder of the block and the name of the run appended; free: usable bytes.
+    Workers that die are replaced as long as trees wait.
+
+    Raises:
+        ConfigError: there is no such executor here.
+    """
+    import submitit
+
+    run, cores = run_name(), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    jobs = workers.fitting(sum(_is_open(state, run) for state in ledger.states().values()), cores, free)
+    executor = _executor(submitit, ledger.path / LOG, workers, max(cores // jobs, 1))
+    line = [*command, str(ledger.path), run]
+    threads = {name: str(max(cores // jobs, 1)) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
+    if workers.executor == "slurm":
+        threads = {}  # Slurm's own limits hold
+    function = submitit.helpers.CommandFunction(line, verbose=False, env={**os.environ, **threads})
+    running: list[Any] = []
+    told: set[str] = set()
+    try:
+        while True:
+            states = ledger.states()
+            for own, state in states.items():
+                if state.stage in ("done", "failed") and state.run == run and own not in told:
+                    told.add(own)
+                    settled(own, state)
+            _report(ledger, states)
+            running = [job for job in running if not job.done()]
+            if not any(_is_open(state, run) for state in states.values()):
+                if not running:
+                    return states
+                time.sleep(POLL_SECONDS / 10)  # the last workers are about to end
+                continue
+            waiting = sum(_is_open(state, run) and state.stage != "running" for state in states.values())
+            for _ in range(min(jobs - len(running), waiting)):
+                running.append(executor.submit(function))
+            time.sleep(POLL_SECONDS)
+    finally:
+        for job in running:
+            job.cancel(check=False)
+
+
+def _is_open(state: TreeState, run: str) -> bool:
+    return state.stage in ("waiting", "running") or (state.stage == "failed" and state.run != run)
+
+
+def _executor(submitit: Any, log: Path, workers: Workers, cores: int) -> Any:
+    try:
+        executor = submitit.AutoExecutor(folder=log, cluster=workers.executor)
+    except RuntimeError as error:
+        raise ConfigError(f"--executor {workers.executor} cannot be used here ({error})") from error
+    executor.update_parameters(timeout_min=workers.minutes, cpus_per_task=cores, name="fruitlangs")
+    if workers.executor == "slurm":
+        given = {"slurm_partition": workers.partition, "mem_gb": workers.gigabytes, "gpus_per_node": workers.gpus}
+        executor.update_parameters(**{name: value for name, value in given.items() if value})
+    return executor
+
+
+def _report(ledger: Ledger, states: dict[str, TreeState]) -> None:
+    """Write status.json, for programs that watch."""
+    counts = Counter(state.stage for state in states.values())
+    seconds = [state.seconds for state in states.values() if state.stage == "done" and state.seconds > 0.0]
+    document = {
+        **{stage: counts.get(stage, 0) for stage in ("waiting", "running", "done", "failed")},
+        "mean_seconds": round(sum(seconds) / len(seconds), 1) if seconds else None,
+        "trees": {own: asdict(state) for own, state in states.items()},
+    }
+    write_text(ledger.path / STATUS, json.dumps(document, indent=1))
+
+
+def python_command(script: Path) -> list[str]:
+    """The command that starts a worker of a script with this Python."""
+    return [sys.executable, str(script), "--worker"]

@@ -1,0 +1,143 @@
+"""The folder of a block: which trees it has, the state of each, and who works on which.
+
+Workers of any number of drivers share it. A tree is worked on by the process that holds its lock, which the operating
+system takes back when the process ends in any way; so a tree that is `running` without a holder was interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from filelock import FileLock, Timeout
+
+from ..errors import FormatError, OutputError
+from ..result_folder import ResultFolder
+from ..storage.files import require_writable, write_text
+from .manifest import TreeEntry
+
+Stage = Literal["waiting", "running", "done", "failed"]
+TREES, STATES, LOCKS, MANIFEST, LOG = "trees", "states", "locks", "manifest.json", "log"
+"""Folders and files of a block."""
+MOST_CRASHES = 3
+"""Times that a worker may die with a tree before the tree is given up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreeState:
+    """What became of a tree.
+
+    fingerprint: of the entry that it is about; crashes: workers that died with it, without a word, one after another;
+    run: of the driver that last worked on it; seconds: of the count; reason: of a failure.
+    """
+
+    stage: Stage = "waiting"
+    fingerprint: str = ""
+    crashes: int = 0
+    run: str = ""
+    seconds: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The folder of a block."""
+
+    path: Path
+
+    def result(self, tree: TreeEntry) -> ResultFolder:
+        """Where a tree is counted."""
+        return ResultFolder(self.path / TREES / tree.id)
+
+    def write_trees(self, trees: Sequence[TreeEntry]) -> None:
+        """Note the trees of the block, in place of earlier ones, for its workers.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        for name in (TREES, STATES, LOCKS, LOG):
+            require_writable(self.path / name)
+        document = [{**asdict(tree), "source": str(tree.source)} for tree in trees]
+        write_text(self.path / MANIFEST, json.dumps(document, indent=1))
+
+    def trees(self) -> list[TreeEntry]:
+        """The trees that were noted.
+
+        Raises:
+            OutputError: the folder is none of a block.
+            FormatError: another version wrote it.
+        """
+        try:
+            document = json.loads((self.path / MANIFEST).read_text(encoding="utf-8"))
+            return [_tree(entry) for entry in document]
+        except OSError as error:
+            raise OutputError(f"{self.path} holds no {MANIFEST}. It is not the folder of a block") from error
+        except (ValueError, TypeError, KeyError) as error:
+            raise FormatError(
+                f"{self.path / MANIFEST} is of another version ({error}). Count into another folder"
+            ) from error
+
+    def state(self, tree: TreeEntry) -> TreeState:
+        """What became of a tree; waiting if it is new, was changed, or its result is gone."""
+        try:
+            stored = TreeState(**json.loads(self._file(tree).read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            return TreeState(fingerprint=tree.fingerprint)
+        gone = stored.stage == "done" and not self.result(tree).holds_result()
+        if stored.fingerprint != tree.fingerprint or gone:
+            return TreeState(fingerprint=tree.fingerprint)
+        return stored
+
+    def states(self) -> dict[str, TreeState]:
+        """{id: state} of all trees; a tree whose worker died is waiting."""
+        found = {}
+        for tree in self.trees():
+            state = self.state(tree)
+            if state.stage == "running":
+                with self.claimed(tree) as mine:
+                    state = self.state(tree) if not mine else replace(state, stage="waiting")
+            found[tree.id] = state
+        return found
+
+    def write(self, tree: TreeEntry, state: TreeState) -> None:
+        """Note what became of a tree; only with its lock.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        write_text(self._file(tree), json.dumps(asdict(state)))
+
+    @contextmanager
+    def claimed(self, tree: TreeEntry) -> Iterator[bool]:
+        """Whether the tree is this process's until the block ends, because no other process works on it."""
+        lock = FileLock(self.path / LOCKS / f"{tree.id}.lock", timeout=0)
+        try:
+            lock.acquire()
+        except Timeout:
+            yield False
+            return
+        except OSError as error:
+            raise OutputError(f"{lock.lock_file} cannot be locked ({error.strerror or error})") from error
+        try:
+            yield True
+        finally:
+            lock.release()
+
+    def _file(self, tree: TreeEntry) -> Path:
+        return self.path / STATES / f"{tree.id}.json"
+
+
+def _tree(entry: Mapping[str, Any]) -> TreeEntry:
+    lists = {name: tuple(entry[name]) for name in ("prompt", "negative")}
+    settings = {name: tuple(each) if isinstance(each, list) else each for name, each in entry["settings"].items()}
+    return TreeEntry(**{**entry, **lists, "source": Path(entry["source"]), "settings": settings})
+
+
+def run_name() -> str:
+    """A name for a driver's run that no other one has."""
+    return f"{os.getpid()}-{os.urandom(4).hex()}"

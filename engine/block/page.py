@@ -1,0 +1,104 @@
+"""The page of a block: sums, a map, a table and a picture of each tree; to be read in a browser or printed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from jinja2 import Environment, Template, select_autoescape
+
+from ..storage.files import write_text
+from .ledger import TREES
+from .tables import rows_of, summary
+from .totals import CountedTree
+
+PAGE, STILL, REPORT = "orchard.html", "still.jpg", "report.html"
+WIDTH, HEIGHT, MARGIN, LARGEST = 900.0, 420.0, 30.0, 16.0
+"""Of the map, in its units."""
+MOST_STILLS = 200
+"""Pictures on a page."""
+
+
+def write_page(
+    folder: Path, trees: Sequence[CountedTree], *, all_trees: int | None = None, density: float | None = None
+) -> Path:
+    """Write orchard.html into a block's folder; returns its path.
+
+    Raises:
+        OutputError: the folder cannot be written.
+        ConfigError: as `tables.summary`.
+    """
+    document = summary(trees, all_trees=all_trees, density=density)
+    document.setdefault("all_trees", None)
+    marks, places = _marks(trees)
+    text = _template().render(
+        **document,
+        title=folder.resolve().name or "orchard",
+        table=rows_of(trees, density),
+        marks=marks,
+        places=places,
+        width=WIDTH,
+        height=HEIGHT,
+        stills=_stills(folder, trees),
+        size=lambda value: f"{1000.0 * value:.1f} mm" if document["unit"] == "m" else f"{value:.4g} scene units",
+    )
+    write_text(folder / PAGE, text)
+    return folder / PAGE
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(autoescape=select_autoescape(default=True), trim_blocks=True)
+    return environment.from_string(Path(__file__).with_suffix(".html").read_text(encoding="utf-8"))
+
+
+def _stills(folder: Path, trees: Sequence[CountedTree]) -> list[dict[str, str]]:
+    found = []
+    for tree in trees:
+        if tree.visible is None or not (folder / TREES / tree.entry.id / STILL).is_file():
+            continue
+        base = f"{TREES}/{quote(tree.entry.id)}"
+        text = f"{tree.entry.id}: {tree.visible.count} fruit"
+        found.append({"picture": f"{base}/{STILL}", "report": f"{base}/{REPORT}", "text": text})
+    return found[:MOST_STILLS]
+
+
+def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:
+    """The circles of the map, and what their places are; none without places."""
+    entries = [tree.entry for tree in trees]
+    if all(entry.latitude is not None and entry.longitude is not None for entry in entries):
+        shrink = math.cos(math.radians(sum(entry.latitude or 0.0 for entry in entries) / max(len(entries), 1)))
+        places = [((entry.longitude or 0.0) * shrink, -(entry.latitude or 0.0)) for entry in entries]
+        what = "North is up"
+    elif all(entry.position is not None for entry in entries):
+        rows = list(dict.fromkeys(entry.row for entry in entries))
+        places = [(entry.position or 0.0, float(rows.index(entry.row))) for entry in entries]
+        what = "Positions along the rows"
+    else:
+        return [], ""
+    most = max([tree.visible.count for tree in trees if tree.visible is not None], default=0)
+    xs, ys = zip(*places, strict=True)
+    wide, high = max(xs) - min(xs), max(ys) - min(ys)
+    scale = min((WIDTH - 2 * MARGIN) / (wide or 1.0), (HEIGHT - 2 * MARGIN) / (high or 1.0))
+    if what != "North is up":  # rows are drawn as far apart as there is room
+        scale_x, scale_y = (WIDTH - 2 * MARGIN) / (wide or 1.0), (HEIGHT - 2 * MARGIN) / (high or 1.0)
+    else:
+        scale_x = scale_y = scale
+    marks = []
+    for tree, x, y in zip(trees, xs, ys, strict=True):
+        count = 0 if tree.visible is None else tree.visible.count
+        failed = tree.state.stage == "failed"
+        marks.append(
+            {
+                "x": MARGIN + (x - min(xs)) * scale_x,
+                "y": MARGIN + (y - min(ys)) * scale_y,
+                "radius": LARGEST * math.sqrt(count / most) if most and count else 4.0,
+                "color": "#c33" if failed else "#bbb" if tree.visible is None else "#2c7a2c",
+                "text": f"{tree.entry.id}: {tree.state.reason if failed else f'{count} fruit'}",
+            }
+        )
+    return marks, what

@@ -1,0 +1,138 @@
+"""The answer for a block as files: a line for each tree, sums for rows and the block, and places for maps."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..storage.files import write_text
+from .ledger import TREES
+from .totals import Amount, CountedTree, of_all, summed
+
+COLUMNS = (
+    "tree", "row", "position", "latitude", "longitude", "state", "count", "likely", "low", "high", "with_hidden",
+    "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume", "kg", "reason",
+)  # fmt: skip
+DECIMALS = 6
+
+
+def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[str, Any]]:
+    """A row for each tree, by column. density: kg per m³ of the fruit, None if not given; weights need metres."""
+    rows = []
+    for tree in trees:
+        row: dict[str, Any] = dict.fromkeys(COLUMNS)
+        entry = tree.entry
+        row |= {"tree": entry.id, "row": entry.row, "position": entry.position}
+        row |= {"latitude": entry.latitude, "longitude": entry.longitude}
+        row |= {"state": tree.state.stage, "reason": tree.state.reason}
+        if tree.visible is not None:
+            row |= {"count": tree.visible.count, **_ends(tree.visible, "")}
+            row |= _ends(tree.total, "with_hidden") if tree.total is not None else {}
+            row |= {"unit": "m" if tree.metric else "scene units", "volume": float(f"{tree.volume:.6g}")}
+            if tree.diameters:
+                row["mean_diameter"] = round(float(np.mean(tree.diameters)), DECIMALS)
+                row["diameter_sd"] = round(float(np.std(tree.diameters)), DECIMALS)
+            if density is not None and tree.metric:
+                row["kg"] = round(density * tree.volume, 3)
+        rows.append(row)
+    return rows
+
+
+def _ends(amount: Amount, name: str) -> dict[str, float]:
+    low, high, likely = ("low", "high", "likely") if not name else (f"{name}_low", f"{name}_high", name)
+    return {likely: round(amount.likely, 1), low: round(amount.low, 1), high: round(amount.high, 1)}
+
+
+def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: float | None) -> dict[str, Any]:
+    """The block in numbers: states, sums by row and in all, sizes, weight, and what failed.
+
+    all_trees: of the block, of which these are a random sample; None if these are all.
+
+    Raises:
+        ConfigError: as `of_all`.
+    """
+    done = [tree for tree in trees if tree.visible is not None]
+    failed = {tree.entry.id: tree.state.reason for tree in trees if tree.state.stage == "failed"}
+    rows: dict[str, Any] = {}
+    for name in dict.fromkeys(tree.entry.row for tree in done if tree.entry.row):
+        rows[name] = _sums([tree for tree in done if tree.entry.row == name])
+    diameters = np.concatenate([np.zeros(0), *(tree.diameters for tree in done)])
+    metric = bool(done) and all(tree.metric for tree in done)
+    document: dict[str, Any] = {
+        "trees": len(trees),
+        "done": len(done),
+        "failed": failed,
+        "waiting": sum(tree.state.stage in ("waiting", "running") for tree in trees),
+        "block": _sums(done),
+        "rows": rows,
+        "unit": "m" if metric else "scene units",
+        "diameters": _spread(diameters),
+        "kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
+    }
+    if all_trees is not None:
+        amounts = [tree.visible for tree in done if tree.visible is not None]
+        document["all_trees"] = {"trees": all_trees, **_ends(of_all(amounts, all_trees), "")}
+    return document
+
+
+def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:
+    visible = [tree.visible for tree in trees if tree.visible is not None]
+    total = [tree.total for tree in trees if tree.total is not None]
+    found: dict[str, Any] = {"trees": len(trees), "count": sum(each.count for each in visible)}
+    found |= _ends(summed(visible), "") if visible else {}
+    return found | (_ends(summed(total), "with_hidden") if len(total) == len(trees) and total else {})
+
+
+def _spread(diameters: np.ndarray) -> dict[str, Any] | None:
+    """Mean, standard deviation and the ends of 80 %; None without fruit."""
+    if not len(diameters):
+        return None
+    low, high = np.quantile(diameters, [0.1, 0.9])
+    numbers = {"mean": diameters.mean(), "sd": diameters.std(), "low": low, "high": high}
+    return {"fruit": len(diameters), **{name: round(float(value), DECIMALS) for name, value in numbers.items()}}
+
+
+def geojson(trees: Sequence[CountedTree], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """A point for each tree with a place (RFC 7946: longitude, then latitude)."""
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [tree.entry.longitude, tree.entry.latitude]},
+            "properties": {name: value for name, value in row.items() if name not in ("latitude", "longitude")},
+        }
+        for tree, row in zip(trees, rows, strict=True)
+        if tree.entry.latitude is not None and tree.entry.longitude is not None
+    ]
+    return {"type": "FeatureCollection", "features": features}
+
+
+def write_tables(
+    folder: Path, trees: Sequence[CountedTree], *, all_trees: int | None = None, density: float | None = None
+) -> list[Path]:
+    """Write orchard.csv, orchard.json and orchard.geojson into a block's folder; returns their paths.
+
+    Raises:
+        OutputError: the folder cannot be written.
+        ConfigError: as `summary`.
+    """
+    rows = rows_of(trees, density)
+    document = summary(trees, all_trees=all_trees, density=density)
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    table.writeheader()
+    table.writerows({name: "" if value is None else value for name, value in row.items()} for row in rows)
+    by_tree = [{**row, "result": f"{TREES}/{row['tree']}"} for row in rows]
+    contents = {
+        "orchard.csv": text.getvalue(),
+        "orchard.json": json.dumps({**document, "by_tree": by_tree}, indent=1) + "\n",
+        "orchard.geojson": json.dumps(geojson(trees, rows), indent=1) + "\n",
+    }
+    for name, content in contents.items():
+        write_text(folder / name, content)
+    return [folder / name for name in contents]

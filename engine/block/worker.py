@@ -1,0 +1,77 @@
+"""A worker: counts trees of a block, one after another, until no tree is left for it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from ..errors import Cancelled, FruitLangsError
+from ..pipeline import count_scene
+from ..progress import silent
+from .ledger import MOST_CRASHES, Ledger, TreeState
+from .manifest import TreeEntry
+
+Count = Callable[[TreeEntry, Ledger], None]
+
+
+def count_tree(tree: TreeEntry, ledger: Ledger) -> None:
+    """Count a tree into its folder of the block.
+
+    Raises:
+        FruitLangsError: it cannot be counted.
+    """
+    count_scene(
+        tree.source,
+        tree.prompt,
+        ledger.result(tree).path,
+        negatives=tree.negative,
+        config=tree.config,
+        given=set(tree.settings),
+        progress=silent,
+    )
+
+
+def work(ledger: Ledger, run: str, *, count: Count = count_tree) -> int:
+    """Count the trees that are waiting and that no other process works on; returns how many. A tree that failed in this
+    run is not tried again, one that failed in an earlier run is.
+
+    Raises:
+        OutputError: the folder of the block cannot be written.
+        Cancelled: the user asked for it.
+    """
+    counted = 0
+    for tree in ledger.trees():
+        with ledger.claimed(tree) as mine:
+            if mine and _is_due(ledger, tree, run):
+                counted += _attempt(ledger, tree, run, count)
+    return counted
+
+
+def _is_due(ledger: Ledger, tree: TreeEntry, run: str) -> bool:
+    state = ledger.state(tree)
+    return state.stage in ("waiting", "running") or (state.stage == "failed" and state.run != run)
+
+
+def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:
+    """Count one tree, whose lock is held; whether it is done now."""
+    before = ledger.state(tree)
+    crashes = before.crashes + 1 if before.stage == "running" else 0
+    state = TreeState(stage="running", fingerprint=tree.fingerprint, crashes=crashes, run=run)
+    if crashes >= MOST_CRASHES:
+        reason = f"{crashes} workers died with it without a word, perhaps for want of memory: use fewer --jobs"
+        ledger.write(tree, replace(state, stage="failed", crashes=0, reason=reason))
+        return False
+    ledger.write(tree, state)
+    begun = time.monotonic()
+    try:
+        count(tree, ledger)
+    except FruitLangsError as error:
+        reason = " ".join(str(error).split())
+        ledger.write(tree, replace(state, stage="failed", crashes=0, reason=reason))
+        return False
+    except (Cancelled, KeyboardInterrupt):
+        ledger.write(tree, replace(state, stage="waiting", crashes=0))
+        raise
+    ledger.write(tree, replace(state, stage="done", crashes=0, seconds=round(time.monotonic() - begun, 1)))
+    return True

@@ -1,0 +1,186 @@
+"""Count the trees of a block: one command for a manifest, or for a folder with a folder of photos for each tree.
+
+    python scripts/count_orchard.py orchard.csv --out results/block
+    python scripts/count_orchard.py photos --prompt apple --out results/block
+
+Run it again to go on after an interruption, to try failed trees again, or after the manifest has changed: what is done
+stays. Exit code 0: every tree is counted; 1: some are not, with a line for each; 2: usage; 130: cancelled.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import _checkout  # noqa: F401
+
+from _help import asked_for_help, help_text
+from _terminal import arguments_of, import_tyro, run, say
+from fruitlangs.engine.errors import ConfigError, CountingError
+
+if TYPE_CHECKING:
+    import tyro
+
+    from fruitlangs.engine.block.ledger import Ledger, TreeState
+    from fruitlangs.engine.block.manifest import TreeEntry
+else:
+    tyro = import_tyro()
+
+EXAMPLE = "python scripts/count_orchard.py orchard.csv --out results/block"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Count many trees, by several workers, and sum up the block."""
+
+    manifest: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MANIFEST")]
+    """A .csv or .toml with a line for each tree, or a folder with a folder of photos for each tree."""
+    out: Path
+    """Folder of the block: a result for each tree, and the tables."""
+    prompt: tuple[str, ...] = ()
+    """What to count on trees for which the manifest does not say it."""
+    settings: str = ""
+    """Settings of all trees, as in the manifest: "train.steps=400 | count.threshold=0.4"."""
+    jobs: int | None = None
+    """Trees that are counted at a time; if not given, as many as cores and memory allow."""
+    executor: Literal["local", "slurm"] = "local"
+    """Where the workers run: on this computer, or on a cluster with Slurm."""
+    partition: str = ""
+    """Slurm's partition."""
+    minutes: int = 60 * 24 * 7
+    """Longest time of a worker."""
+    gigabytes: float = 0.0
+    """Memory of a worker that Slurm reserves."""
+    gpus: int = 0
+    """Graphics cards of a worker that Slurm reserves."""
+    trees: int | None = None
+    """Number of all trees of the block, if those of the manifest are a random sample of them."""
+    density: float | None = None
+    """Kilograms per cubic metre of the fruit, for weights; needs the scale of every tree."""
+    dry_run: bool = False
+    """Only say what would be counted, and how long that takes."""
+
+
+def main() -> None:
+    arguments = parse()
+    from fruitlangs.engine.block.driver import Workers, drive, python_command
+    from fruitlangs.engine.block.ledger import Ledger
+    from fruitlangs.engine.block.manifest import read_manifest
+    from fruitlangs.engine.block.page import write_page
+    from fruitlangs.engine.block.tables import write_tables
+    from fruitlangs.engine.block.totals import read_counts
+    from fruitlangs.engine.memory import available_bytes
+
+    trees = read_manifest(arguments.manifest, prompt=arguments.prompt, settings=arguments.settings)
+    ledger = Ledger(arguments.out)
+    if arguments.dry_run:
+        say(plan(trees, ledger))
+        return
+    ledger.write_trees(trees)
+    workers = Workers(
+        executor=arguments.executor,
+        jobs=arguments.jobs,
+        partition=arguments.partition,
+        minutes=arguments.minutes,
+        gigabytes=arguments.gigabytes,
+        gpus=arguments.gpus,
+    )
+    before = sum(state.stage == "done" for state in ledger.states().values())
+    if before:
+        say(f"{before} of {len(trees)} trees are done")
+
+    def settled(own: str, state: TreeState) -> None:
+        say(f"{own}: {state.reason}" if state.stage == "failed" else f"{own}: counted in {state.seconds:.0f} s")
+
+    command = python_command(Path(__file__).resolve())
+    states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
+    counted = read_counts(ledger)
+    written = write_tables(ledger.path, counted, all_trees=arguments.trees, density=arguments.density)
+    written.append(write_page(ledger.path, counted, all_trees=arguments.trees, density=arguments.density))
+    say(block_text(written[1]))
+    say("\n".join(["", "written:", *(f"  {path}" for path in written)]))
+    failed = sum(state.stage == "failed" for state in states.values())
+    if failed:
+        raise CountingError(f"{failed} of {len(trees)} trees failed and are not in the sums. See {written[0]}")
+
+
+def block_text(file: Path) -> str:
+    """The sums of orchard.json in words."""
+    import json
+
+    document = json.loads(file.read_text(encoding="utf-8"))
+    block, lines = document["block"], []
+    interval = f", most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
+    lines.append(
+        f"block: {block['count']} visible fruit counted on {document['done']} of {document['trees']} trees"
+        + (interval if "likely" in block else "")
+    )
+    for name, row in document["rows"].items():
+        lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
+    if "all_trees" in document:
+        every = document["all_trees"]
+        lines.append(f"  all {every['trees']} trees: {every['likely']:.0f} ({every['low']:.0f}–{every['high']:.0f})")
+    return "\n".join(lines)
+
+
+def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
+    """What would be counted, with the time that it takes on this computer."""
+    from fruitlangs.engine.errors import FruitLangsError
+    from fruitlangs.engine.photo_check.cost import expected_costs
+    from fruitlangs.engine.scene.photos.photo import read_header
+    from fruitlangs.engine.scene.sfm.find_cameras import list_photos
+
+    lines, total = [], 0.0
+    for tree in trees:
+        state = ledger.state(tree)
+        if state.stage == "done":
+            lines.append(f"{tree.id}: done")
+            continue
+        posed = any((tree.source / name).exists() for name in ("sparse", "transforms.json", "cameras.json"))
+        folder = tree.source / "images" if (tree.source / "images").is_dir() else tree.source
+        photos = list_photos(folder) if folder.is_dir() else []
+        if not photos:
+            lines.append(
+                f"{tree.id}: {tree.source} {'has no photos to look at' if tree.source.exists() else 'is missing'}"
+            )
+            continue
+        try:
+            header = read_header(photos[0])
+        except FruitLangsError as error:
+            lines.append(f"{tree.id}: {error}")
+            continue
+        costs = expected_costs([(header.width, header.height)] * len(photos), tree.config, posed=posed)
+        seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
+        total += seconds
+        lines.append(f"{tree.id}: {len(photos)} photos, about {seconds / 60:.0f} min and {most / 2**30:.1f} GB")
+    return "\n".join([*lines, f"in all about {total / 3600:.1f} h with all cores for one tree at a time"])
+
+
+def worker(given: list[str]) -> None:
+    """What `--worker` starts: a process that counts trees of a block. given: its folder and the name of the run."""
+    from fruitlangs.engine.block.ledger import Ledger
+    from fruitlangs.engine.block.worker import work
+
+    if len(given) != 2:
+        raise ConfigError("--worker is for count_orchard.py itself")
+    work(Ledger(Path(given[0])), given[1])
+
+
+def parse() -> Arguments:
+    """The arguments, or exit 2 with a usage message."""
+    given = arguments_of(__file__)
+    needed: Any = tyro.MISSING
+    default = Arguments(manifest=needed, out=needed)
+    if asked_for_help(given):
+        print(help_text("count_orchard.py", default, EXAMPLE, every="--help-all" in given))
+        sys.exit(0)
+    return tyro.cli(Arguments, args=given, default=default, prog="count_orchard.py", description=Arguments.__doc__)
+
+
+if __name__ == "__main__":
+    own = arguments_of(__file__)
+    run((lambda: worker(own[1:])) if own[:1] == ["--worker"] else main)

@@ -1,0 +1,136 @@
+"""A manifest is read whatever a spreadsheet made of it, and what is wrong in it is one line that says where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fruitlangs.engine.block.manifest import COLUMNS, TreeEntry, read_manifest
+from fruitlangs.engine.config import PRESETS
+from fruitlangs.engine.errors import ConfigError, FormatError
+
+LINES = "id,source,prompt,row,position\n1,photos/a,apple,A,1.5\n2,photos/b,red apple|green apple,B,2\n"
+
+
+def written(folder: Path, content: str | bytes, name: str = "orchard.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def test_a_line_is_a_tree_and_paths_are_relative_to_the_manifest(tmp_path: Path) -> None:
+    one, two = read_manifest(written(tmp_path, LINES))
+    assert (one.id, one.source, one.row, one.position) == ("1", tmp_path / "photos" / "a", "A", 1.5)
+    assert (one.prompt, two.prompt) == (("apple",), ("red apple", "green apple"))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        LINES.encode("utf-8-sig"),
+        LINES.encode("utf-16"),
+        LINES.replace(",", ";").encode(),
+        LINES.replace(",", "\t").encode("cp1252"),
+        LINES.replace("\n", "\r\n\r\n").encode(),
+        LINES.replace("id,source", " ID , Source ").encode(),
+        LINES.replace("1.5", '"1,5"').encode(),
+    ],
+    ids=["utf-8 with mark", "utf-16", "semicolons", "tabs", "Windows lines", "head in capitals", "decimal comma"],
+)
+def test_separators_encodings_and_decimal_commas_of_spreadsheets_are_understood(content: bytes, tmp_path: Path) -> None:
+    assert read_manifest(written(tmp_path, content)) == read_manifest(written(tmp_path, LINES, "plain.csv"))
+
+
+def test_a_name_in_windows_letters_is_read(tmp_path: Path) -> None:
+    [tree] = read_manifest(written(tmp_path, "id,source,prompt\nBäume 1,photos/Süd,apple\n".encode("cp1252")))
+    assert (tree.id, tree.source.name) == ("Bäume 1", "Süd")
+
+
+def test_toml_gives_settings_for_all_trees_and_for_one(tmp_path: Path) -> None:
+    text = """
+    prompt = "lemon"
+    preset = "quick"
+    settings = {"count.threshold" = 0.4}
+    [[tree]]
+    id = "7"
+    source = "a"
+    [[tree]]
+    id = "8"
+    source = "b"
+    prompt = ["apple", "pear"]
+    settings = {"train.steps" = 70}
+    box = [0, 0, 0, 1, 1, 2]
+    metres_per_unit = 0.5
+    """
+    seven, eight = read_manifest(written(tmp_path, text, "orchard.toml"))
+    assert (seven.prompt, eight.prompt) == (("lemon",), ("apple", "pear"))
+    assert seven.config.train == PRESETS["quick"]
+    assert (eight.config.train.steps, eight.config.count.threshold) == (70, 0.4)
+    assert eight.config.count.box == (0.0, 0.0, 0.0, 1.0, 1.0, 2.0)
+    assert eight.config.units.metres_per_unit == 0.5
+
+
+def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
+    for name in ("tree 2", "tree 1", "notes"):
+        (tmp_path / name).mkdir()
+    for name in ("tree 1", "tree 2"):
+        (tmp_path / name / "a.jpg").write_bytes(b"")
+    trees = read_manifest(tmp_path, prompt=["plum"], settings="train.steps=5 | count.threshold = .2")
+    assert [(tree.id, tree.prompt) for tree in trees] == [("tree 1", ("plum",)), ("tree 2", ("plum",))]
+    assert trees[0].config.train.steps == 5
+    assert trees[0].config.count.threshold == 0.2
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("", "is empty. Its first line names columns: id, source, prompt"),
+        ("id,source,prompt\n", "names no tree"),
+        (
+            "id,source,prompt,colour\n1,a,apple,red\n",
+            "unknown column of its first line: 'colour'. Known are id, source",
+        ),
+        ("id,source,prompt\n1,a,apple\n1,b,apple\n", "line 3 and line 2 have one id, '1'"),
+        ("id,source,prompt\nA,a,apple\na,b,apple\n", "line 3 and line 2 have one id, 'a'"),
+        ("id,source,prompt\n,a,apple\n", "line 2: id is missing"),
+        ("id,source,prompt\n1,,apple\n", "line 2: source is missing"),
+        ("id,source,prompt\n1,a,\n", "line 2: what shall be counted?"),
+        ("id,source,prompt\n../1,a,apple\n", "line 2: id '../1' names a folder"),
+        ("id,source,prompt\n1,a,apple,more\n", "line 2 has more cells than columns"),
+        ("id,source,prompt,position\n1,a,apple,near\n", "line 2: position 'near' is not a number"),
+        ("id,source,prompt,preset\n1,a,apple,best\n", "line 2: preset 'best' is none of quick, standard, paper"),
+        ("id,source,prompt,settings\n1,a,apple,train.stepz=3\n", "line 2: 'train.stepz' is not a setting"),
+        ("id,source,prompt,settings\n1,a,apple,train.steps=-3\n", "line 2: tree 1: --train.steps"),
+        ("id,source,prompt,box\n1,a,apple,0 0 1\n", "line 2: box has 3 numbers, not six"),
+    ],
+)
+def test_what_is_wrong_is_one_line_with_its_place(content: str, text: str, tmp_path: Path) -> None:
+    with pytest.raises((FormatError, ConfigError)) as caught:
+        read_manifest(written(tmp_path, content))
+    assert text in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("tree = 3", "[[tree]]"),
+        ("[[tree", "cannot be read"),
+        ("colour = 1\n[[tree]]\nid='1'", "unknown column for all trees"),
+    ],
+)
+def test_a_wrong_toml_is_one_line(content: str, text: str, tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"orchard\.toml") as caught:
+        read_manifest(written(tmp_path, content, "orchard.toml"))
+    assert text in str(caught.value)
+
+
+def test_a_tree_is_counted_again_only_if_its_count_would_change(tmp_path: Path) -> None:
+    tree = read_manifest(written(tmp_path, LINES))[0]
+    moved = LINES.replace("A,1.5", "C,9")
+    other = LINES.replace("1,photos/a,apple", "1,photos/a,pear")
+    assert read_manifest(written(tmp_path, moved))[0].fingerprint == tree.fingerprint
+    assert read_manifest(written(tmp_path, other))[0].fingerprint != tree.fingerprint
+    assert {"row", "position"} < set(COLUMNS)
+    assert isinstance(tree, TreeEntry)

@@ -1,0 +1,74 @@
+"""One command counts the trees of a block, goes on where it stopped, and says what failed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+QUICK = "train.steps=150 | train.max-gaussians=3000 | count.threshold=0.3"
+
+
+def count(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, ROOT / "scripts" / "count_orchard.py", *arguments]
+    return subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def block(balls: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a manifest of two trees and a missing one."""
+    folder = tmp_path_factory.mktemp("block")
+    lines = [f"1,{balls},apple,A", f"2,{balls},apple,B", "3,missing,apple,B"]
+    (folder / "orchard.csv").write_text("\n".join(["id,source,prompt,row", *lines, ""]))
+    return folder
+
+
+def test_a_block_is_counted_resumed_and_summed_up(block: Path) -> None:
+    out = block / "out"
+    first = count(block / "orchard.csv", "--out", out, "--settings", QUICK, "--jobs", 2)
+    assert first.returncode == 1
+    assert first.stderr.splitlines()[-1].startswith("error: 1 of 3 trees failed and are not in the sums")
+    assert "3: " in first.stdout
+    assert "missing does not exist" in first.stdout
+    rows = {row["tree"]: row for row in csv.DictReader((out / "orchard.csv").open())}
+    assert [rows[own]["count"] for own in "123"] == ["5", "5", ""]
+    document = json.loads((out / "orchard.json").read_text())
+    assert document["block"]["count"] == 10
+    status = json.loads((out / "status.json").read_text())
+    assert (status["done"], status["failed"], status["waiting"]) == (2, 1, 0)
+    assert (out / "trees" / "1" / "report.html").is_file()
+    assert "orchard.html" in first.stdout
+
+    before = (out / "trees" / "1" / "fruits.json").stat().st_mtime_ns
+    text = (block / "orchard.csv").read_text().replace("3,missing,apple,B\n", "")
+    (block / "orchard.csv").write_text(text)
+    second = count(block / "orchard.csv", "--out", out, "--settings", QUICK)
+    assert second.returncode == 0, second.stderr
+    assert "2 of 2 trees are done" in second.stdout
+    assert (out / "trees" / "1" / "fruits.json").stat().st_mtime_ns == before
+
+
+def test_a_dry_run_says_what_it_would_do_and_writes_nothing(block: Path, tmp_path: Path) -> None:
+    done = count(block / "orchard.csv", "--out", tmp_path / "out", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "1: 16 photos, about" in done.stdout
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [(["gone.csv"], "gone.csv cannot be read"), ([], "what shall be counted? Fill the column prompt")],
+)
+def test_what_is_wrong_is_one_line(arguments: list[str], text: str, tmp_path: Path) -> None:
+    (tmp_path / "tree").mkdir()
+    (tmp_path / "tree" / "a.jpg").write_bytes(b"")
+    done = count(*(arguments or [tmp_path]), "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert text in done.stderr
+    assert not (tmp_path / "out").exists()
