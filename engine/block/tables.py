@@ -5,12 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
+from ..language.colours import fruit_colours
+from ..language.vocabulary import FRUIT_COLOURS
 from ..storage.files import write_text
 from .ledger import TREES
 from .totals import Amount, CountedTree, of_all, summed
@@ -73,6 +77,7 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "rows": rows,
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters),
+        "colours": _colours(done),
         "kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
     }
     if all_trees is not None:
@@ -87,6 +92,16 @@ def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:
     found: dict[str, Any] = {"trees": len(trees), "count": sum(each.count for each in visible)}
     found |= _ends(summed(visible), "") if visible else {}
     return found | (_ends(summed(total), "with_hidden") if len(total) == len(trees) and total else {})
+
+
+def _colours(trees: Sequence[CountedTree]) -> dict[str, int]:
+    """How many fruit have each colour, the commonest first: it indicates how ripe they are."""
+    colors = [color for tree in trees for color in tree.colors]
+    if not colors:
+        return {}
+    kinds = {prompt for tree in trees for prompt in tree.entry.prompt}
+    said = fruit_colours(torch.tensor(colors, dtype=torch.float32) / 255.0, kinds).argmax(-1)
+    return dict(Counter(FRUIT_COLOURS[each] for each in said.tolist()).most_common())
 
 
 def _spread(diameters: np.ndarray) -> dict[str, Any] | None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
-from ..errors import ConfigError
+from ..errors import ConfigError, FruitLangsError
 from ..report.results import FRUITS_JSON, parse_results
+from ..scene.gps import GpsTag, read_gps
+from ..scene.sfm.find_cameras import list_photos
 from .ledger import Ledger, TreeState
 from .manifest import TreeEntry
 
@@ -20,6 +23,8 @@ fruit, one camera and one light. It does not average away. The intervals were ca
 common part was found; in an orchard it is unknown, so half is assumed."""
 NORMAL = float(stats.norm.ppf(0.95))
 """Standard deviations from the middle to an end of a 90 % interval."""
+TAGS = 5
+"""Photos whose GPS tags give a tree its place."""
 LEAST_SAMPLE = 3
 """Photographed trees from which all trees are estimated."""
 
@@ -37,7 +42,8 @@ class Amount:
 @dataclass(frozen=True, kw_only=True)
 class CountedTree:
     """A tree of the block. visible, total: None unless it is done; diameters: metres or scene units; volumes: of all
-    fruit; metric: whether they are metres; notices: of its count."""
+    fruit; metric: whether they are metres; colors: mean sRGB of each fruit. The place of `entry` is that of the photos
+    if the manifest does not give it."""
 
     entry: TreeEntry
     state: TreeState
@@ -47,7 +53,6 @@ class CountedTree:
     volume: float = 0.0
     metric: bool = False
     colors: tuple[tuple[int, int, int], ...] = ()
-    notices: tuple[str, ...] = ()
 
 
 def read_counts(ledger: Ledger) -> list[CountedTree]:
@@ -57,7 +62,7 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
         OutputError, FormatError: the folder is none of a block, or a result of it is damaged.
     """
     found, states = [], ledger.states()
-    for entry in ledger.trees():
+    for entry in map(_placed, ledger.trees()):
         state = states[entry.id]
         if state.stage != "done":
             found.append(CountedTree(entry=entry, state=state))
@@ -78,10 +83,29 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
                 volume=float(sum(fruit["volume"] for fruit in fruits)),
                 metric=document["unit"] == "m",
                 colors=tuple(tuple(fruit["color"]) for fruit in fruits),
-                notices=tuple(document.get("notices", ())),
             )
         )
     return found
+
+
+def _placed(entry: TreeEntry) -> TreeEntry:
+    """The entry with the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
+    if entry.latitude is not None or not entry.source.is_dir():
+        return entry
+    folder = entry.source / "images" if (entry.source / "images").is_dir() else entry.source
+    photos = list_photos(folder)
+    tags = [tag for photo in photos[:: max(len(photos) // TAGS, 1)] if (tag := _tag(photo)) is not None]
+    if not tags:
+        return entry
+    latitude, longitude = (float(np.mean([getattr(tag, name) for tag in tags])) for name in ("latitude", "longitude"))
+    return replace(entry, latitude=round(latitude, 7), longitude=round(longitude, 7))
+
+
+def _tag(photo: Path) -> GpsTag | None:
+    try:
+        return read_gps(photo)
+    except (FruitLangsError, OSError):
+        return None
 
 
 def summed(amounts: Sequence[Amount]) -> Amount:

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from fruitlangs.engine.block.ledger import TreeState
+from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.page import write_page
 from fruitlangs.engine.block.tables import geojson, rows_of, write_tables
-from fruitlangs.engine.block.totals import SHARED, Amount, CountedTree, of_all, summed
+from fruitlangs.engine.block.totals import SHARED, Amount, CountedTree, of_all, read_counts, summed
 from fruitlangs.engine.errors import ConfigError
 
 TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
@@ -78,6 +79,7 @@ def block(folder: Path) -> list[CountedTree]:
                 diameters=(0.07, 0.08),
                 volume=0.0004,
                 metric=True,
+                colors=((190, 30, 40), (60, 140, 40)),
             )
         )
     lost = TreeEntry(id="t 3", source=folder, prompt=("apple",), row="B", position=3.0)
@@ -99,6 +101,7 @@ def test_the_tables_have_a_line_for_each_tree_and_sums_without_failed_ones(tmp_p
     assert document["all_trees"]["likely"] == pytest.approx(360.0)
     assert document["kg"] == pytest.approx(1.08)
     assert document["diameters"]["fruit"] == 6
+    assert document["colours"] == {"red": 3, "green": 3}
 
 
 def test_a_map_has_the_trees_with_places_longitude_first(tmp_path: Path) -> None:
@@ -127,3 +130,19 @@ def test_a_block_in_which_nothing_is_counted_has_a_page(tmp_path: Path) -> None:
     lost = block(tmp_path)[3:]
     write_tables(tmp_path, lost)
     assert ">0</span> visible fruit counted on 0 of 1 trees" in write_page(tmp_path, lost).read_text()
+
+
+def test_a_tree_without_a_place_has_that_of_its_photos(tmp_path: Path) -> None:
+    photos = tmp_path / "photos" / "images"
+    photos.mkdir(parents=True)
+    for k in range(3):
+        exif = Image.Exif()
+        exif.get_ifd(0x8825).update({1: "N", 2: (47.0, 0.0, 0.0), 3: "E", 4: (9.0, 6.0 * k, 0.0)})
+        Image.new("RGB", (8, 8)).save(photos / f"{k}.jpg", exif=exif)
+    ledger = Ledger(tmp_path / "block")
+    tree = TreeEntry(id="1", source=tmp_path / "photos", prompt=("apple",))
+    given = TreeEntry(id="2", source=tmp_path / "photos", prompt=("apple",), latitude=1.0, longitude=2.0)
+    ledger.write_trees([tree, given])
+    one, other = (each.entry for each in read_counts(ledger))
+    assert (one.latitude, one.longitude) == pytest.approx((47.0, 9.1))
+    assert (other.latitude, other.longitude) == (1.0, 2.0)
