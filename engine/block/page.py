@@ -17,7 +17,7 @@ from .tables import rows_of, summary
 from .totals import CountedTree
 
 PAGE, STILL, REPORT = "orchard.html", "still.jpg", "report.html"
-WIDTH, HEIGHT, MARGIN, LARGEST = 900.0, 420.0, 30.0, 16.0
+WIDTH, HEIGHT, MARGIN, LARGEST = 900.0, 420.0, 40.0, 16.0
 """Of the map, in its units."""
 MOST_STILLS = 200
 """Pictures on a page."""
@@ -94,6 +94,7 @@ def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:
         failed = tree.state.stage == "failed"
         marks.append(
             {
+                "id": tree.entry.id,
                 "x": MARGIN + (x - min(xs)) * scale_x,
                 "y": MARGIN + (y - min(ys)) * scale_y,
                 "radius": LARGEST * math.sqrt(count / most) if most and count else 4.0,

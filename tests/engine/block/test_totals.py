@@ -119,7 +119,7 @@ def test_weights_need_metres(tmp_path: Path) -> None:
 
 def test_the_page_says_what_failed_and_escapes_it(tmp_path: Path) -> None:
     page = write_page(tmp_path, block(tmp_path)).read_text()
-    assert "1 trees failed. They are not in the sums." in page
+    assert "1 tree failed and is not in the sums." in page
     assert "no &lt;photos&gt;" in page
     assert "<photos>" not in page
     assert page.count("<circle") == 4
