@@ -53,6 +53,8 @@ class Arguments:
     """Slurm's partition."""
     minutes: int = 60 * 24 * 7
     """Longest time of a worker."""
+    cores: int = 4
+    """Cores of a worker that Slurm reserves."""
     gigabytes: float = 0.0
     """Memory of a worker that Slurm reserves."""
     gpus: int = 0
@@ -86,6 +88,7 @@ def main() -> None:
         jobs=arguments.jobs,
         partition=arguments.partition,
         minutes=arguments.minutes,
+        cores=arguments.cores,
         gigabytes=arguments.gigabytes,
         gpus=arguments.gpus,
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -27,12 +29,14 @@ SettledTree = Callable[[str, TreeState], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Workers:
-    """jobs: workers at a time, None for as many as fit; partition, minutes, gigabytes, gpus: of each, for Slurm."""
+    """jobs: workers at a time, None for as many as fit; partition, minutes, cores, gigabytes, gpus: of each, for
+    Slurm."""
 
     executor: Executor = "local"
     jobs: int | None = None
     partition: str = ""
     minutes: int = LONGEST_MINUTES
+    cores: int = 4
     gigabytes: float = 0.0
     gpus: int = 0
 
@@ -51,20 +55,20 @@ def drive(
     """Have every tree of the block counted; returns the states. settled: called for each tree that is done or failed.
 
     command: starts a worker, with the folder of the block and the name of the run appended; free: usable bytes.
-    Workers that die are replaced as long as trees wait.
+    Workers that die are replaced as long as trees wait, and those of a dead node by Slurm as well.
 
     Raises:
         ConfigError: there is no such executor here.
     """
     import submitit
 
+    logging.getLogger("submitit").setLevel(logging.ERROR)
     run, cores = run_name(), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     jobs = workers.fitting(sum(_is_open(state, run) for state in ledger.states().values()), cores, free)
-    executor = _executor(submitit, ledger.path / LOG, workers, max(cores // jobs, 1))
+    executor = _executor(submitit, ledger.path / LOG, workers)
     line = [*command, str(ledger.path), run]
-    threads = {name: str(max(cores // jobs, 1)) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
-    if workers.executor == "slurm":
-        threads = {}  # Slurm's own limits hold
+    each = workers.cores if workers.executor == "slurm" else max(cores // jobs, 1)
+    threads = {name: str(each) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
     function = submitit.helpers.CommandFunction(line, verbose=False, env={**os.environ, **threads})
     running: list[Any] = []
     told: set[str] = set()
@@ -76,7 +80,7 @@ def drive(
                     told.add(own)
                     settled(own, state)
             _report(ledger, states)
-            running = [job for job in running if not job.done()]
+            running = _alive(running, workers.executor)
             if not any(_is_open(state, run) for state in states.values()):
                 if not running:
                     return states
@@ -91,16 +95,27 @@ def drive(
             job.cancel(check=False)
 
 
+def _alive(jobs: Sequence[Any], executor: Executor) -> list[Any]:
+    """The jobs that run or wait for a place. Slurm is asked by squeue: not every cluster has accounting, which submitit
+    asks."""
+    left = [job for job in jobs if not job.paths.result_pickle.exists()]
+    if executor == "local" or not left:
+        return [job for job in left if not job.done()]
+    listed = subprocess.run(["squeue", "--noheader", "--format=%A"], capture_output=True, text=True, check=False)
+    known = set(listed.stdout.split())
+    return left if listed.returncode else [job for job in left if job.job_id in known]
+
+
 def _is_open(state: TreeState, run: str) -> bool:
     return state.stage in ("waiting", "running") or (state.stage == "failed" and state.run != run)
 
 
-def _executor(submitit: Any, log: Path, workers: Workers, cores: int) -> Any:
+def _executor(submitit: Any, log: Path, workers: Workers) -> Any:
     try:
         executor = submitit.AutoExecutor(folder=log, cluster=workers.executor)
     except RuntimeError as error:
         raise ConfigError(f"--executor {workers.executor} cannot be used here ({error})") from error
-    executor.update_parameters(timeout_min=workers.minutes, cpus_per_task=cores, name="fruitlangs")
+    executor.update_parameters(timeout_min=workers.minutes, cpus_per_task=workers.cores, name="fruitlangs")
     if workers.executor == "slurm":
         given = {"slurm_partition": workers.partition, "mem_gb": workers.gigabytes, "gpus_per_node": workers.gpus}
         executor.update_parameters(**{name: value for name, value in given.items() if value})
