@@ -167,8 +167,8 @@ class Canvas:
         programs: dict[str, tuple[str, ...]] = {
             "near_plane": ("view", "near_plane"),
             "project": ("view", "gaussian", "record", "harmonics", "project"),
-            "radix": ("view", "radix"),
-            "lists": ("view", "lists"),
+            "radix": ("view", "scan", "radix"),
+            "lists": ("view", "scan", "lists"),
             "pairs": ("view", "record", "pairs"),
             "blend": ("view", "blend"),
             "blend_backward": ("view", "blend_backward"),
@@ -180,9 +180,9 @@ class Canvas:
             "keep": card.program(*backward, "keep_gradients"),
             "adam": card.program(*backward, "adam"),
             "hold": card.program("view", "hold"),
-            "exposure": card.program("view", "exposure"),
-            "pose": card.program("view", "pose"),
-            "load": card.program("view", "load"),
+            "exposure": card.program("view", "total", "exposure"),
+            "pose": card.program("view", "total", "pose"),
+            "load": card.program("view", "total", "load"),
         }
         self._passes = [
             [card.upload(f"pass {kind} {k}", np.array([8 * k, kind, k == 0], np.uint32)) for k in range(4)]

@@ -64,7 +64,7 @@ fn accumulate(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) 
             let one = batch[2u * k];
             let two = batch[2u * k + 1u];
             let d = pixel - one.xy;
-            let power = two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+            let power = exponent(one, two, d);
             var weight = 0.0;
             if (power >= -LOG2_255 && f32(done + k) <= last) {
                 weight = min(exp2(power), MAX_ALPHA) * left;

@@ -55,7 +55,7 @@ fn blend(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) group
             let one = batch[3u * k];
             let two = batch[3u * k + 1u];
             let d = pixel - one.xy;
-            let power = two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+            let power = exponent(one, two, d);
             if (power < -LOG2_255) {
                 continue;
             }

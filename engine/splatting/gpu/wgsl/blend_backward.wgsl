@@ -30,7 +30,7 @@ fn pull_of_load(one: vec4<f32>, two: vec4<f32>, d: vec2<f32>, push: f32, weight:
     if (push == 0.0 || weight == 0.0) {
         return 0.0;
     }
-    let power = two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+    let power = exponent(one, two, d);
     let alpha = exp2(power);
     return select(push * alpha * SOFT / ((alpha + SOFT) * (alpha + SOFT)), 0.0, power >= LOG2_MAX_ALPHA);
 }
@@ -103,7 +103,7 @@ fn blend_backward(@builtin(local_invocation_index) own: u32, @builtin(workgroup_
             let two = batch[3u * k + 1u];
             let three = batch[3u * k + 2u];
             let d = pixel - one.xy;
-            let power = two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+            let power = exponent(one, two, d);
             var v = 0.0;
             var weight = 0.0;
             if (power >= -LOG2_255 && last >= f32(first - k - begin)) {

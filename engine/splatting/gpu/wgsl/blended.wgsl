@@ -16,7 +16,7 @@ fn alpha_of(at: u32, pixel: vec2<f32>) -> f32 {
     let one = records[at];
     let two = records[at + 1u];
     let d = pixel - one.xy;
-    let power = two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+    let power = exponent(one, two, d);
     return select(min(exp2(power), MAX_ALPHA), 0.0, power < -LOG2_255);
 }
 

@@ -8,18 +8,6 @@
 @group(0) @binding(5) var<storage, read_write> color_partial: array<f32>;  // (12, tiles) sums over a tile
 @group(0) @binding(6) var<storage, read_write> color_sums: array<f32>;  // (slots, 12) gradients of the matrices
 
-var<workgroup> sums: array<f32, 256>;
-
-fn add_up(own: u32) {
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if (own < half) {
-            sums[own] += sums[own + half];
-        }
-        workgroupBarrier();
-    }
-}
-
 @compute @workgroup_size(256)
 fn expose(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let size = view.width * view.height;
@@ -52,12 +40,10 @@ fn exposure_backward(@builtin(local_invocation_index) own: u32, @builtin(workgro
         }
     }
     for (var m = 0u; m < 12u; m += 1u) {
-        sums[own] = push[m / 4u] * color[m % 4u];
-        add_up(own);
+        let sum = total(own, push[m / 4u] * color[m % 4u]);
         if (own == 0u) {
-            color_partial[m * view.columns * view.rows + group.y * view.columns + group.x] = sums[0];
+            color_partial[m * view.columns * view.rows + group.y * view.columns + group.x] = sum;
         }
-        workgroupBarrier();
     }
 }
 
@@ -69,9 +55,8 @@ fn exposure_total(@builtin(local_invocation_index) own: u32, @builtin(workgroup_
     for (var k = own; k < tiles; k += 256u) {
         sum += color_partial[group.x * tiles + k];
     }
-    sums[own] = sum;
-    add_up(own);
+    let whole = total(own, sum);
     if (own == 0u && plan.full == 0u) {
-        color_sums[view.slot * 12u + group.x] = sums[0];
+        color_sums[view.slot * 12u + group.x] = whole;
     }
 }

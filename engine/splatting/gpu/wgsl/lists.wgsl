@@ -10,20 +10,6 @@
 const BLOCK: u32 = 4096u;
 const SHARE: u32 = 16u;
 
-var<workgroup> sums: array<u32, 256>;
-
-fn scan(own: u32) {
-    for (var away = 1u; away < 256u; away *= 2u) {
-        var before = 0u;
-        if (own >= away) {
-            before = sums[own - away];
-        }
-        workgroupBarrier();
-        sums[own] += before;
-        workgroupBarrier();
-    }
-}
-
 fn own_sum(group: u32, own: u32) -> u32 {
     var sum = 0u;
     for (var k = 0u; k < SHARE; k += 1u) {
@@ -37,11 +23,9 @@ fn own_sum(group: u32, own: u32) -> u32 {
 
 @compute @workgroup_size(256)
 fn offsets_sum(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) group: vec3<u32>) {
-    sums[own] = own_sum(group.x, own);
-    workgroupBarrier();
-    scan(own);
+    let whole = scan(own, own_sum(group.x, own));
     if (own == 255u) {
-        block_sums[group.x] = sums[255];
+        block_sums[group.x] = whole;
     }
 }
 
@@ -56,17 +40,15 @@ fn offsets_scan(@builtin(local_invocation_index) own: u32) {
     for (var k = begin; k < end; k += 1u) {
         sum += block_sums[k];
     }
-    sums[own] = sum;
-    workgroupBarrier();
-    scan(own);
-    var place = sums[own] - sum;
+    let up_to = scan(own, sum);
+    var place = up_to - sum;
     for (var k = begin; k < end; k += 1u) {
         let count = block_sums[k];
         block_sums[k] = place;
         place += count;
     }
     if (own == 255u) {
-        var pairs = sums[255];
+        var pairs = up_to;
         if (plan.full == 0u) {
             plan.needed = pairs;
         }
@@ -88,10 +70,7 @@ fn offsets_scan(@builtin(local_invocation_index) own: u32) {
 @compute @workgroup_size(256)
 fn offsets_write(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) group: vec3<u32>) {
     let sum = own_sum(group.x, own);
-    sums[own] = sum;
-    workgroupBarrier();
-    scan(own);
-    var place = block_sums[group.x] + sums[own] - sum;
+    var place = block_sums[group.x] + scan(own, sum) - sum;
     for (var k = 0u; k < SHARE; k += 1u) {
         let rank = group.x * BLOCK + own * SHARE + k;
         if (rank < view.count) {

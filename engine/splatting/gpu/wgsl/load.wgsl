@@ -10,18 +10,6 @@
 @group(0) @binding(7) var<storage, read_write> load_partial: array<f32>;  // (tiles,)
 @group(0) @binding(8) var<storage, read_write> load_total: array<f32>;  // mean, spread
 
-var<workgroup> sums: array<f32, 256>;
-
-fn add_up(own: u32) {
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if (own < half) {
-            sums[own] += sums[own + half];
-        }
-        workgroupBarrier();
-    }
-}
-
 @compute @workgroup_size(16, 16)
 fn measure_loads(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) group: vec3<u32>) {
     let x = group.x * TILE + own % TILE;
@@ -40,7 +28,7 @@ fn measure_loads(@builtin(local_invocation_index) own: u32, @builtin(workgroup_i
             let one = records[at];
             let two = records[at + 1u];
             let d = pixel - one.xy;
-            let power = two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+            let power = exponent(one, two, d);
             if (power >= -LOG2_255) {
                 let alpha = min(exp2(power), MAX_ALPHA);
                 load += alpha / (alpha + SOFT);
@@ -48,10 +36,9 @@ fn measure_loads(@builtin(local_invocation_index) own: u32, @builtin(workgroup_i
         }
         loads[y * view.width + x] = load;
     }
-    sums[own] = load;
-    add_up(own);
+    let sum = total(own, load);
     if (own == 0u) {
-        load_partial[tile] = sums[0];
+        load_partial[tile] = sum;
     }
 }
 
@@ -63,18 +50,14 @@ fn load_statistics(@builtin(local_invocation_index) own: u32) {
     for (var k = own; k < view.columns * view.rows; k += 256u) {
         sum += load_partial[k];
     }
-    sums[own] = sum;
-    add_up(own);
-    let mean = sums[0] / f32(size);
-    workgroupBarrier();
+    let mean = total(own, sum) / f32(size);
     var squares = 0.0;
     for (var k = own; k < size; k += 256u) {
         squares += (loads[k] - mean) * (loads[k] - mean);
     }
-    sums[own] = squares;
-    add_up(own);
+    let square = total(own, squares) / f32(size);
     if (own == 0u) {
         load_total[0] = mean;
-        load_total[1] = sqrt(sums[0] / f32(size));
+        load_total[1] = sqrt(square);
     }
 }

@@ -5,23 +5,14 @@
 @group(0) @binding(2) var<storage, read> d_pose: array<f32>;  // (15, N)
 @group(0) @binding(3) var<storage, read_write> pose_sums: array<f32>;  // (slots, 15) see poses.twist_gradient
 
-var<workgroup> sums: array<f32, 256>;
-
 @compute @workgroup_size(256)
 fn sum_pose(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) group: vec3<u32>) {
     var sum = 0.0;
     for (var i = own; i < view.count; i += 256u) {
         sum += d_pose[group.x * view.count + i];
     }
-    sums[own] = sum;
-    workgroupBarrier();
-    for (var half = 128u; half > 0u; half /= 2u) {
-        if (own < half) {
-            sums[own] += sums[own + half];
-        }
-        workgroupBarrier();
-    }
+    let whole = total(own, sum);
     if (own == 0u && plan.full == 0u) {
-        pose_sums[view.slot * 15u + group.x] = sums[0];
+        pose_sums[view.slot * 15u + group.x] = whole;
     }
 }

@@ -22,7 +22,6 @@ const BLOCK: u32 = 4096u;
 const ROUNDS: u32 = 16u;
 
 var<workgroup> bins: array<atomic<u32>, 256>;
-var<workgroup> sums: array<u32, 256>;
 var<workgroup> ballots: array<atomic<u32>, 64>;  // eight words of 32 invocations for each bit
 
 fn length() -> u32 {
@@ -61,25 +60,15 @@ fn radix_scan(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) 
     for (var k = begin; k < end; k += 1u) {
         sum += histogram[group.x * many + k];
     }
-    sums[own] = sum;
-    workgroupBarrier();
-    for (var away = 1u; away < 256u; away *= 2u) {
-        var before = 0u;
-        if (own >= away) {
-            before = sums[own - away];
-        }
-        workgroupBarrier();
-        sums[own] += before;
-        workgroupBarrier();
-    }
-    var place = sums[own] - sum;
+    let up_to = scan(own, sum);
+    var place = up_to - sum;
     for (var k = begin; k < end; k += 1u) {
         let count = histogram[group.x * many + k];
         histogram[group.x * many + k] = place;
         place += count;
     }
     if (own == 255u) {
-        totals[group.x] = sums[255];
+        totals[group.x] = up_to;
     }
 }
 
@@ -89,18 +78,7 @@ fn radix_scatter(@builtin(local_invocation_index) own: u32, @builtin(workgroup_i
     let many = blocks();
     let block = min(group.x, max(many, 1u) - 1u);
     let total = totals[own];
-    sums[own] = total;
-    workgroupBarrier();
-    for (var away = 1u; away < 256u; away *= 2u) {
-        var before = 0u;
-        if (own >= away) {
-            before = sums[own - away];
-        }
-        workgroupBarrier();
-        sums[own] += before;
-        workgroupBarrier();
-    }
-    let start = sums[own] - total + histogram[own * many + block];
+    let start = scan(own, total) - total + histogram[own * many + block];
     workgroupBarrier();
     sums[own] = start;
     let word = own / 32u;

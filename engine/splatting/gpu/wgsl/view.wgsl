@@ -61,3 +61,8 @@ const LOG2_MAX_ALPHA: f32 = -0.014499569695115089;
 const MAX_ALPHA: f32 = 0.99;
 const STOP: f32 = 1e-4;
 const SOFT: f32 = 0.0625;
+
+// The exponent of two that is a Gaussian's α at a distance d from its projected mean. one, two: of its record.
+fn exponent(one: vec4<f32>, two: vec4<f32>, d: vec2<f32>) -> f32 {
+    return two.y - (one.z * d.x * d.x + one.w * d.x * d.y + two.x * d.y * d.y);
+}
