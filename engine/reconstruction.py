@@ -115,6 +115,11 @@ class Run:
     without_card: str = ""
     log: RunLog = field(default_factory=RunLog)
 
+    @property
+    def device(self) -> tuple[str, ...]:
+        """The part of keys that a graphics card adds: its rounding differs from that of the CPU."""
+        return () if self.adapter is None else (self.adapter.identity,)
+
 
 def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progress) -> Reconstruction:
     """Photos → Gaussians → features, each from the cache if it is there.
@@ -213,8 +218,7 @@ def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: 
     embedder, config = run.embedder, run.config
     # The up direction does not affect training.
     settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
-    device = [] if run.adapter is None else [run.adapter.identity]
-    key = stage_key(("scene", "splatting"), inputs["inputs_sha256"], *settings, *device)
+    key = stage_key(("scene", "splatting"), inputs["inputs_sha256"], *settings, *run.device)
     if embedder.trains:
         key = stage_key(("language",), key, embedder.key)
     folder = run.cache / f"train-{key}"
@@ -226,10 +230,10 @@ def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: 
         else:
             require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
             training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
-        if run.without_card or training.get("device", CPU) not in (CPU, *device):
-            run.log.notices.append(
-                run.without_card or f"the graphics card did not train to the end: {training['device']}"
-            )
+        if run.without_card:
+            run.log.notices.append(run.without_card)
+        elif training.get("device", CPU) not in (CPU, *run.device):
+            run.log.notices.append(f"the graphics card did not train to the end: {training['device']}")
         if Quality.of(training).poor:
             run.log.notices.append(
                 f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
@@ -281,8 +285,7 @@ def _photos(files: Files) -> PhotoFeatures | None:
 def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress, kept: bool) -> Path:
     """The file of the features for these Gaussians, named by `key`; computed if it does not exist. kept: with features
     of the photos' pixels, in a file next to it."""
-    device = [] if run.adapter is None else [run.adapter.identity]
-    embed_key = stage_key(("language", "splatting"), key, run.embedder.key, *device)
+    embed_key = stage_key(("language", "splatting"), key, run.embedder.key, *run.device)
     features_file = run.cache / f"embed-{embed_key}" / FEATURES
     with run.log.timed("embed"):
         if features_file.is_file():

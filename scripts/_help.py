@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import textwrap
 import types
 import typing
@@ -10,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from _terminal import import_tyro
 from fruitlangs.engine.setting import field_docs, level_of
 
 WIDTH, COLUMN = 110, 34
@@ -28,6 +30,14 @@ STAGES = {
 def asked_for_help(given: Sequence[str]) -> bool:
     """Whether the arguments ask for either page."""
     return any(argument in ("-h", "--help", "--help-all") for argument in given)
+
+
+def parsed(kind: Any, default: Any, given: Sequence[str], program: str, example: str) -> Any:
+    """The arguments of a script (a dataclass, `kind`), or exit: 0 with a help page, 2 with a usage message."""
+    if asked_for_help(given):
+        print(help_text(program, default, example, every="--help-all" in given))
+        sys.exit(0)
+    return import_tyro().cli(kind, args=given, default=default, prog=program, description=kind.__doc__)
 
 
 def help_text(program: str, default: Any, example: str, *, every: bool) -> str:

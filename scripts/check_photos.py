@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import asked_for_help, help_text
+from _help import parsed
 from _terminal import arguments_of, import_tyro, preset_of, run, table, terminal_progress
 from fruitlangs.engine.config import PRESETS, Config, PhotosConfig, Preset, SceneConfig, TrainConfig
 
@@ -88,10 +88,8 @@ def parse() -> Arguments:
     given = arguments_of(__file__)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, preset=preset_of(given), train=PRESETS[preset_of(given)])
-    if asked_for_help(given):
-        print(help_text("check_photos.py", default, EXAMPLE, every="--help-all" in given))
-        sys.exit(0)
-    return tyro.cli(Arguments, args=given, default=default, prog="check_photos.py", description=Arguments.__doc__)
+    arguments: Arguments = parsed(Arguments, default, given, "check_photos.py", EXAMPLE)
+    return arguments
 
 
 if __name__ == "__main__":

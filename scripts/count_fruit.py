@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import asked_for_help, help_text
+from _help import parsed
 from _terminal import arguments_of, given_settings, import_tyro, preset_of, run, spelled_out, terminal_progress
 from fruitlangs.engine.config import (
     PRESETS,
@@ -105,7 +105,7 @@ def main() -> None:
         raise ConfigError('No prompt is given. Add what to count, for example --prompt apple or --prompt "red apple".')
     from fruitlangs.engine.pipeline import count_scene
     from fruitlangs.engine.report.tables import summary
-    from fruitlangs.engine.report.words import scale_text
+    from fruitlangs.engine.report.words import scale_text, trained_text
 
     result = count_scene(
         arguments.source,
@@ -137,8 +137,8 @@ def main() -> None:
         print(f"  {scale_text(result.origin['scale'])}")
     training = result.origin["training"]
     if training["psnr"] is not None:
-        by = f", trained on {training['device']}" if "device" in training else ""  # earlier results have none
-        print(f"  held-out photos: PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}{by}")
+        quality = f"PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}"
+        print(f"  held-out photos: {quality}{trained_text(training)}")
     if result.reused:
         print(f"  reused from an earlier run: {', '.join(result.reused)}")
     for notice in result.notices:
@@ -154,11 +154,7 @@ def parse() -> tuple[Arguments, set[str]]:
     preset = preset_of(given)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])
-    if asked_for_help(given):
-        print(help_text("count_fruit.py", default, EXAMPLE, every="--help-all" in given))
-        sys.exit(0)
-    arguments = tyro.cli(Arguments, args=given, default=default, prog="count_fruit.py", description=Arguments.__doc__)
-    return arguments, given_settings(given)
+    return parsed(Arguments, default, given, "count_fruit.py", EXAMPLE), given_settings(given)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import asked_for_help, help_text
+from _help import parsed
 from _terminal import arguments_of, import_tyro, run, say
 from fruitlangs.engine.errors import ConfigError, CountingError
 
@@ -73,7 +73,7 @@ def main() -> None:
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.manifest import read_manifest
     from fruitlangs.engine.block.page import write_page
-    from fruitlangs.engine.block.tables import write_tables
+    from fruitlangs.engine.block.tables import rows_of, summary, write_tables
     from fruitlangs.engine.block.totals import read_counts
     from fruitlangs.engine.memory import available_bytes
 
@@ -102,20 +102,19 @@ def main() -> None:
     command = python_command(Path(__file__).resolve())
     states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
     counted = read_counts(ledger)
-    written = write_tables(ledger.path, counted, all_trees=arguments.trees, density=arguments.density)
-    written.append(write_page(ledger.path, counted, all_trees=arguments.trees, density=arguments.density))
-    say(block_text(written[1]))
+    rows = rows_of(counted, arguments.density)
+    document = summary(counted, all_trees=arguments.trees, density=arguments.density)
+    written = write_tables(ledger.path, counted, rows, document)
+    written.append(write_page(ledger.path, counted, rows, document))
+    say(block_text(document))
     say("\n".join(["", "written:", *(f"  {path}" for path in written)]))
     failed = sum(state.stage == "failed" for state in states.values())
     if failed:
         raise CountingError(f"{failed} of {len(trees)} trees failed and are not in the sums. See {written[0]}")
 
 
-def block_text(file: Path) -> str:
-    """The sums of orchard.json in words."""
-    import json
-
-    document = json.loads(file.read_text(encoding="utf-8"))
+def block_text(document: dict[str, Any]) -> str:
+    """The sums of a block (`tables.summary`) in words."""
     block, lines = document["block"], []
     interval = f", most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
     lines.append(
@@ -134,8 +133,9 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
     """What would be counted, with the time that it takes on this computer."""
     from fruitlangs.engine.errors import FruitLangsError
     from fruitlangs.engine.photo_check.cost import expected_costs
+    from fruitlangs.engine.photo_check.photo_files import photo_files
     from fruitlangs.engine.scene.photos.photo import read_header
-    from fruitlangs.engine.scene.sfm.find_cameras import list_photos
+    from fruitlangs.engine.scene.source import Source
 
     lines, total = [], 0.0
     for tree in trees:
@@ -143,23 +143,20 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
         if state.stage == "done":
             lines.append(f"{tree.id}: done")
             continue
-        posed = any((tree.source / name).exists() for name in ("sparse", "transforms.json", "cameras.json"))
-        folder = tree.source / "images" if (tree.source / "images").is_dir() else tree.source
-        photos = list_photos(folder) if folder.is_dir() else []
-        if not photos:
-            lines.append(
-                f"{tree.id}: {tree.source} {'has no photos to look at' if tree.source.exists() else 'is missing'}"
-            )
-            continue
         try:
-            header = read_header(photos[0])
+            files = photo_files(Source(path=tree.source))
+            header = read_header(files.photos[0]) if files.photos else None
         except FruitLangsError as error:
             lines.append(f"{tree.id}: {error}")
             continue
-        costs = expected_costs([(header.width, header.height)] * len(photos), tree.config, posed=posed)
+        if header is None:
+            lines.append(f"{tree.id}: it has no photo from which its time can be estimated")
+            continue
+        sizes = [(header.width, header.height)] * len(files.photos)
+        costs = expected_costs(sizes, tree.config, posed=files.posed)
         seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
         total += seconds
-        lines.append(f"{tree.id}: {len(photos)} photos, about {seconds / 60:.0f} min and {most / 2**30:.1f} GB")
+        lines.append(f"{tree.id}: {len(files.photos)} photos, about {seconds / 60:.0f} min and {most / 2**30:.1f} GB")
     return "\n".join([*lines, f"in all about {total / 3600:.1f} h with all cores for one tree at a time"])
 
 
@@ -175,13 +172,11 @@ def worker(given: list[str]) -> None:
 
 def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
-    given = arguments_of(__file__)
     needed: Any = tyro.MISSING
-    default = Arguments(manifest=needed, out=needed)
-    if asked_for_help(given):
-        print(help_text("count_orchard.py", default, EXAMPLE, every="--help-all" in given))
-        sys.exit(0)
-    return tyro.cli(Arguments, args=given, default=default, prog="count_orchard.py", description=Arguments.__doc__)
+    arguments: Arguments = parsed(
+        Arguments, Arguments(manifest=needed, out=needed), arguments_of(__file__), "count_orchard.py", EXAMPLE
+    )
+    return arguments
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import asked_for_help, help_text
+from _help import parsed
 from _terminal import arguments_of, import_tyro, run
 from fruitlangs.engine.errors import ConfigError, VocabularyError
 
@@ -140,13 +140,11 @@ def marks_of(arguments: Arguments, name: str, result: Result, ground: Ground) ->
 
 def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
-    given = arguments_of(__file__)
     needed: Any = tyro.MISSING
-    default = Arguments(result=needed, word=needed)
-    if asked_for_help(given):
-        print(help_text("teach_word.py", default, EXAMPLE, every="--help-all" in given))
-        sys.exit(0)
-    return tyro.cli(Arguments, args=given, default=default, prog="teach_word.py", description=Arguments.__doc__)
+    arguments: Arguments = parsed(
+        Arguments, Arguments(result=needed, word=needed), arguments_of(__file__), "teach_word.py", EXAMPLE
+    )
+    return arguments
 
 
 if __name__ == "__main__":

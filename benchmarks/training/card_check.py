@@ -26,7 +26,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import PARAMETERS, Gaussians
 from ...engine.splatting.gpu.adapters import LIMITS, Adapter
 from ...engine.splatting.gpu.card import Card
-from ...engine.splatting.gpu.drawing import FULL, NEEDED, PLAN, Canvas, Learnt, packed, view_of
+from ...engine.splatting.gpu.drawing import Canvas, Learnt, packed, view_of
 from ...engine.splatting.rendering.agreement import compare_card_with_reference, compare_with_reference
 from ...engine.splatting.rendering.render import DrawRules, arrays_of
 from ...engine.splatting.training.train import train
@@ -175,14 +175,11 @@ def _time(card: Card, count: int, width: int, height: int) -> StepTime:
     view = view_of(ahead(width, height), DrawRules(sh_degree=SH_DEGREE), count)
     view["with_mean_gradients"], view["rates"] = 1, 1e-6
     view["l1_weight"], view["ssim_weight"] = 0.8 / (3 * width * height), 0.2 / (3 * width * height)
-    while True:  # until there is room for the pairs
-        canvas.put(learnt)
-        buffer = card.upload("photo", packed(photo, None))
-        canvas.learn(view, buffer, columns=columns)
-        plan = card.download("plan", np.uint32, PLAN)
-        if not plan[FULL]:
-            break
-        canvas.make_room(int(plan[NEEDED]))
+    canvas.compute(values, view)  # makes room for the pairs
+    canvas.put(learnt)
+    buffer = card.upload("photo", packed(photo, None))
+    canvas.learn(view, buffer, columns=columns)
+    card.download("plan", np.uint32, 1)
     begun = time.perf_counter()
     for _ in range(REPEATS):
         work = canvas.learn(view, buffer, columns=columns)

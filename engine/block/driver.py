@@ -64,7 +64,7 @@ def drive(
 
     logging.getLogger("submitit").setLevel(logging.ERROR)
     run, cores = run_name(), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    jobs = workers.fitting(sum(_is_open(state, run) for state in ledger.states().values()), cores, free)
+    jobs = workers.fitting(sum(state.is_open(run) for state in ledger.states().values()), cores, free)
     executor = _executor(submitit, ledger.path / LOG, workers)
     line = [*command, str(ledger.path), run]
     each = workers.cores if workers.executor == "slurm" else max(cores // jobs, 1)
@@ -72,21 +72,23 @@ def drive(
     function = submitit.helpers.CommandFunction(line, verbose=False, env={**os.environ, **threads})
     running: list[Any] = []
     told: set[str] = set()
+    states: dict[str, TreeState] = {}
     try:
         while True:
-            states = ledger.states()
+            before, states = states, ledger.states()
             for own, state in states.items():
                 if state.stage in ("done", "failed") and state.run == run and own not in told:
                     told.add(own)
                     settled(own, state)
-            _report(ledger, states)
+            if states != before:
+                _report(ledger, states)
             running = _alive(running, workers.executor)
-            if not any(_is_open(state, run) for state in states.values()):
+            if not any(state.is_open(run) for state in states.values()):
                 if not running:
                     return states
                 time.sleep(POLL_SECONDS / 10)  # the last workers are about to end
                 continue
-            waiting = sum(_is_open(state, run) and state.stage != "running" for state in states.values())
+            waiting = sum(state.is_open(run) and state.stage != "running" for state in states.values())
             for _ in range(min(jobs - len(running), waiting)):
                 running.append(executor.submit(function))
             time.sleep(POLL_SECONDS)
@@ -104,10 +106,6 @@ def _alive(jobs: Sequence[Any], executor: Executor) -> list[Any]:
     listed = subprocess.run(["squeue", "--noheader", "--format=%A"], capture_output=True, text=True, check=False)
     known = set(listed.stdout.split())
     return left if listed.returncode else [job for job in left if job.job_id in known]
-
-
-def _is_open(state: TreeState, run: str) -> bool:
-    return state.stage in ("waiting", "running") or (state.stage == "failed" and state.run != run)
 
 
 def _executor(submitit: Any, log: Path, workers: Workers) -> Any:

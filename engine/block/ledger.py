@@ -43,6 +43,11 @@ class TreeState:
     seconds: float = 0.0
     reason: str = ""
 
+    def is_open(self, run: str) -> bool:
+        """Whether a run has to count the tree, or waits for the process that does: one that failed in this run is not
+        tried again, one that failed in an earlier run is."""
+        return self.stage in ("waiting", "running") or (self.stage == "failed" and self.run != run)
+
 
 @dataclass(frozen=True)
 class Ledger:

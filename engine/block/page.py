@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from jinja2 import Environment, Template, select_autoescape
 
 from ..storage.files import write_text
 from .ledger import TREES
-from .tables import rows_of, summary
 from .totals import CountedTree
 
 PAGE, STILL, REPORT = "orchard.html", "still.jpg", "report.html"
@@ -24,21 +23,19 @@ MOST_STILLS = 200
 
 
 def write_page(
-    folder: Path, trees: Sequence[CountedTree], *, all_trees: int | None = None, density: float | None = None
+    folder: Path, trees: Sequence[CountedTree], rows: Sequence[dict[str, Any]], document: Mapping[str, Any]
 ) -> Path:
-    """Write orchard.html into a block's folder; returns its path.
+    """Write orchard.html into a block's folder; returns its path. rows, document: from `tables.rows_of` and
+    `tables.summary`.
 
     Raises:
         OutputError: the folder cannot be written.
-        ConfigError: as `tables.summary`.
     """
-    document = summary(trees, all_trees=all_trees, density=density)
-    document.setdefault("all_trees", None)
     marks, places = _marks(trees)
     text = _template().render(
-        **document,
+        **{"all_trees": None, **document},
         title=folder.resolve().name or "orchard",
-        table=rows_of(trees, density),
+        table=rows,
         marks=marks,
         places=places,
         width=WIDTH,
@@ -73,21 +70,19 @@ def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:
     if all(entry.latitude is not None and entry.longitude is not None for entry in entries):
         shrink = math.cos(math.radians(sum(entry.latitude or 0.0 for entry in entries) / max(len(entries), 1)))
         places = [((entry.longitude or 0.0) * shrink, -(entry.latitude or 0.0)) for entry in entries]
-        what = "North is up"
+        what, alike = "North is up", True
     elif all(entry.position is not None for entry in entries):
         rows = list(dict.fromkeys(entry.row for entry in entries))
         places = [(entry.position or 0.0, float(rows.index(entry.row))) for entry in entries]
-        what = "Positions along the rows"
+        what, alike = "Positions along the rows", False  # rows are drawn as far apart as there is room
     else:
         return [], ""
     most = max([tree.visible.count for tree in trees if tree.visible is not None], default=0)
     xs, ys = zip(*places, strict=True)
     wide, high = max(xs) - min(xs), max(ys) - min(ys)
-    scale = min((WIDTH - 2 * MARGIN) / (wide or 1.0), (HEIGHT - 2 * MARGIN) / (high or 1.0))
-    if what != "North is up":  # rows are drawn as far apart as there is room
-        scale_x, scale_y = (WIDTH - 2 * MARGIN) / (wide or 1.0), (HEIGHT - 2 * MARGIN) / (high or 1.0)
-    else:
-        scale_x = scale_y = scale
+    scale_x, scale_y = (WIDTH - 2 * MARGIN) / (wide or 1.0), (HEIGHT - 2 * MARGIN) / (high or 1.0)
+    if alike:
+        scale_x = scale_y = min(scale_x, scale_y)
     marks = []
     for tree, x, y in zip(trees, xs, ys, strict=True):
         count = 0 if tree.visible is None else tree.visible.count

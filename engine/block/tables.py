@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,16 +128,14 @@ def geojson(trees: Sequence[CountedTree], rows: Sequence[dict[str, Any]]) -> dic
 
 
 def write_tables(
-    folder: Path, trees: Sequence[CountedTree], *, all_trees: int | None = None, density: float | None = None
+    folder: Path, trees: Sequence[CountedTree], rows: Sequence[dict[str, Any]], document: Mapping[str, Any]
 ) -> list[Path]:
-    """Write orchard.csv, orchard.json and orchard.geojson into a block's folder; returns their paths.
+    """Write orchard.csv, orchard.json and orchard.geojson into a block's folder; returns their paths. rows, document:
+    from `rows_of` and `summary`.
 
     Raises:
         OutputError: the folder cannot be written.
-        ConfigError: as `summary`.
     """
-    rows = rows_of(trees, density)
-    document = summary(trees, all_trees=all_trees, density=density)
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()

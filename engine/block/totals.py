@@ -14,6 +14,7 @@ from ..errors import ConfigError, FruitLangsError
 from ..report.results import FRUITS_JSON, parse_results
 from ..scene.gps import GpsTag, read_gps
 from ..scene.sfm.find_cameras import list_photos
+from ..scene.source import Source
 from .ledger import Ledger, TreeState
 from .manifest import TreeEntry
 
@@ -90,9 +91,9 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
 
 def _placed(entry: TreeEntry) -> TreeEntry:
     """The entry with the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
-    if entry.latitude is not None or not entry.source.is_dir():
+    folder = Source(path=entry.source).photos_folder() if entry.source.is_dir() else None
+    if entry.latitude is not None or folder is None:
         return entry
-    folder = entry.source / "images" if (entry.source / "images").is_dir() else entry.source
     photos = list_photos(folder)
     tags = [tag for photo in photos[:: max(len(photos) // TAGS, 1)] if (tag := _tag(photo)) is not None]
     if not tags:

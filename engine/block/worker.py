@@ -33,8 +33,7 @@ def count_tree(tree: TreeEntry, ledger: Ledger) -> None:
 
 
 def work(ledger: Ledger, run: str, *, count: Count = count_tree) -> int:
-    """Count the trees that are waiting and that no other process works on; returns how many. A tree that failed in this
-    run is not tried again, one that failed in an earlier run is.
+    """Count the trees that are open (`TreeState.is_open`) and that no other process works on; returns how many.
 
     Raises:
         OutputError: the folder of the block cannot be written.
@@ -43,14 +42,9 @@ def work(ledger: Ledger, run: str, *, count: Count = count_tree) -> int:
     counted = 0
     for tree in ledger.trees():
         with ledger.claimed(tree) as mine:
-            if mine and _is_due(ledger, tree, run):
+            if mine and ledger.state(tree).is_open(run):
                 counted += _attempt(ledger, tree, run, count)
     return counted
-
-
-def _is_due(ledger: Ledger, tree: TreeEntry, run: str) -> bool:
-    state = ledger.state(tree)
-    return state.stage in ("waiting", "running") or (state.stage == "failed" and state.run != run)
 
 
 def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:

@@ -107,6 +107,11 @@ def file_unit(metres_per_unit: float | None) -> tuple[str, float]:
     return ("scene units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
 
 
+def trained_text(training: Mapping[str, Any]) -> str:
+    """What trained the Gaussians, to end a sentence: ", trained on CPU"; empty in results of earlier versions."""
+    return f", trained on {training['device']}" if "device" in training else ""
+
+
 def three_digits(value: float) -> str:
     """A measured number with three significant digits: 78.3, 0.0783, 1230."""
     return f"{float(f'{value:.3g}'):g}"

@@ -94,13 +94,14 @@ class Source:
         Raises:
             SceneError: a model is there and is incomplete.
         """
-        return None if self._has_model() else self._photos()
+        return None if self._has_model() else self.photos_folder()
 
     def _has_model(self) -> bool:
         path = self.path
         return path.is_dir() and ((path / TRANSFORMS).is_file() or find_model(path) is not None)
 
-    def _photos(self) -> Path | None:
+    def photos_folder(self) -> Path | None:
+        """`path`/images or `path`, whichever holds photos first; None if neither does."""
         return next((folder for folder in (self.path / "images", self.path) if list_photos(folder)), None)
 
     def video(self) -> Path | None:
@@ -112,7 +113,7 @@ class Source:
         path = self.path
         if not path.is_dir():
             return path if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES else None
-        if self._has_model() or self._photos():
+        if self._has_model() or self.photos_folder():
             return None
         videos = _files_of(path, VIDEO_SUFFIXES)
         if len(videos) > 1:

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.report.words import count_text, length_unit, location_text, nothing_found, three_digits
+from ...engine.report.words import count_text, length_unit, location_text, nothing_found, three_digits, trained_text
 from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_fruits import counted
@@ -154,7 +154,7 @@ def _keep_gaussians(shown: Any, count: int, training: Any, features: Path) -> No
     shown.gaussians = count
     shown.features = stored_path(features)
     psnr, ssim = training["psnr"], training["ssim"]
-    by = f", trained on {training['device']}" if "device" in training else ""  # results of earlier versions have none
+    by = trained_text(training)
     shown.quality = "" if psnr is None else f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}{by}"
 
 

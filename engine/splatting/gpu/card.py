@@ -116,11 +116,11 @@ class Card:
 
     def program(self, *files: str, **constants: float) -> Program:
         """The module of these files of `wgsl`, one after another, with constants of type f32."""
-        if files not in self._programs:
-            lines = [f"const {name}: f32 = {float(value)!r};" for name, value in constants.items()]
+        lines = tuple(f"const {name}: f32 = {float(value)!r};" for name, value in constants.items())
+        if (key := (*lines, *files)) not in self._programs:
             code = "\n".join([*lines, *map(_source, files)])
-            self._programs[files] = self._checked(lambda: self._compiled(code))
-        return self._programs[files]
+            self._programs[key] = self._checked(lambda: self._compiled(code))
+        return self._programs[key]
 
     def _compiled(self, code: str) -> Program:
         found = [(int(place), access, name) for place, access, name in _BINDING.findall(code)]

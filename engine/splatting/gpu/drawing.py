@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import GpuError
 from ...scene.camera import Camera
 from ..gaussians import PARAMETERS
 from ..kernels.adam import CORRECTIONS
 from ..kernels.loss import W0, W1, W2, W3, W4, W5
 from ..kernels.project_backward import USED_MOMENTS
 from ..kernels.records import RECORD
+from ..kernels.surface import NOTHING
 from ..kernels.tile import CHANNELS
 from ..rendering.render import DrawRules, camera_values
-from .card import Card, Recording
+from .card import Card, Program, Recording
 
 TILE = 16
 SORTED_AT_ONCE = 4096
@@ -25,15 +27,43 @@ SORTED_AT_ONCE = 4096
 DIGITS = 256
 PLAN = 16
 """32-bit values of the kernels' `Plan`."""
-NEEDED, FULL, NEAR, TAKEN, SORT_GROUPS, ENTRY_GROUPS = 2, 3, 4, 5, 8, 12
+NEEDED, FULL, TAKEN, SORT_GROUPS, ENTRY_GROUPS = 2, 3, 5, 8, 12
 """Their places in it."""
 SLOTS = 20
 """Steps of training whose results the card keeps until the host fetches them."""
 COLORS, POSE = 12, 15
 """Numbers of the gradient of a photo's exposure, and of a camera's pose (`poses.twist_gradient`)."""
+SAME_IMAGE = 1e-4
+"""Mean difference of a view's colours up to which a card agrees with the CPU. Rounding moves a Gaussian's edge by a
+pixel here and there; anything wrong is far above."""
 SPARE = 1.5
 """Room for pairs beyond those of the fullest view so far."""
-WINDOW = {f"W{k}": float(weight) for k, weight in enumerate((W0, W1, W2, W3, W4, W5))}
+CONSTANTS = {
+    **{f"W{k}": float(weight) for k, weight in enumerate((W0, W1, W2, W3, W4, W5))},
+    "NOTHING": float(NOTHING),
+}
+"""Numbers that the kernels share with those of the CPU."""
+
+_BACKWARD = ("view", "gaussian", "record", "harmonics", "project_backward")
+PROGRAMS = {
+    "near_plane": ("view", "near_plane"),
+    "project": ("view", "gaussian", "record", "harmonics", "project"),
+    "radix": ("view", "scan", "radix"),
+    "lists": ("view", "scan", "lists"),
+    "pairs": ("view", "record", "pairs"),
+    "blend": ("view", "blend"),
+    "loss": ("view", "loss"),
+    "exposure": ("view", "total", "exposure"),
+    "load": ("view", "total", "load"),
+    "blend_backward": ("view", "blend_backward"),
+    "keep": (*_BACKWARD, "keep_gradients"),
+    "adam": (*_BACKWARD, "adam"),
+    "pose": ("view", "total", "pose"),
+    "hold": ("view", "hold"),
+    "blended": ("view", "blended"),
+    "accumulate": ("view", "accumulate"),
+}
+"""{program: the files of `wgsl` that it is made of}."""
 
 VIEW = np.dtype(
     [
@@ -164,26 +194,6 @@ class Canvas:
     def __init__(self, card: Card) -> None:
         self.card = card
         self.capacity = 1 << 16
-        programs: dict[str, tuple[str, ...]] = {
-            "near_plane": ("view", "near_plane"),
-            "project": ("view", "gaussian", "record", "harmonics", "project"),
-            "radix": ("view", "scan", "radix"),
-            "lists": ("view", "scan", "lists"),
-            "pairs": ("view", "record", "pairs"),
-            "blend": ("view", "blend"),
-            "blend_backward": ("view", "blend_backward"),
-        }
-        self.programs = {name: card.program(*files) for name, files in programs.items()}
-        backward = ("view", "gaussian", "record", "harmonics", "project_backward")
-        self.programs |= {
-            "loss": card.program("view", "loss", **WINDOW),
-            "keep": card.program(*backward, "keep_gradients"),
-            "adam": card.program(*backward, "adam"),
-            "hold": card.program("view", "hold"),
-            "exposure": card.program("view", "total", "exposure"),
-            "pose": card.program("view", "total", "pose"),
-            "load": card.program("view", "total", "load"),
-        }
         self._passes = [
             [card.upload(f"pass {kind} {k}", np.array([8 * k, kind, k == 0], np.uint32)) for k in range(4)]
             for kind in (0, 1)
@@ -191,6 +201,10 @@ class Canvas:
         card.upload("plan", np.zeros(PLAN, np.uint32))
         for name, values in (("losses", 2), ("color_sums", COLORS), ("pose_sums", POSE)):
             card.buffer(name, SLOTS * values)
+
+    def program(self, name: str) -> Program:
+        """A program of `PROGRAMS`, compiled when it is first used."""
+        return self.card.program(*PROGRAMS[name], **CONSTANTS)
 
     def make_room(self, pairs: int) -> None:
         """Make room for a view with more pairs than there was room for."""
@@ -248,29 +262,29 @@ class Canvas:
 
     def draw(self, work: Recording, count: int, size: Size) -> None:
         """From "values" and "view" to "planes", (CHANNELS, H, W)."""
-        programs, held = self.programs, self._named()
+        held = self._named()
         work.stage("project")
-        work.run(programs["near_plane"], "near_plane", held, 1)
-        work.run_for(programs["project"], "project", held, count)
+        work.run(self.program("near_plane"), "near_plane", held, 1)
+        work.run_for(self.program("project"), "project", held, count)
         work.stage("sort")
         self._sort(work, 0, 32, "keys", "order", held, -(-count // SORTED_AT_ONCE))
         blocks = -(-count // SORTED_AT_ONCE)
-        work.run(programs["lists"], "offsets_sum", held, blocks)
-        work.run(programs["lists"], "offsets_scan", held, 1)
-        work.run(programs["lists"], "offsets_write", held, blocks)
+        work.run(self.program("lists"), "offsets_sum", held, blocks)
+        work.run(self.program("lists"), "offsets_scan", held, 1)
+        work.run(self.program("lists"), "offsets_write", held, blocks)
         work.clear(held["tile_starts"])
-        work.run_for(programs["pairs"], "list_pairs", held, count)
+        work.run_for(self.program("pairs"), "list_pairs", held, count)
         tile_of, pair_of = self._sort(work, 1, size.tiles.bit_length(), "tile_of", "pair_of", held)
         held["tile_of"], held["pair_of"] = held[tile_of], held[pair_of]
-        work.run_planned(programs["pairs"], "cut_lists", held, held["plan"], ENTRY_GROUPS)
+        work.run_planned(self.program("pairs"), "cut_lists", held, held["plan"], ENTRY_GROUPS)
         work.stage("blend")
-        work.run(programs["blend"], "blend", held, size.columns, size.rows)
+        work.run(self.program("blend"), "blend", held, size.columns, size.rows)
 
     def compare(self, work: Recording, view: NDArray[Any], photo: Any) -> None:
         """The loss of "planes" against a photo (H, W), to "losses", and its gradient, to "gradients" (5, H, W); that of
         the view's exposure to "color_sums"."""
-        size, program, held = size_of(view), self.programs["loss"], {**self._named(), "photo": photo}
-        exposed, exposure = bool(view["exposure"].any()), self.programs["exposure"]
+        size, program, held = size_of(view), self.program("loss"), {**self._named(), "photo": photo}
+        exposed, exposure = bool(view["exposure"].any()), self.program("exposure")
         held["image"] = held["exposed" if exposed else "planes"]
         work.stage("loss")
         work.clear(held["gradients"])
@@ -290,13 +304,13 @@ class Canvas:
         held = self.listed(size)
         work.stage("backward")
         if view["load_share"][0] > 0.0:
-            work.run(self.programs["load"], "measure_loads", held, size.columns, size.rows)
-            work.run(self.programs["load"], "load_statistics", held, 1)
-        work.run(self.programs["blend_backward"], "blend_backward", held, size.columns, size.rows)
+            work.run(self.program("load"), "measure_loads", held, size.columns, size.rows)
+            work.run(self.program("load"), "load_statistics", held, 1)
+        work.run(self.program("blend_backward"), "blend_backward", held, size.columns, size.rows)
         work.stage("optimiser")
-        work.run_for(self.programs[into], "project_backward", held, count)
+        work.run_for(self.program(into), "project_backward", held, count)
         if view["with_pose"][0]:
-            work.run(self.programs["pose"], "sum_pose", held, POSE)
+            work.run(self.program("pose"), "sum_pose", held, POSE)
 
     def show(self, parameters: Mapping[str, NDArray[np.float32]]) -> None:
         """Bring Gaussians to the card.
@@ -353,9 +367,49 @@ class Canvas:
         self.compare(work, view, photo)
         self.backward(work, view, "adam")
         if hold:
-            work.run_for(self.programs["hold"], "hold", self._named(), count)
+            work.run_for(self.program("hold"), "hold", self._named(), count)
         work.submit()
         return work
+
+    def planes(
+        self,
+        view: NDArray[Any],
+        reserve: Callable[[], None] = lambda: None,
+        more: Callable[[Recording], None] = lambda _: None,
+    ) -> NDArray[np.float32]:
+        """(CHANNELS, H, W) the planes of a view, drawn again with more room until all its pairs had room. reserve:
+        makes room for what `more` does after the view was drawn.
+
+        Raises:
+            GpuError: the card failed, or its memory does not suffice.
+        """
+        card, count, size = self.card, int(view["count"][0]), size_of(view)
+        while True:
+            self.reserve(count, size)
+            reserve()
+            view["capacity"] = self.capacity
+            card.upload("view", view.view(np.uint32))
+            card.upload("plan", np.zeros(PLAN, np.uint32))
+            work = card.record()
+            self.draw(work, count, size)
+            more(work)
+            work.submit()
+            plan = card.download("plan", np.uint32, PLAN)
+            if not plan[FULL]:
+                break
+            self.make_room(int(plan[NEEDED]))
+        planes = card.download("planes", np.float32, CHANNELS * size.width * size.height)
+        return planes.reshape(CHANNELS, size.height, size.width)
+
+    def require_same_image(self, planes: NDArray[np.float32], ours: NDArray[np.float32]) -> None:
+        """Refuse a card whose planes of a view are not those of the CPU.
+
+        Raises:
+            GpuError: they differ by more than rounding does.
+        """
+        away = float(np.abs(planes[:3] - ours[:3]).mean())
+        if not away <= SAME_IMAGE:
+            raise GpuError(f"{self.card.adapter.name} draws another image than the CPU (mean difference {away:.2g})")
 
     def compute(
         self,
@@ -373,54 +427,32 @@ class Canvas:
         """
         card, table = self.card, columns_of(parameters)
         columns, count = table.shape
-        size = size_of(view)
-        card.upload("values", table)
         learns = photo is not None or pixel_gradients is not None
-        while True:
-            self.reserve(count, size)
-            if learns:
-                self.reserve_backward(count, columns, view)
-                card.buffer("d_values", columns * count)
-                card.buffer("d_screen", 4 * count)
-            view["capacity"] = self.capacity
-            card.upload("view", view.view(np.uint32))
-            card.upload("plan", np.zeros(PLAN, np.uint32))
-            if pixel_gradients is not None:
-                card.upload("gradients", pixel_gradients)
-            work = card.record()
-            self.draw(work, count, size)
+        card.upload("values", table)
+
+        def learn(work: Recording) -> None:
             if photo is not None:
                 self.compare(work, view, card.upload("photo", photo))
             if learns:
                 work.clear(card.buffers["d_values"])
                 self.backward(work, view, "keep")
-            work.submit()
-            plan = card.download("plan", np.uint32, PLAN)
-            if not plan[FULL]:
-                break
-            self.make_room(int(plan[NEEDED]))
-        planes = card.download("planes", np.float32, CHANNELS * size.width * size.height)
+
+        def reserve() -> None:
+            if learns:
+                self.reserve_backward(count, columns, view)
+                card.buffer("d_values", columns * count)
+                card.buffer("d_screen", 4 * count)
+            if pixel_gradients is not None:
+                card.upload("gradients", pixel_gradients)
+
+        planes = self.planes(view, reserve, learn)
         gradients: dict[str, NDArray[np.float32]] = {}
         if learns:
             gradients = parameters_of(card.download("d_values", np.float32, table.size).reshape(columns, count))
             screen = card.download("d_screen", np.float32, 4 * count).reshape(count, 4)
             gradients |= {"offsets": screen[:, :2], "mean_gradients": screen[:, 2:]}
         sums = card.download("losses", np.float32, 2) if photo is not None else np.zeros(2, np.float32)
-        return Computed(planes.reshape(CHANNELS, size.height, size.width), gradients, sums)
-
-    def lists(self, width: int, height: int) -> list[NDArray[np.uint32]]:
-        """Of each tile of the last view the Gaussians that it draws, nearest first."""
-        size, card = Size(width, height), self.card
-        starts = card.download("tile_starts", np.uint32, size.tiles + 1)
-        pairs = int(starts[-1])
-        owners = card.download("owner_of", np.uint32, pairs)
-        own = owners[card.download(self._sorted_name(size.tiles.bit_length(), "pair_of"), np.uint32, pairs)]
-        return np.split(own, starts[1:-1].astype(np.int64))
-
-    @property
-    def near(self) -> float:
-        """The depth up to which the last view drew nothing."""
-        return float(self.card.download("plan", np.float32, 1, offset=NEAR)[0])
+        return Computed(planes, gradients, sums)
 
     def _named(self) -> dict[str, Any]:
         return dict(self.card.buffers)
@@ -433,7 +465,7 @@ class Canvas:
         self, work: Recording, kind: int, bits: int, keys: str, items: str, held: Mapping[str, Any], blocks: int = 0
     ) -> tuple[str, str]:
         """Sort keys of this many bits with their items; returns the names of the buffers that hold them."""
-        program, names = self.programs["radix"], (keys, items)
+        program, names = self.program("radix"), (keys, items)
         for k in range(-(-bits // 8)):
             others = _other(names[0]), _other(names[1])
             bound = {

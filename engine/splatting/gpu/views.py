@@ -8,20 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...errors import GpuError
 from ...scene.camera import Camera
 from ..gaussians import PARAMETERS, Gaussians
-from ..kernels.tile import CHANNELS
 from ..rendering.render import DrawRules, arrays_of, blend_view, project_view, tile_view
 from ..rendering.workspace import Workspace
 from .adapters import Adapter
 from .card import Card
-from .drawing import FULL, NEEDED, PLAN, Canvas, Recording, Size, size_of, view_of
+from .drawing import Canvas, Size, size_of, view_of
 
 TOGETHER, CHUNK = 8, 16
 """Channels that the kernels blend, and sum, at once."""
-SAME_IMAGE = 1e-4
-"""Mean difference of a view's colours up to which a card agrees with the CPU: rounding moves an edge by a pixel."""
 
 FloatArray = NDArray[np.float32]
 
@@ -38,22 +34,19 @@ class CardViews:
         self.canvas = Canvas(Card.open(adapter))
         self._shown: list[tuple[Tensor, int]] = []
         self._agreed = False
-        card = self.canvas.card
-        self._blended = card.program("view", "blended", NOTHING=1e30)
-        self._accumulate = card.program("view", "accumulate")
 
     def draw(
-        self, gaussians: Gaussians, camera: Camera, rules: DrawRules, features: FloatArray | None
+        self, gaussians: Gaussians, camera: Camera, rules: DrawRules, features: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(CHANNELS, H, W) planes as `kernels.blend` writes them, and (C, H, W) the features (N, C), C = 0 for None.
+        """(CHANNELS, H, W) planes as `kernels.blend` writes them, and (C, H, W) the features (N, C).
 
         Raises:
             GpuError: the card failed, or draws something else than the CPU.
         """
-        view = self._view(gaussians, camera, rules, 0 if features is None else features.shape[1])
+        view = self._view(gaussians, camera, rules, features.shape[1])
         planes = self._drawn(gaussians, camera, rules, view)
         size, channels = size_of(view), int(view["channels"][0])
-        if features is None or channels == 0:
+        if channels == 0:
             return planes, np.zeros((0, size.height, size.width), np.float32)
         card = self.canvas.card
         card.upload("features", features)
@@ -91,8 +84,8 @@ class CardViews:
             view["first_channel"] = first
             canvas.card.upload("view", view.view(np.uint32))
             work = canvas.card.record()
-            work.run(self._accumulate, "accumulate", held, size.columns, size.rows)
-            work.run_for(self._accumulate, "gather", held, count * CHUNK)
+            work.run(canvas.program("accumulate"), "accumulate", held, size.columns, size.rows)
+            work.run_for(canvas.program("accumulate"), "gather", held, count * CHUNK)
             work.submit()
         lifted = canvas.card.download("lifted", np.float32, count * whole.shape[2]).reshape(count, -1)
         return lifted[:, :channels].copy(), lifted[:, channels].copy()
@@ -103,8 +96,8 @@ class CardViews:
         card.buffer("depths", size.width * size.height)
         for name in ("features", "blended"):
             card.buffer(name, 1)
-        work: Recording = card.record()
-        work.run(self._blended, entry, self.canvas.listed(size), size.columns, size.rows, layers)
+        work = card.record()
+        work.run(self.canvas.program("blended"), entry, self.canvas.listed(size), size.columns, size.rows, layers)
         work.submit()
 
     def _view(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, channels: int) -> NDArray[Any]:
@@ -114,25 +107,12 @@ class CardViews:
 
     def _drawn(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, view: NDArray[Any]) -> FloatArray:
         """The planes of a view."""
-        canvas, size, count = self.canvas, size_of(view), len(gaussians)
+        canvas = self.canvas
         tensors = [getattr(gaussians, name) for name in PARAMETERS]
         if [(id(each), each._version) for each in tensors] != [(id(each), version) for each, version in self._shown]:
             canvas.show(arrays_of(gaussians))
             self._shown = [(each, each._version) for each in tensors]
-        while True:
-            canvas.reserve(count, size)
-            view["capacity"] = canvas.capacity
-            canvas.card.upload("view", view.view(np.uint32))
-            canvas.card.upload("plan", np.zeros(PLAN, np.uint32))
-            work = canvas.card.record()
-            canvas.draw(work, count, size)
-            work.submit()
-            plan = canvas.card.download("plan", np.uint32, PLAN)
-            if not plan[FULL]:
-                break
-            canvas.make_room(int(plan[NEEDED]))
-        found = canvas.card.download("planes", np.float32, CHANNELS * size.width * size.height)
-        planes = found.reshape(CHANNELS, size.height, size.width)
+        planes = canvas.planes(view)
         if not self._agreed:
             self._compare(gaussians, camera, rules, planes)
         return planes
@@ -142,8 +122,5 @@ class CardViews:
         workspace = Workspace()
         tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
         ours = blend_view(tiles, np.zeros((len(gaussians), 0), np.float32), camera, workspace)
-        away = float(np.abs(planes[:3] - ours[:3]).mean())
-        if not away <= SAME_IMAGE:
-            name = self.canvas.card.adapter.name
-            raise GpuError(f"{name} draws another image than the CPU (mean difference {away:.2g})")
+        self.canvas.require_same_image(planes, ours)
         self._agreed = True

@@ -14,7 +14,7 @@ from PIL import Image
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.page import write_page
-from fruitlangs.engine.block.tables import geojson, rows_of, write_tables
+from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
 from fruitlangs.engine.block.totals import SHARED, Amount, CountedTree, of_all, read_counts, summed
 from fruitlangs.engine.errors import ConfigError
 
@@ -87,7 +87,9 @@ def block(folder: Path) -> list[CountedTree]:
 
 
 def test_the_tables_have_a_line_for_each_tree_and_sums_without_failed_ones(tmp_path: Path) -> None:
-    files = write_tables(tmp_path, block(tmp_path), all_trees=30, density=900.0)
+    trees = block(tmp_path)
+    document = summary(trees, all_trees=30, density=900.0)
+    files = write_tables(tmp_path, trees, rows_of(trees, 900.0), document)
     assert [path.name for path in files] == ["orchard.csv", "orchard.json", "orchard.geojson"]
     rows = list(csv.DictReader(files[0].open()))
     assert [row["count"] for row in rows] == ["10", "10", "10", ""]
@@ -118,7 +120,8 @@ def test_weights_need_metres(tmp_path: Path) -> None:
 
 
 def test_the_page_says_what_failed_and_escapes_it(tmp_path: Path) -> None:
-    page = write_page(tmp_path, block(tmp_path)).read_text()
+    trees = block(tmp_path)
+    page = write_page(tmp_path, trees, rows_of(trees, None), summary(trees, all_trees=None, density=None)).read_text()
     assert "1 tree failed and is not in the sums." in page
     assert "no &lt;photos&gt;" in page
     assert "<photos>" not in page
@@ -128,8 +131,10 @@ def test_the_page_says_what_failed_and_escapes_it(tmp_path: Path) -> None:
 
 def test_a_block_in_which_nothing_is_counted_has_a_page(tmp_path: Path) -> None:
     lost = block(tmp_path)[3:]
-    write_tables(tmp_path, lost)
-    assert ">0</span> visible fruit counted on 0 of 1 trees" in write_page(tmp_path, lost).read_text()
+    rows, document = rows_of(lost, None), summary(lost, all_trees=None, density=None)
+    write_tables(tmp_path, lost, rows, document)
+    page = write_page(tmp_path, lost, rows, document).read_text()
+    assert ">0</span> visible fruit counted on 0 of 1 trees" in page
 
 
 def test_a_tree_without_a_place_has_that_of_its_photos(tmp_path: Path) -> None:

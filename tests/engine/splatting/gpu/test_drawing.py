@@ -12,7 +12,7 @@ from splats import random_gaussians, ring_camera
 
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
-from fruitlangs.engine.splatting.gpu.drawing import Canvas, Computed, packed, view_of
+from fruitlangs.engine.splatting.gpu.drawing import Canvas, Computed, Size, packed, view_of
 from fruitlangs.engine.splatting.kernels.tile import TRANSMITTANCE
 from fruitlangs.engine.splatting.rendering.agreement import compare_card_with_reference
 from fruitlangs.engine.splatting.rendering.render import (
@@ -26,6 +26,8 @@ from fruitlangs.engine.splatting.rendering.render import (
 from fruitlangs.engine.splatting.rendering.workspace import Workspace
 from fruitlangs.engine.splatting.training.losses import PhotometricLoss
 
+NEAR = 4
+"""Place of the near plane in the kernels' `Plan`."""
 BOUND = 2e-5
 """Largest difference from the reference, of its largest value."""
 
@@ -65,6 +67,16 @@ def test_opaque_stacks_stop_as_in_the_reference(canvas: Canvas) -> None:
     assert max(errors.values()) < 1e-3, errors
 
 
+def lists_of(canvas: Canvas, width: int, height: int) -> list[NDArray[np.uint32]]:
+    """Of each tile of the last view the Gaussians that it draws, nearest first."""
+    size, card = Size(width, height), canvas.card
+    [sorted_pairs] = [name for name, held in card.buffers.items() if held is canvas.listed(size)["pair_of"]]
+    starts = card.download("tile_starts", np.uint32, size.tiles + 1)
+    pairs = int(starts[-1])
+    own = card.download("owner_of", np.uint32, pairs)[card.download(sorted_pairs, np.uint32, pairs)]
+    return np.split(own, starts[1:-1].astype(np.int64))
+
+
 def on_cpu(gaussians: Gaussians, camera: Camera, **rules: object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """The planes of a view, and which Gaussian is at each place of the tiles' lists."""
     chosen = DrawRules(sh_degree=gaussians.sh_degree, antialiased=gaussians.antialiased, **rules)  # type: ignore[arg-type]
@@ -78,7 +90,7 @@ def test_the_lists_of_tiles_hold_the_gaussians_in_the_order_of_their_depth(canva
     gaussians, camera = random_gaussians(3000, 1, seed=11, log_scale=-3.0), ring_camera(width=200, height=120)
     view = view_of(camera, DrawRules(sh_degree=1), len(gaussians))
     canvas.compute(arrays_of(gaussians), view)
-    lists = canvas.lists(camera.width, camera.height)
+    lists = lists_of(canvas, camera.width, camera.height)
     depths = gaussians.means.double() @ torch.from_numpy(camera.world_to_camera[2, :3]) + camera.world_to_camera[2, 3]
     single = depths.float().numpy()
     assert len(lists) == -(-200 // 16) * -(-120 // 16)
@@ -96,7 +108,7 @@ def test_the_order_of_depth_is_that_of_the_cpu(canvas: Canvas) -> None:
     gaussians.means[:4000] = gaussians.means[4000:8000]  # equal depths: in the order of the indices
     _, expected = on_cpu(gaussians, camera)
     canvas.compute(arrays_of(gaussians), view_of(camera, DrawRules(sh_degree=0), len(gaussians)))
-    [own] = canvas.lists(8, 16)
+    [own] = lists_of(canvas, 8, 16)
     np.testing.assert_array_equal(own, expected)
 
 
@@ -112,7 +124,8 @@ def test_the_near_plane_is_that_of_the_cpu(canvas: Canvas, scale: float) -> None
     gaussians, camera = random_gaussians(301, 0, seed=15), ring_camera()
     gaussians.means.mul_(scale)
     computed(canvas, gaussians, camera)
-    assert canvas.near == pytest.approx(near_plane(gaussians.means.numpy(), camera), rel=1e-6)
+    near = canvas.card.download("plan", np.float32, 1, offset=NEAR)
+    assert near[0] == pytest.approx(near_plane(gaussians.means.numpy(), camera), rel=1e-6)
 
 
 @pytest.mark.parametrize("masked", [False, True])
