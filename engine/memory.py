@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 
 from .config import Config
-from .counting.evidence.visibility import MOST_PIXELS
+from .counting.evidence.visibility import at_drawing_size
 from .errors import ConfigError
 from .language.encoders.embedded import MAX_SIDE
 from .scene.camera import Camera
@@ -79,7 +79,7 @@ def features_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) ->
 
 def counting_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) -> int:
     """Approximate peak memory of counting, in bytes."""
-    drawn = min(sum(camera.width * camera.height for camera in cameras), MOST_PIXELS)
+    drawn = sum(camera.width * camera.height for camera in at_drawing_size(cameras))
     points = min(config.count.sample_budget, 20 * gaussians)
     return BASE + DRAWN_BYTES * drawn + POINT_BYTES * points + 4 * COUNTED_VALUES * gaussians
 

@@ -13,10 +13,11 @@ from .errors import EncoderError, FormatError
 from .language.features.embedder import Embedder
 from .language.prompts.selection import select
 from .publishing import Result
-from .reconstruction import Reconstruction, RunLog, reopen
+from .reconstruction import Reconstruction, reopen
 from .report.results import FRUITS_JSON, near_members, stored_count
 from .report.selection import SELECTION, Selection, read_selection
 from .result_folder import ResultFolder
+from .training import RunLog
 
 
 def open_result(folder: Path) -> Result:

@@ -32,7 +32,7 @@ from .language.prompts.selection import select
 from .photo_size import width_notices
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
-from .reconstruction import Reconstruction, Run, RunLog, reconstruct, reopen
+from .reconstruction import Reconstruction, reconstruct, reopen
 from .report.results import known_fruit
 from .result_folder import ResultFolder
 from .scale import scaled
@@ -41,6 +41,7 @@ from .splatting.rendering.device import DrawingCard, drawing_on
 from .splatting.training.card_step import adapter_for
 from .splatting.training.train import Watch
 from .storage.files import file_hash
+from .training import Run, RunLog
 
 CLUMPED = 0.5
 """Share of the fruit of a taught word that touch others, above which a message says that bunches are not counted."""

@@ -16,7 +16,7 @@ from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.fruit import FruitCount
 from .errors import OutputError
 from .language.features.features import Features
-from .reconstruction import CAMERAS, FEATURES, GAUSSIANS, PHOTOS, Reconstruction, RunLog
+from .reconstruction import PHOTOS, Reconstruction
 from .report.audit import audit_text
 from .report.framing import framing
 from .report.meshes import write_glb, write_points_ply
@@ -33,6 +33,7 @@ from .scene.camera import Scene
 from .scene.formats.cameras_json import with_scene_facts
 from .splatting.gaussians import Gaussians
 from .storage.files import file_hash, write_text
+from .training import CAMERAS, FEATURES, GAUSSIANS, RunLog
 
 PICTURES = "pictures"
 STILL, PAGE = "still.jpg", "report.html"

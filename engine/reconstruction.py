@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import time
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .config import Config, decisive, without_effect
-from .counting.accounts.zero import Quality
 from .errors import ConfigError, FruitLangsError, SceneError
 from .language.encoders.encoder import sees_fruit, sees_whole
-from .language.features.embedder import Embedder
 from .language.features.features import Features, load_features, save_features
-from .language.features.joint import judged
 from .language.features.photo_features import (
     PhotoFeatures,
     PhotoFeaturesRecorder,
@@ -31,23 +26,20 @@ from .photo_size import needed_bytes, reduction, seen_width, side_to_read
 from .progress import Progress, part, silent
 from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
-from .scene.formats.cameras_json import dump_cameras, read_cameras
+from .scene.formats.cameras_json import read_cameras
 from .scene.photos.photo import FilePhoto, read_header
 from .scene.photos.spool import spooled
 from .scene.scale import scale_by_length
 from .scene.sfm.find_cameras import list_photos
 from .scene.source import Source
 from .splatting.gaussians import Gaussians
-from .splatting.gpu.adapters import Adapter
 from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
-from .splatting.ply import read_ply, write_ply
-from .splatting.training.train import CPU, Watch, train
+from .splatting.ply import read_ply
 from .storage.files import write_text
 from .storage.keys import stage_key
+from .training import CAMERAS, FEATURES, GAUSSIANS, Run, RunLog, trained
 
-GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
 PHOTOS = "photos.safetensors"
-RECORD = "training.json"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
 FIXED = ("scene", "photos", "train", "embed")
@@ -80,45 +72,6 @@ class Reconstruction:
     config: Config
     origin: Mapping[str, Any]
     photos: PhotoFeatures | None = None
-
-
-class RunLog:
-    """What happened in a run: seconds by stage, reused stages, and messages for the user."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self.reused: list[str] = []
-        self.notices: list[str] = []
-
-    @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What all stages of a run share.
-
-    cache: the folder of the outputs of stages; given: settings ("train.steps") that the user gave, whatever their
-    value, None if that is not known; watch: receives the Gaussians during training; adapter, without_card: the graphics
-    card, None for the CPU, and why it is the CPU (see `adapter_for`).
-    """
-
-    cache: Path
-    embedder: Embedder
-    config: Config
-    given: Collection[str] | None = None
-    watch: Watch | None = None
-    adapter: Adapter | None = None
-    without_card: str = ""
-    log: RunLog = field(default_factory=RunLog)
-
-    @property
-    def device(self) -> tuple[str, ...]:
-        """The part of keys that a graphics card adds: its rounding differs from that of the CPU."""
-        return () if self.adapter is None else (self.adapter.identity,)
 
 
 def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progress) -> Reconstruction:
@@ -157,7 +110,9 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         if imported is not None:
             made = _with_imported(imported, decoded_once, inputs, run, progress)
         else:
-            made = _with_training(decoded_once, inputs, run, progress)
+            done = trained(decoded_once, inputs["inputs_sha256"], run, part(progress, 0.03, 0.75))
+            origin = {**inputs, "training": done.results}
+            made = _made(done.folder, done.key, decoded_once, origin, run, part(progress, 0.75, 1.0))
     return dataclasses.replace(made, scene=dataclasses.replace(made.scene, images=scene.images))
 
 
@@ -211,35 +166,6 @@ def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run
     return dataclasses.replace(
         run, config=dataclasses.replace(config, scene=dataclasses.replace(config.scene, max_side=side))
     )
-
-
-def _with_training(scene: Scene, inputs: Mapping[str, str], run: Run, progress: Progress) -> Reconstruction:
-    """The scene with trained Gaussians. inputs: path and hash of the scene, for the provenance."""
-    embedder, config = run.embedder, run.config
-    # The up direction does not affect training.
-    settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
-    key = stage_key(("scene", "splatting"), inputs["inputs_sha256"], *settings, *run.device)
-    if embedder.trains:
-        key = stage_key(("language",), key, embedder.key)
-    folder = run.cache / f"train-{key}"
-    record = folder / RECORD
-    with run.log.timed("train"):
-        if record.is_file() and (folder / GAUSSIANS).is_file():
-            run.log.reused += ["train", "embed"] if embedder.trains else ["train"]
-            training = json.loads(record.read_text(encoding="utf-8"))
-        else:
-            require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
-            training = _train_into(folder, scene, run, part(progress, 0.03, 0.75))
-        if run.without_card:
-            run.log.notices.append(run.without_card)
-        elif training.get("device", CPU) not in (CPU, *run.device):
-            run.log.notices.append(f"the graphics card did not train to the end: {training['device']}")
-        if Quality.of(training).poor:
-            run.log.notices.append(
-                f"held-out photos are reproduced poorly (SSIM {training['ssim']:.2f}): the cameras and the "
-                "count may be wrong. Check the pictures, and take more photos in smaller steps"
-            )
-    return _made(folder, key, scene, {**inputs, "training": training}, run, part(progress, 0.75, 1.0))
 
 
 def _with_imported(
@@ -298,42 +224,6 @@ def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress
                 save_photo_features(features_file.with_name(PHOTOS), recorder.kept())
             save_features(features_file, lifted.of(gaussians.means))
     return features_file
-
-
-def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dict[str, Any]:
-    """Train Gaussians, with features if they are trained jointly; returns the training results."""
-    checkpoint, embedder, config = folder / "checkpoint.safetensors", run.embedder, run.config
-    if embedder.trains:
-        views = embedder.views(scene, run.cache, progress=part(progress, 0.0, 0.3))
-        semantics = embedder.prepare(scene, views, run.cache / SPOOL, progress=part(progress, 0.3, 0.4))
-        extra, progress = semantics.channels(config.embed), part(progress, 0.4, 1.0)
-    else:
-        views, semantics, extra = None, None, None
-    training = train(
-        scene, config.train, checkpoint=checkpoint, extra=extra, adapter=run.adapter, watch=run.watch, progress=progress
-    )
-    if semantics is not None and views is not None:
-        features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
-        save_features(folder / FEATURES, features.of(training.gaussians.means))
-    write_ply(folder / GAUSSIANS, training.gaussians)
-    write_text(folder / CAMERAS, dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))
-    results = {
-        "steps": training.steps,
-        "gaussians": len(training.gaussians),
-        "device": training.device,
-        "psnr": _rounded(training.psnr),
-        "ssim": _rounded(training.ssim),
-        "held_out": [
-            {"view": view.name, "psnr": _rounded(view.psnr), "ssim": _rounded(view.ssim)} for view in training.held_out
-        ],
-    }
-    write_text(folder / RECORD, json.dumps(results))
-    checkpoint.unlink(missing_ok=True)
-    return results
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(float(value), 4)
 
 
 def reopen(

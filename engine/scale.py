@@ -8,11 +8,12 @@ from .config import UnitsConfig
 from .errors import SceneError
 from .language.encoders.encoder import Encoder
 from .language.prompts.relevancy import relevancy
-from .reconstruction import Reconstruction, RunLog
+from .reconstruction import Reconstruction
 from .scene.formats.cameras_json import camera_names
 from .scene.gps import scale_by_gps
 from .scene.scale import Scale, scale_by_length
 from .splatting.subject.extent import longest_side
+from .training import RunLog
 
 LEAST_PROBABILITY = 0.5
 """Probability from which a Gaussian belongs to the measured object."""

@@ -13,7 +13,9 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from ..operators.drawing.splat_drawing import edit_appearance_soon
 from ..operators.settings.settings import RELATIVE, apply_preset, config_properties, stage_classes
 from ..operators.steps.ask import suggestions, threshold_changed, words_changed
+from ..operators.viewport.fruit_colours import fruit_colours_chosen
 from ..operators.viewport.gaussian_nodes import DIMMING
+from . import block_properties as block
 from . import check_properties as check
 from . import review_properties as review
 from . import teach_properties as teach
@@ -108,7 +110,7 @@ class FRUITLANGS_PG_answer(bpy.types.PropertyGroup):
 
 
 class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
-    """Appearance of the Gaussians."""
+    """Appearance of the Gaussians and the fruit."""
 
     style: EnumProperty(
         name="Show",
@@ -139,6 +141,16 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
         subtype="FACTOR",
         update=edit_appearance_soon,
         description="How much to darken Gaussians below the threshold",
+    )
+    fruit: EnumProperty(
+        name="Fruit Colour",
+        items=[
+            ("LABEL", "Label", "A colour for each label"),
+            ("TREE", "Tree", "A colour for each tree of a row"),
+            ("PROBABILITY", "Probability", "Yellow: certainly a fruit; blue: uncertain"),
+        ],
+        update=fruit_colours_chosen,
+        description="What the colours of the fruit show",
     )
 
 
@@ -199,6 +211,7 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     photos: PointerProperty(type=FRUITLANGS_PG_photos)
     result: PointerProperty(type=FRUITLANGS_PG_result)
     teach: PointerProperty(type=teach.FRUITLANGS_PG_teach)
+    block: PointerProperty(type=block.FRUITLANGS_PG_block)
     check: PointerProperty(type=check.FRUITLANGS_PG_check)
 
 
@@ -211,6 +224,7 @@ CLASSES = (
     *review.CLASSES,
     *check.CLASSES,
     *teach.CLASSES,
+    *block.CLASSES,
     FRUITLANGS_PG_photos,
     FRUITLANGS_PG_settings,
 )

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ..operators import package_folder
+from ..operators.block import block
 from ..operators.drawing import label_drawing, legend, splat_drawing
 from ..operators.export import export
 from ..operators.jobs import active_tool, jobs
@@ -20,6 +21,7 @@ from ..operators.viewport import appearance
 from . import preferences, properties
 from .panels import (
     appearance_panel,
+    block_panel,
     fruit_list,
     step_ask,
     step_count,
@@ -48,6 +50,7 @@ CLASSES: tuple[Any, ...] = (
     *show_cluster.CLASSES,
     *best_photo.CLASSES,
     *export.CLASSES,
+    *block.CLASSES,
     *step_scene.CLASSES,
     *step_reconstruct.CLASSES,
     *step_ask.CLASSES,
@@ -57,6 +60,7 @@ CLASSES: tuple[Any, ...] = (
     *fruit_list.CLASSES,
     *step_review.CLASSES,
     *step_export.CLASSES,
+    *block_panel.CLASSES,
     *preferences.CLASSES,
 )
 

@@ -19,9 +19,10 @@ OWNER = "fruitlangs"
 """Custom property that names the role of an object, collection, node group or material of ours."""
 
 Role = Literal[
-    "root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "region", "light", "world"
-]
-MESHES = ("gaussians", "points", "fruit")
+    "root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "region", "light", "world",
+    "trees", "block", "block-root", "block-fruit", "block-points",
+]  # fmt: skip
+MESHES = ("gaussians", "points", "fruit", "block-fruit", "block-points")
 """Roles of objects that are meshes."""
 AttributeType = Literal["FLOAT", "INT", "FLOAT_VECTOR", "FLOAT_COLOR", "QUATERNION"]
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import fields
 from typing import get_type_hints
 
-from .config import AIMS, FORMS, PATHS, OrchardConfig
+from .config import AIMS, ALONG, FORMS, PATHS, OrchardConfig
 from .errors import OrchardError
 from .species import SPECIES
 
@@ -70,7 +70,7 @@ def _check_together(config: OrchardConfig) -> None:
         raise OrchardError(f"tree_height is {config.tree_height}: give 0.5 m or more, or 0 for the species' own")
     if (config.trees + config.neighbours) * (config.fruits + config.fallen) > MOST_FRUIT:
         raise OrchardError(f"more than {MOST_FRUIT} fruit do not fit into 16-bit masks: ask for fewer")
-    if config.aim == "part" and (config.path == "row" or config.trees > 1):
+    if config.aim == "part" and (config.path in ALONG or config.trees > 1):
         raise OrchardError("aim part looks at one tree: use path ring, wave or half-ring and one tree, or aim tree")
 
 

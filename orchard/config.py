@@ -14,8 +14,10 @@ FIRST_TRAINING_SEED = 1000
 
 FORMS = ("spindle", "wall", "vase", "bush")
 """Training systems of the tree."""
-PATHS = ("ring", "wave", "half-ring", "row")
+PATHS = ("ring", "wave", "half-ring", "row", "flight")
 """Camera paths."""
+ALONG = ("row", "flight")
+"""Those along the row, which keep the distance of a single tree."""
 AIMS = ("auto", "tree", "part")
 """Targets of the camera."""
 
@@ -78,7 +80,8 @@ class OrchardConfig:
 
     path: str = "ring"
     """Way of the camera: ring, wave (once around, up and down as with a phone in the hand), half-ring (the side of
-    negative y), or row (along x on that side, to and fro)."""
+    negative y), row (along x on that side, to and fro) or flight (as a drone, along x and obliquely from above, to on
+    that side and back on the other)."""
 
     aim: str = "auto"
     """What is looked at: tree, part (a fruitful part of the crown, where the fruit then gather), or auto: a part where

@@ -33,9 +33,9 @@ from fruitlangs.engine.evaluation.trees import (
     tally,
 )
 from fruitlangs.engine.evaluation.truth import read_truth, true_labels
-from fruitlangs.engine.reconstruction import CAMERAS
 from fruitlangs.engine.result_folder import ResultFolder
 from fruitlangs.engine.scene.formats.cameras_json import read_cameras
+from fruitlangs.engine.training import CAMERAS
 
 
 def main(given: Sequence[str] | None = None) -> None:

@@ -72,9 +72,7 @@ def main() -> None:
     from fruitlangs.engine.block.driver import Workers, drive, python_command
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.manifest import read_manifest
-    from fruitlangs.engine.block.page import write_page
-    from fruitlangs.engine.block.tables import rows_of, summary, write_tables
-    from fruitlangs.engine.block.totals import read_counts
+    from fruitlangs.engine.block.publish import publish_block
     from fruitlangs.engine.memory import available_bytes
 
     trees = read_manifest(arguments.manifest, prompt=arguments.prompt, settings=arguments.settings)
@@ -101,16 +99,12 @@ def main() -> None:
 
     command = python_command(Path(__file__).resolve())
     states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
-    counted = read_counts(ledger)
-    rows = rows_of(counted, arguments.density)
-    document = summary(counted, all_trees=arguments.trees, density=arguments.density)
-    written = write_tables(ledger.path, counted, rows, document)
-    written.append(write_page(ledger.path, counted, rows, document))
-    say(block_text(document))
-    say("\n".join(["", "written:", *(f"  {path}" for path in written)]))
+    answer = publish_block(ledger, all_trees=arguments.trees, density=arguments.density)
+    say(block_text(answer.document))
+    say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
     failed = sum(state.stage == "failed" for state in states.values())
     if failed:
-        raise CountingError(f"{failed} of {len(trees)} trees failed and are not in the sums. See {written[0]}")
+        raise CountingError(f"{failed} of {len(trees)} trees failed and are not in the sums. See {answer.files[0]}")
 
 
 def block_text(document: dict[str, Any]) -> str:
@@ -123,6 +117,8 @@ def block_text(document: dict[str, Any]) -> str:
     )
     for name, row in document["rows"].items():
         lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
+    if document["elsewhere"]:
+        lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
     if "all_trees" in document:
         every = document["all_trees"]
         lines.append(f"  all {every['trees']} trees: {every['likely']:.0f} ({every['low']:.0f}–{every['high']:.0f})")

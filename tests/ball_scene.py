@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,24 @@ def poses(views: int) -> list[FloatArray]:
     return found
 
 
-def look(pose: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint16], FloatArray]:
+def row_of_balls(trees: int) -> FloatArray:
+    """(5 · trees, 3) the balls of as many trees, two units apart along x."""
+    return np.concatenate([BALLS + [2.0 * tree, 0.0, 0.0] for tree in range(trees)])
+
+
+def row_poses(trees: int, views: int) -> list[FloatArray]:
+    """(4, 4) world to camera of a walk past the trees of a row: there at one height, back at another."""
+    there = np.linspace(-0.7, 2.0 * (trees - 1) + 0.7, views // 2)
+    found = []
+    for height, along in ((0.7, there), (1.4, there[::-1])):
+        for x in along:
+            pose = np.eye(4)
+            pose[:3] = look_at(np.array([x, -2.0, height]), np.array([x, 0.0, 0.5]))
+            found.append(pose)
+    return found
+
+
+def look(pose: FloatArray, balls: FloatArray = BALLS) -> tuple[NDArray[np.uint8], NDArray[np.uint16], FloatArray]:
     """Photo (H, W, 3), ball numbers from 1 (H, W) and depth along the axis (H, W), 0 for the sky."""
     v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     rays = np.stack([(u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL, np.ones_like(u)], -1)
@@ -41,7 +59,7 @@ def look(pose: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint16], Float
         ground = -origin[2] / turned[..., 2]
     depth = np.where((ground > 0) & (ground < 12), ground, np.inf)
     ids = np.zeros((HEIGHT, WIDTH), np.uint16)
-    for number, (center, diameter) in enumerate(zip(BALLS, DIAMETERS, strict=True), start=1):
+    for number, (center, diameter) in enumerate(zip(balls, np.resize(DIAMETERS, len(balls)), strict=True), start=1):
         towards = origin - center
         a, b = (turned**2).sum(-1), (turned * towards).sum(-1)
         root = b**2 - a * ((towards**2).sum() - diameter**2 / 4)
@@ -56,13 +74,21 @@ def look(pose: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint16], Float
     return color.astype(np.uint8), ids, np.where(np.isfinite(depth), depth, 0.0)
 
 
-def write_scene(folder: Path, views: int = 16, seed: int = 7) -> Path:
-    """Write images/, instances/, depth/, transforms.json with points, truth.json and orchard.json."""
+def write_scene(
+    folder: Path,
+    views: int = 16,
+    seed: int = 7,
+    *,
+    balls: FloatArray = BALLS,
+    walk: Sequence[FloatArray] | None = None,
+) -> Path:
+    """Write images/, instances/, depth/, transforms.json with points, truth.json and orchard.json. walk: poses in place
+    of rings of `views`."""
     for name in ("images", "instances", "depth"):
         (folder / name).mkdir(parents=True)
     frames, points, colors = [], [], []
-    for view, pose in enumerate(poses(views)):
-        photo, ids, depth = look(pose)
+    for view, pose in enumerate(walk or poses(views)):
+        photo, ids, depth = look(pose, balls)
         Image.fromarray(photo).save(folder / "images" / f"{view:03d}.png")
         Image.fromarray(ids).save(folder / "instances" / f"{view:03d}.png")
         Image.fromarray(np.rint(1000 * depth).astype(np.uint16)).save(folder / "depth" / f"{view:03d}.png")
@@ -80,17 +106,17 @@ def write_scene(folder: Path, views: int = 16, seed: int = 7) -> Path:
     lens = {"fl_x": FOCAL, "fl_y": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2, "w": WIDTH, "h": HEIGHT}
     scene = {**lens, "frames": frames, "ply_file_path": "points.ply"}
     (folder / "transforms.json").write_text(json.dumps(scene))
-    write_truth(folder)
+    write_truth(folder, balls)
     config = {"species": "apple", "seed": seed}
     (folder / "orchard.json").write_text(json.dumps({"complete": True, "config": config}))
     return folder
 
 
-def write_truth(folder: Path) -> None:
+def write_truth(folder: Path, balls: FloatArray = BALLS) -> None:
     """Every ball as a visible apple."""
     common = {"label": "apple", "visible": True, "visible_fraction": 1.0}
     fruits = [
         {"id": number, "center": center.tolist(), "diameter": float(diameter), **common}
-        for number, (center, diameter) in enumerate(zip(BALLS, DIAMETERS, strict=True), start=1)
+        for number, (center, diameter) in enumerate(zip(balls, np.resize(DIAMETERS, len(balls)), strict=True), start=1)
     ]
     (folder / "truth.json").write_text(json.dumps({"fruits": fruits}))

@@ -22,7 +22,22 @@ import _checkout  # noqa: F401
 
 os.environ["FRUITLANGS_WORDS"] = tempfile.mkdtemp(prefix="fruitlangs-words-")
 """No word that the user taught takes part in tests."""
+STATUS = pytest.StashKey[int]()
 SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orchard_tree"
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    session.config.stash[STATUS] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End a process that loaded Blender at once: its clean-up at exit sometimes waits forever."""
+    if "bpy" in sys.modules and STATUS in config.stash:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash[STATUS])
 
 
 @pytest.fixture(scope="session")

@@ -57,7 +57,11 @@ class Ledger:
 
     def result(self, tree: TreeEntry) -> ResultFolder:
         """Where a tree is counted."""
-        return ResultFolder(self.path / TREES / tree.id)
+        return self.folder(tree.id)
+
+    def folder(self, own: str) -> ResultFolder:
+        """Where the tree with this id is counted."""
+        return ResultFolder(self.path / TREES / own)
 
     def write_trees(self, trees: Sequence[TreeEntry]) -> None:
         """Note the trees of the block, in place of earlier ones, for its workers.

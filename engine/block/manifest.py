@@ -26,6 +26,7 @@ COLUMNS = {
     "negative": "what to exclude; several separated by |",
     "row": "name of its row",
     "position": "place along the row: a number",
+    "trees": "number of trees, if the source shows a row; or x y z of each trunk",
     "latitude": "degrees north",
     "longitude": "degrees east",
     "metres_per_unit": "scale, if known",
@@ -206,6 +207,8 @@ def _entry(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, 
         settings["units.metres_per_unit"] = numbers.pop("metres_per_unit")
     if "box" in given:
         settings["count.box"] = _box(given["box"], wrong)
+    if "trees" in given:
+        settings |= _trees(given["trees"], wrong)
     entry = TreeEntry(
         id=own,
         source=(base / str(given["source"])).resolve(),
@@ -243,6 +246,17 @@ def _box(given: Any, wrong: Any) -> tuple[float, ...]:
     if len(parts) != 6:
         raise wrong(f"box has {len(parts)} numbers, not six: x y z of one corner, then of the other")
     return tuple(_number(part, "box", wrong) for part in parts)
+
+
+def _trees(given: Any, wrong: Any) -> dict[str, Any]:
+    """The setting for the number of trees, or for their places."""
+    parts = given.split() if isinstance(given, str) else list(given) if isinstance(given, list) else [given]
+    numbers = [_number(part, "trees", wrong) for part in parts]
+    if len(numbers) > 1:
+        return {"count.tree_places": tuple(numbers)}
+    if numbers[0] != int(numbers[0]) or numbers[0] < 1:
+        raise wrong(f"trees '{given}' is not a number of trees")
+    return {"count.trees": int(numbers[0])}
 
 
 def _settings(given: Any, wrong: Any) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from jinja2 import Environment, Template, select_autoescape
 
 from ..storage.files import write_text
 from .ledger import TREES
-from .totals import CountedTree
+from .trees import CountedTree
 
 PAGE, STILL, REPORT = "orchard.html", "still.jpg", "report.html"
 WIDTH, HEIGHT, MARGIN, LARGEST = 900.0, 420.0, 40.0, 16.0
@@ -54,14 +54,15 @@ def _template() -> Template:
 
 
 def _stills(folder: Path, trees: Sequence[CountedTree]) -> list[dict[str, str]]:
-    found = []
+    counts: dict[str, int] = {}
     for tree in trees:
-        if tree.visible is None or not (folder / TREES / tree.entry.id / STILL).is_file():
-            continue
-        base = f"{TREES}/{quote(tree.entry.id)}"
-        text = f"{tree.entry.id}: {tree.visible.count} fruit"
-        found.append({"picture": f"{base}/{STILL}", "report": f"{base}/{REPORT}", "text": text})
-    return found[:MOST_STILLS]
+        if tree.visible is not None and (folder / TREES / tree.folder / STILL).is_file():
+            counts[tree.folder] = counts.get(tree.folder, 0) + tree.visible.count
+    found = []
+    for own, count in list(counts.items())[:MOST_STILLS]:
+        base = f"{TREES}/{quote(own)}"
+        found.append({"picture": f"{base}/{STILL}", "report": f"{base}/{REPORT}", "text": f"{own}: {count} fruit"})
+    return found
 
 
 def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:

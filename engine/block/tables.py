@@ -17,12 +17,15 @@ from ..language.colours import fruit_colours
 from ..language.vocabulary import FRUIT_COLOURS
 from ..storage.files import write_text
 from .ledger import TREES
-from .totals import Amount, CountedTree, of_all, summed
+from .totals import Amount, of_all, summed
+from .trees import CountedTree
 
 COLUMNS = (
-    "tree", "row", "position", "latitude", "longitude", "state", "count", "likely", "low", "high", "with_hidden",
-    "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume", "kg", "reason",
+    "tree", "row", "position", "latitude", "longitude", "state", "count", "reviewed", "likely", "low", "high",
+    "with_hidden", "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume", "kg",
+    "reason",
 )  # fmt: skip
+ORCHARD_JSON = "orchard.json"
 DECIMALS = 6
 
 
@@ -36,7 +39,8 @@ def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[st
         row |= {"latitude": entry.latitude, "longitude": entry.longitude}
         row |= {"state": tree.state.stage, "reason": tree.state.reason}
         if tree.visible is not None:
-            row |= {"count": tree.visible.count, **_ends(tree.visible, "")}
+            row |= {"count": tree.counted, **_ends(tree.visible, "")}
+            row["reviewed"] = tree.visible.count if tree.reviewed else None
             row |= _ends(tree.total, "with_hidden") if tree.total is not None else {}
             row |= {"unit": "m" if tree.metric else "scene units", "volume": float(f"{tree.volume:.6g}")}
             if tree.diameters:
@@ -72,12 +76,14 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "trees": len(trees),
         "done": len(done),
         "failed": failed,
+        "elsewhere": sum(tree.elsewhere for tree in done),
         "waiting": sum(tree.state.stage in ("waiting", "running") for tree in trees),
         "block": _sums(done),
         "rows": rows,
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters),
         "colours": _colours(done),
+        "density": density,
         "kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
     }
     if all_trees is not None:
@@ -140,10 +146,10 @@ def write_tables(
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
     table.writerows({name: "" if value is None else value for name, value in row.items()} for row in rows)
-    by_tree = [{**row, "result": f"{TREES}/{row['tree']}"} for row in rows]
+    by_tree = [{**row, "result": f"{TREES}/{tree.folder}"} for row, tree in zip(rows, trees, strict=True)]
     contents = {
         "orchard.csv": text.getvalue(),
-        "orchard.json": json.dumps({**document, "by_tree": by_tree}, indent=1) + "\n",
+        ORCHARD_JSON: json.dumps({**document, "by_tree": by_tree}, indent=1) + "\n",
         "orchard.geojson": json.dumps(geojson(trees, rows), indent=1) + "\n",
     }
     for name, content in contents.items():

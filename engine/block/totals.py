@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from ..errors import ConfigError, FruitLangsError
-from ..report.results import FRUITS_JSON, parse_results
-from ..scene.gps import GpsTag, read_gps
-from ..scene.sfm.find_cameras import list_photos
-from ..scene.source import Source
-from .ledger import Ledger, TreeState
-from .manifest import TreeEntry
+from ..errors import ConfigError
 
 SHARED = 0.5
 """Share of the variance of a tree's count that all trees of a block have in common, because they have one kind of
@@ -24,8 +17,6 @@ fruit, one camera and one light. It does not average away. The intervals were ca
 common part was found; in an orchard it is unknown, so half is assumed."""
 NORMAL = float(stats.norm.ppf(0.95))
 """Standard deviations from the middle to an end of a 90 % interval."""
-TAGS = 5
-"""Photos whose GPS tags give a tree its place."""
 LEAST_SAMPLE = 3
 """Photographed trees from which all trees are estimated."""
 
@@ -38,75 +29,6 @@ class Amount:
     likely: float
     low: float
     high: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class CountedTree:
-    """A tree of the block. visible, total: None unless it is done; diameters: metres or scene units; volumes: of all
-    fruit; metric: whether they are metres; colors: mean sRGB of each fruit. The place of `entry` is that of the photos
-    if the manifest does not give it."""
-
-    entry: TreeEntry
-    state: TreeState
-    visible: Amount | None = None
-    total: Amount | None = None
-    diameters: tuple[float, ...] = ()
-    volume: float = 0.0
-    metric: bool = False
-    colors: tuple[tuple[int, int, int], ...] = ()
-
-
-def read_counts(ledger: Ledger) -> list[CountedTree]:
-    """Every tree of the block with what its result says.
-
-    Raises:
-        OutputError, FormatError: the folder is none of a block, or a result of it is damaged.
-    """
-    found, states = [], ledger.states()
-    for entry in map(_placed, ledger.trees()):
-        state = states[entry.id]
-        if state.stage != "done":
-            found.append(CountedTree(entry=entry, state=state))
-            continue
-        document = parse_results(ledger.result(entry).path / FRUITS_JSON)
-        fruits, count = document["fruits"], int(document["count"])
-        low, high = document.get("interval") or (count, count)
-        likely = document.get("likely")
-        total = document.get("total")
-        least, most = document.get("total_interval") or (count, count)
-        found.append(
-            CountedTree(
-                entry=entry,
-                state=state,
-                visible=Amount(count=count, likely=count if likely is None else likely, low=low, high=high),
-                total=None if total is None else Amount(count=count, likely=total, low=least, high=most),
-                diameters=tuple(fruit["diameter"] for fruit in fruits),
-                volume=float(sum(fruit["volume"] for fruit in fruits)),
-                metric=document["unit"] == "m",
-                colors=tuple(tuple(fruit["color"]) for fruit in fruits),
-            )
-        )
-    return found
-
-
-def _placed(entry: TreeEntry) -> TreeEntry:
-    """The entry with the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
-    folder = Source(path=entry.source).photos_folder() if entry.source.is_dir() else None
-    if entry.latitude is not None or folder is None:
-        return entry
-    photos = list_photos(folder)
-    tags = [tag for photo in photos[:: max(len(photos) // TAGS, 1)] if (tag := _tag(photo)) is not None]
-    if not tags:
-        return entry
-    latitude, longitude = (float(np.mean([getattr(tag, name) for tag in tags])) for name in ("latitude", "longitude"))
-    return replace(entry, latitude=round(latitude, 7), longitude=round(longitude, 7))
-
-
-def _tag(photo: Path) -> GpsTag | None:
-    try:
-        return read_gps(photo)
-    except (FruitLangsError, OSError):
-        return None
 
 
 def summed(amounts: Sequence[Amount]) -> Amount:

@@ -269,13 +269,18 @@ def _with_intervals(
         return estimate(evidence_of(searched, of, pictures, shares, seed=seed), count)
 
     def intervals(of: Estimate) -> dict[str, Any]:
-        return {"interval": of.visible, "total": of.total, "total_interval": of.total_interval}
+        return {
+            "interval": of.visible,
+            "likely": of.likely,
+            "total": of.total,
+            "total_interval": of.total_interval,
+        }
 
     trees = counted.trees
     if known:
         trees = [replace(tree, **intervals(estimated(counts * (own == tree.number), tree.count))) for tree in trees]
     whole = estimated(counts, counted.count)
-    return replace(counted, trees=trees, likely=whole.likely, **intervals(whole))
+    return replace(counted, trees=trees, **intervals(whole))
 
 
 def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:

@@ -66,12 +66,13 @@ def member_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
 @dataclass(frozen=True, eq=False)
 class Tree:
     """One tree of a row. number: from 1 along the row; position: (3,) in the scene frame; count: of its fruit;
-    interval, total, total_interval: as in `FruitCount`, for the fruit of this tree."""
+    interval, likely, total, total_interval: as in `FruitCount`, for the fruit of this tree."""
 
     number: int
     position: NDArray[np.float64]
     count: int
     interval: tuple[int, int] | None = None
+    likely: float | None = None
     total: float | None = None
     total_interval: tuple[int, int] | None = None
 

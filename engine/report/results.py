@@ -66,7 +66,6 @@ def fruits_document(
         "schema": SCHEMA,
         "set_id": set_id(files),
         "count": fruit_count.count,
-        "likely": fruit_count.likely,
         **_intervals(fruit_count),
         "last_id": fruit_count.last_id,
         "unit": unit_name,
@@ -128,7 +127,7 @@ def _tree_entry(tree: Tree) -> dict[str, Any]:
 
 
 def _intervals(counted: FruitCount | Tree) -> dict[str, Any]:
-    return {"interval": counted.interval, "total": counted.total, "total_interval": counted.total_interval}
+    return {name: getattr(counted, name) for name in ("likely", "interval", "total", "total_interval")}
 
 
 def _audit_entry(entry: AuditEntry, unit: float) -> dict[str, Any]:
@@ -213,8 +212,7 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
             Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_intervals(entry))
             for entry in document["trees"]
         ],
-        likely=document.get("likely"),  # results of earlier versions have none, nor a width
-        pixel_width=document.get("pixel_width"),
+        pixel_width=document.get("pixel_width"),  # results of earlier versions have none, nor `likely`
         **_stored_intervals(document),
     )
 
@@ -228,7 +226,7 @@ def _stored_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
 def _stored_intervals(entry: Mapping[str, Any]) -> dict[str, Any]:
     """The intervals written by `_intervals`; JSON has lists instead of tuples."""
     pairs = {name: entry[name] and tuple(entry[name]) for name in ("interval", "total_interval")}
-    return {**pairs, "total": entry["total"]}
+    return {**pairs, "likely": entry.get("likely"), "total": entry["total"]}
 
 
 def known_fruit(document: Mapping[str, Any], inputs_sha256: str) -> KnownFruit:

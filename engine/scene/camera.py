@@ -61,6 +61,13 @@ class Camera:
             u, v = self.K[0, 0] * x / z + self.K[0, 2], self.K[1, 1] * y / z + self.K[1, 2]
         return np.stack([u, v], axis=-1), z
 
+    def framed(self, points: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+        """(N,) which points (N, 3) lie in the picture, whatever hides them, with pixels and depths as of `project`."""
+        pixels, depths = self.project(points)
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= 0.0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
+        return inside & (depths > 0.0), pixels, depths
+
     def unproject(self, depths: FloatArray) -> FloatArray:
         """(H, W, 3) points in the world at the centres of the pixels, from (H, W) depths along the axis, in scene
         units.
@@ -128,6 +135,16 @@ class Scene:
     colors: NDArray[np.uint8]
     up: FloatArray
     metres_per_unit: float | None = None
+
+    def of_views(self, views: NDArray[np.int64]) -> Scene:
+        """The scene of some of its views, with those points that one of them frames."""
+        cameras = [self.cameras[view] for view in views]
+        points = np.asarray(self.points, np.float64)
+        seen = np.zeros(len(points), bool)
+        for camera in cameras:
+            seen |= camera.framed(points)[0]
+        images = [self.images[view] for view in views]
+        return replace(self, cameras=cameras, images=images, points=self.points[seen], colors=self.colors[seen])
 
     @property
     def extent(self) -> float:

@@ -23,6 +23,8 @@ LARGEST_ERROR = 0.05
 """Relative standard error of the scale above which GPS is not used."""
 LEAST_SPREAD = 0.5
 """Least extent of the tagged positions in metres; less is one position."""
+LARGEST_MISFIT = 0.3
+"""Median misfit of tags, in the mean distance of the tagged photos from their middle, from which they place no tree."""
 _INDEPENDENT = 5
 """Most positions whose errors count as independent."""
 _EQUATOR, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
@@ -106,6 +108,38 @@ def local_metres(tags: Sequence[GpsTag]) -> FloatArray:
     east = np.array([-np.sin(lam0), np.cos(lam0), 0.0])
     up = np.array([np.cos(phi0) * np.cos(lam0), np.cos(phi0) * np.sin(lam0), np.sin(phi0)])
     return (places - middle) @ np.stack([east, np.cross(up, east), up], 1)
+
+
+def degrees_of(points: FloatArray, centers: FloatArray, tags: Sequence[GpsTag], up: FloatArray) -> FloatArray | None:
+    """(P, 2) latitude and longitude of points (P, 3) of a scene in which photos with these tags were taken at centers
+    (N, 3); None if the tags are too inaccurate for the length of the way, or all of one place.
+
+    On the level, north and east are a turned, scaled and moved copy of the scene, fitted by least squares: that takes
+    two places, and those of a flight may lie on one line. up: (3,) unit, away from the ground.
+    """
+    axes = np.linalg.svd(np.asarray(up)[None])[2][1:]
+    axes[1] = np.cross(up, axes[0])
+    scene, asked = ((each @ axes.T) @ [1.0, 1.0j] for each in (centers, points))
+    places = local_metres(tags)[:, :2] @ [1.0, 1.0j]
+    used = np.ones(len(tags), bool)
+    for _ in range(2):
+        middle, mean = scene[used].mean(), places[used].mean()
+        spread = float(np.linalg.norm(scene[used] - middle))
+        if spread == 0.0:
+            return None
+        turn = np.vdot(scene[used] - middle, places[used] - mean) / spread**2
+        misfits = np.abs(places - mean - turn * (scene - middle))
+        used = misfits <= max(OUTLIER * float(np.median(misfits)), 1e-9)
+    if float(np.median(misfits)) > LARGEST_MISFIT * float(np.abs(turn)) * spread / np.sqrt(used.sum()):
+        return None
+    latitude = np.radians(np.mean([tag.latitude for tag in tags]))
+    squared = _FLATTENING * (2.0 - _FLATTENING)
+    shrink = 1.0 - squared * np.sin(latitude) ** 2
+    metres = mean + turn * (asked - middle)
+    north = np.degrees(metres.imag * shrink**1.5 / (_EQUATOR * (1.0 - squared)))
+    east = np.degrees(metres.real * shrink**0.5 / (_EQUATOR * np.cos(latitude)))
+    origin = [np.mean([tag.latitude for tag in tags]), np.mean([tag.longitude for tag in tags])]
+    return np.stack([north, east], axis=1) + origin
 
 
 def scale_by_gps(cameras: Sequence[Camera], photos: Sequence[Photo]) -> GpsScale:

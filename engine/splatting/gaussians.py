@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -76,6 +78,12 @@ class Gaussians:
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at `index` (bool mask (N,) or integer indices)."""
         return replace(self, **{name: getattr(self, name)[index] for name in PARAMETERS})
+
+
+def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
+    """The Gaussians of all parts, which are of one degree, in their order."""
+    whole: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in parts]) for name in PARAMETERS}
+    return replace(parts[0], **whole)
 
 
 def round_gaussians(

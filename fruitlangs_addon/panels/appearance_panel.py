@@ -30,6 +30,7 @@ class FRUITLANGS_PT_look(SidebarPanel, bpy.types.Panel):
         column.enabled = settings.look.highlight
         column.prop(settings.config.count, "threshold", slider=True)
         column.prop(settings.look, "dimming", slider=True)
+        layout.prop(settings.look, "fruit")
 
 
 CLASSES = (FRUITLANGS_PT_look,)

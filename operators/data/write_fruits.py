@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import colorsys
 import math
-import zlib
 from typing import TYPE_CHECKING
 
 import bmesh
@@ -13,27 +11,24 @@ import numpy as np
 from mathutils import Matrix
 
 from ...engine.report.words import fruit_name
-from ..blender_data import OWNER, linear_from_srgb, new_object, owned_collection, owned_objects, remove_objects
+from ..blender_data import (
+    OWNER,
+    local_collections,
+    new_object,
+    owned_collection,
+    owned_objects,
+    remove_objects,
+)
+from ..viewport.fruit_colours import colour_fruit
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import Fruit, FruitCount
 
-LABEL_HUES = {
-    "apple": 0.0,
-    "cherry": 0.96,
-    "fruit": 0.06,
-    "lemon": 0.15,
-    "mango": 0.11,
-    "orange": 0.08,
-    "peach": 0.05,
-    "pear": 0.19,
-    "plum": 0.80,
-}
+TREE = "tree"
+"""Custom property of a fruit, and of the collection of a tree: the number of the tree."""
 LENGTHS = ("length", "width", "thickness")
 MEASURED = ("diameter", "diameter_sd", *LENGTHS)
 """Custom properties that are lengths."""
-GOLDEN = 0.6180339887
-"""Steps of the golden ratio spread any number of neighbours evenly."""
 
 
 def write_fruits(
@@ -48,9 +43,12 @@ def write_fruits(
     Each is named label.id (`apple.001`), is at the fruit's centre in the scene frame (the root places it in the world),
     has its axes as rotation and scale, and has the custom properties of its entry in `fruits.json`: id, label,
     diameter, length, width and thickness (metres if metres_per_unit is known, else scene units), probability, views,
-    color and kind; if known also diameter_sd (in the same unit), visible_fraction, fallen and tree.
+    color and kind; if known also diameter_sd (in the same unit), visible_fraction, fallen and tree. The fruit of a tree
+    of a row are also in a collection of their own.
     """
     remove_objects(owned_objects(bpy_scene, "fruit"))
+    for old in [each for each in local_collections(bpy_scene) if each.get(OWNER) in ("tree", "trees")]:
+        bpy.data.collections.remove(old)
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
     meshes: dict[str, bpy.types.Mesh] = {}
     return [_write(bpy_scene, fruit, root, collection, meshes, metres_per_unit) for fruit in fruit_count.fruits]
@@ -74,7 +72,7 @@ def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) 
         bpy.data.meshes.remove(old)
     item["label"] = label
     item.name = _name(label, item["id"], bpy_scene, item)
-    item.color = fruit_color(label, item["id"])
+    colour_fruit(item)
 
 
 def _write(
@@ -91,19 +89,23 @@ def _write(
     item.scale = tuple(fruit.lengths.tolist())
     item.rotation_mode = "QUATERNION"
     item.rotation_quaternion = Matrix((2.0 * fruit.axes / fruit.lengths[:, None]).T.tolist()).to_quaternion()
-    item.color = fruit_color(fruit.label, fruit.id)
     _set_properties(item, fruit, metres_per_unit)
+    colour_fruit(item)
+    _put_on_tree(bpy_scene, item)
     return item
 
 
-def fruit_color(label: str, number: int) -> tuple[float, float, float, float]:
-    """Linear RGBA: the hue of the label, with a brightness by id so that touching fruit can be distinguished."""
-    hue = LABEL_HUES.get(label)
-    if hue is None:
-        hue = zlib.crc32(label.encode()) % 1000 / 1000
-    value = 0.6 + 0.4 * (number * GOLDEN % 1.0)
-    red, green, blue = linear_from_srgb(np.array(colorsys.hsv_to_rgb(hue, 0.75, value)))
-    return (float(red), float(green), float(blue), 1.0)
+def _put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Link a fruit into the collection of its tree too, if it has one."""
+    if "tree" not in item:
+        return
+    trees, name = owned_collection(bpy_scene, "trees", "Trees"), f"Tree {item['tree']}"
+    own = next((each for each in trees.children if each.get(TREE) == item["tree"]), None)
+    if own is None:
+        own = bpy.data.collections.new(name)
+        own[OWNER], own[TREE] = "tree", item["tree"]
+        trees.children.link(own)
+    own.objects.link(item)
 
 
 def _name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:

@@ -29,8 +29,9 @@ from .shown_source import enter_source, forget_count
 
 if TYPE_CHECKING:
     from ...engine.publishing import Result
-    from ...engine.reconstruction import Reconstruction, RunLog
+    from ...engine.reconstruction import Reconstruction
     from ...engine.scene.camera import Scene
+    from ...engine.training import RunLog
 
 
 def show_scene(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config import OrchardConfig
+from ..config import ALONG, OrchardConfig
 from ..shapes.branch import Branch
 from ..species import Species
 
@@ -36,7 +36,7 @@ def choose_part(
     rng: np.random.Generator, config: OrchardConfig, species: Species, branches: Sequence[Branch]
 ) -> Part | None:
     """The part of this tree's crown to look at, where twigs are dense; None: the whole tree."""
-    if config.close_ups or config.aim == "tree" or config.path == "row" or config.trees > 1:
+    if config.close_ups or config.aim == "tree" or config.path in ALONG or config.trees > 1:
         return None
     twigs = np.vstack([b.points[[2, -1]] for b in branches if b.generation >= 2])
     width = frame_width(config, species)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config import OrchardConfig
+from ..config import ALONG, OrchardConfig
 from ..species import Species
 from .aim import Part
 from .viewpoint import Viewpoint, look_at
@@ -25,6 +25,8 @@ LEVELS = -0.25, 0.55
 """Lowest and highest camera, in crown heights above the middle of the crown."""
 RISES = -8.0, 26.0
 """The same for a part of a crown, degrees."""
+SLOPE = 40.0
+"""Angle by which the camera of a flight looks down, degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +57,8 @@ def camera_places(rng: np.random.Generator, config: OrchardConfig, species: Spec
         stands = [_before_part(rng, config, place.part, distance, i) for i in range(config.views)]
         shake = 0.25 * place.part.reach
     else:
-        distance = distance_from_row(species, place) + (place.half_row if config.path != "row" else 0.0)
-        step = _along_row if config.path == "row" else _around
+        distance = distance_from_row(species, place) + (0.0 if config.path in ALONG else place.half_row)
+        step = _along_row if config.path in ALONG else _around
         stands = [step(rng, config, place, distance, i) for i in range(config.views)]
         shake = 0.05 * size
     focal = config.fruit_pixels * distance / species.diameter
@@ -102,9 +104,10 @@ def _step(rng: np.random.Generator, config: OrchardConfig, i: int) -> _Step:
     if config.path == "wave":
         share = (i + 0.5 + rng.uniform(-0.15, 0.15)) / config.views
         return _Step(share=share, climb=0.5 - 0.5 * np.cos(2 * np.pi * WAVES * share))
-    ring, place = divmod(i, _per_ring(config)) if config.path == "row" else (i % config.rings, i // config.rings)
+    along = config.path in ALONG
+    ring, place = divmod(i, _per_ring(config)) if along else (i % config.rings, i // config.rings)
     share = (place + 0.5 + rng.uniform(-0.15, 0.15)) / _per_ring(config)
-    if config.path != "row":  # those of one ring are between those of another
+    if not along:  # those of one ring are between those of another
         share += (ring / config.rings - 0.5) / _per_ring(config)
     return _Step(share=share, climb=float(np.linspace(0.0, 1.0, config.rings)[ring]))
 
@@ -130,7 +133,8 @@ def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, dista
 
 
 def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
-    """The i-th picture of a path along the row, to at the first height, back at the second, and so on."""
+    """The i-th picture of a path along the row, to at the first height, back at the second, and so on; of a flight
+    obliquely from above, to on one side of the row and back on the other."""
     step = _step(rng, config, i)
     back = i // _per_ring(config) % 2 == 1
     low, high = place.crown[:, 0]
@@ -139,6 +143,10 @@ def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, di
     yaw = np.radians(rng.uniform(-12, 12))
     away = distance * rng.uniform(0.97, 1.03)
     target = np.array([x + away * np.tan(yaw), middle[1], middle[2]])
+    if config.path == "flight":
+        slope = np.radians(SLOPE)
+        up = away * np.array([0.0, (1.0 if back else -1.0) * np.cos(slope), np.sin(slope)])
+        return CameraPlace(place=np.array([x, middle[1], middle[2]]) + up, target=target)
     return CameraPlace(place=np.array([x, middle[1] - away, _level(place, step.climb)]), target=target)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera_path import Place, distance_from_row
-from ..config import OrchardConfig
+from ..config import ALONG, OrchardConfig
 from ..plants.crop import Crop, PlacedFruit
 from ..plants.foliage import Leaves, leaves_outside, place_leaves
 from ..plants.fruiting import Fruiting, Habit
@@ -87,7 +87,7 @@ def plant_neighbours(
     prototypes = tuple(_prototype(rng, config, species, variant) for _ in range(min(KINDS, config.neighbours)))
     half_width = (place.crown[1] - place.crown[0])[1] / 2
     away = 1.06 * distance_from_row(species, place) + half_width + 0.3
-    if config.path != "row" and place.part is None:
+    if config.path not in ALONG and place.part is None:
         away += place.half_row
     neighbours = []
     for i in range(config.neighbours):

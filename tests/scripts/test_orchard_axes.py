@@ -191,6 +191,18 @@ def test_a_path_along_the_row_goes_to_and_fro_at_two_heights() -> None:
     assert spots[10:, 2].mean() - spots[:10, 2].mean() > 0.5
 
 
+def test_a_flight_looks_down_on_one_side_of_the_row_and_then_on_the_other() -> None:
+    config = OrchardConfig(path="flight", views=20, trees=3)
+    place = Place(crown=np.array([[-2.4, -0.6, 0.5], [2.4, 0.6, 1.7]]), half_row=1.8, part=None)
+    views = camera_places(np.random.default_rng(0), config, APPLE, place)
+    spots = np.array([view.position for view in views])
+    assert (spots[:, 2] > 2.5).all()
+    assert spots[:10, 1].max() < -1.0 < 1.0 < spots[10:, 1].min()
+    assert (np.diff(spots[:10, 0]) > 0).all()
+    assert (np.diff(spots[10:, 0]) < 0).all()
+    assert all(view.world_to_camera[2, 2] < -0.5 for view in views)
+
+
 def test_a_narrow_picture_looks_at_a_part_of_the_crown_where_the_fruit_gather() -> None:
     config = OrchardConfig(species="cherry", width=300, height=225, fruit_pixels=14.0, fruits=30, leaves=120, views=6)
     orchard = plant(config)

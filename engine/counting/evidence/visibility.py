@@ -22,6 +22,9 @@ SEEN_WEIGHT = 0.3
 """Summed blending weight, in pixels of the camera's own size, from which a Gaussian counts as visible in a view."""
 MOST_PIXELS = 40_000_000
 """Pixels of all views together; larger views are rendered smaller."""
+LEAST_VIEW = 240 * 180
+"""Pixels below which no view is rendered smaller, however many there are. A row of 200 photos had 326 fruit at this
+size, and 328 at 2.2 times as many pixels."""
 SPOTS = 48
 """Pixels tested on the disc of each sphere in each view."""
 RIM = 0.8
@@ -88,7 +91,7 @@ def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress
     means = gaussians.means.detach().double().cpu().numpy()
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
     directions = np.zeros((len(means), 3))
-    for index, (own, camera) in enumerate(zip(cameras, _at_drawing_size(cameras), strict=True)):
+    for index, (own, camera) in enumerate(zip(cameras, at_drawing_size(cameras), strict=True)):
         progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         nothing = torch.zeros(camera.height, camera.width, 0)
         drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
@@ -122,7 +125,7 @@ def draw(
     """Depth and blended probability (N,) in every view."""
     probabilities = torch.from_numpy(probability).float()[:, None]
     pictures = []
-    for index, camera in enumerate(_at_drawing_size(cameras)):
+    for index, camera in enumerate(at_drawing_size(cameras)):
         progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         drawn = draw_surface(gaussians, camera, probabilities)
         pictures.append(Picture(camera, drawn.depth, np.ascontiguousarray(drawn.features[:, :, 0])))
@@ -182,7 +185,10 @@ def spiral(count: int) -> FloatArray:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
-def _at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
-    """The cameras, all scaled down by one factor if their pixels together are too many to keep."""
-    pixels = sum(camera.width * camera.height for camera in cameras)
-    return [camera.scaled(min(1.0, (MOST_PIXELS / pixels) ** 0.5)) for camera in cameras]
+def at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras, all scaled down by one factor if their pixels together are too many to keep, but none below
+    LEAST_VIEW pixels."""
+    pixels = [camera.width * camera.height for camera in cameras]
+    share = MOST_PIXELS / max(sum(pixels), 1)
+    factors = [min(1.0, max(share, LEAST_VIEW / own) ** 0.5) for own in pixels]
+    return [camera.scaled(factor) for camera, factor in zip(cameras, factors, strict=True)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...errors import TrainingError
-from ...scene.camera import Camera, Scene, axes_equations
+from ...scene.camera import Scene, axes_equations
 from ..gaussians import Gaussians, round_gaussians
 from .photos import PhotoShelf
 
@@ -109,18 +109,8 @@ def _dome(scene: Scene, points: Points, n: int) -> Points:
     return center + 4.0 * reach * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
-def _in_view(camera: Camera, points: Points) -> tuple[NDArray[np.bool_], Points]:
-    """Which points (P, 3) a camera frames, and (P, 2) their column and row in pixels."""
-    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    pixel = local @ camera.K.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        places = pixel[:, :2] / pixel[:, 2:]
-    inside = (local[:, 2] > 0.0) & (places >= 0).all(1) & (places < [camera.width, camera.height]).all(1)
-    return inside, places
-
-
 def _seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> bool:
-    return any(_in_view(shelf.scene.cameras[view], points)[0].any() for view in views)
+    return any(shelf.scene.cameras[view].framed(points)[0].any() for view in views)
 
 
 def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
@@ -128,7 +118,7 @@ def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -
     sums = np.zeros((len(points), 3))
     counts = np.zeros(len(points))
     for view in views[:: max(len(views) // 40, 1)]:
-        inside, places = _in_view(shelf.scene.cameras[view], points)
+        inside, places, _ = shelf.scene.cameras[view].framed(points)
         if inside.any():
             picture = shelf.picture(view)
             column, row = places[inside].astype(int).T

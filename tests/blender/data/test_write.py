@@ -14,7 +14,7 @@ from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.language.vocabulary import FRUITS
 from fruitlangs.operators.blender_data import get_attribute
 from fruitlangs.operators.data.write import save_blend, write_blend, write_result
-from fruitlangs.operators.data.write_fruits import LABEL_HUES
+from fruitlangs.operators.viewport.fruit_colours import LABEL_HUES
 from fruitlangs.operators.data.write_gaussians import ASKED, asked_words
 from fruitlangs.operators.data.write_points import write_points
 from fruitlangs.operators.data.write_root import looked_at, write_root
@@ -288,6 +288,44 @@ print("saved")
     with (tmp_path / "log").open("w") as log:
         subprocess.run([sys.executable, "-c", script], stdout=log, check=True)
     assert (tmp_path / "log").read_text() == "saved\n"
+
+
+def on_two_trees(counted, *trees):
+    """The fruit on these trees, None for none."""
+    fruits = [
+        dataclasses.replace(fruit, tree=tree) for fruit, tree in zip(counted.fruit_count.fruits, trees, strict=True)
+    ]
+    return dataclasses.replace(counted, fruit_count=dataclasses.replace(counted.fruit_count, fruits=fruits))
+
+
+def test_the_fruit_of_each_tree_are_in_a_collection_of_their_own_and_in_that_of_all_fruit(counted):
+    written(on_two_trees(counted, 1, 2, None))
+    held = {each.name: [item.name for item in each.objects] for each in bpy.data.collections}
+    assert (held["Tree 1"], held["Tree 2"]) == (["apple.001"], ["apple.002"])
+    assert len(held["Fruits"]) == 3
+    written(on_two_trees(counted, 2, 2, 2))
+    assert len(bpy.data.collections["Tree 2"].objects) == 3
+    assert "Tree 1" not in bpy.data.collections
+    written(counted)
+    assert not [each.name for each in bpy.data.collections if each.name.startswith("Tree")]
+
+
+def test_fruit_are_coloured_by_label_tree_or_probability(counted, extension):
+    written(on_two_trees(counted, 1, 1, 2))
+    look, items = bpy.context.scene.fruitlangs.look, [bpy.data.objects[f"apple.00{k}"] for k in (1, 2, 3)]
+
+    def colors():
+        return [tuple(np.round(item.color, 4)) for item in items]
+
+    by_label = colors()
+    look.fruit = "TREE"
+    one, same, other = colors()
+    assert one == same != other
+    look.fruit = "PROBABILITY"
+    assert len(set(colors())) == 1  # all have .9
+    assert colors()[0] not in (one, other)
+    look.fruit = "LABEL"
+    assert colors() == by_label
 
 
 def test_every_fruit_the_encoder_knows_has_a_hue_of_its_own():

@@ -71,6 +71,14 @@ def test_toml_gives_settings_for_all_trees_and_for_one(tmp_path: Path) -> None:
     assert eight.config.units.metres_per_unit == 0.5
 
 
+def test_a_row_has_a_number_of_trees_or_the_places_of_their_trunks(tmp_path: Path) -> None:
+    lines = "id,source,prompt,trees\n1,a,apple,6\n2,b,apple,0 0 0 2.5 0 0\n3,c,apple,\n"
+    six, two, none = (tree.config.count for tree in read_manifest(written(tmp_path, lines)))
+    assert (six.trees, six.tree_places) == (6, None)
+    assert two.tree_places == (0.0, 0.0, 0.0, 2.5, 0.0, 0.0)
+    assert (none.trees, none.tree_places) == (0, None)
+
+
 def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
     for name in ("tree 2", "tree 1", "notes"):
         (tmp_path / name).mkdir()
@@ -102,6 +110,8 @@ def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
         ("id,source,prompt,preset\n1,a,apple,best\n", "line 2: preset 'best' is none of quick, standard, paper"),
         ("id,source,prompt,settings\n1,a,apple,train.stepz=3\n", "line 2: 'train.stepz' is not a setting"),
         ("id,source,prompt,settings\n1,a,apple,train.steps=-3\n", "line 2: tree 1: --train.steps"),
+        ("id,source,prompt,trees\n1,a,apple,2.5\n", "line 2: trees '2.5' is not a number of trees"),
+        ("id,source,prompt,trees\n1,a,apple,0 0\n", "line 2: tree 1: --count.tree-places"),
         ("id,source,prompt,box\n1,a,apple,0 0 1\n", "line 2: box has 3 numbers, not six"),
     ],
 )

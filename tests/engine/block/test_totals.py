@@ -14,9 +14,12 @@ from PIL import Image
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.page import write_page
+from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
-from fruitlangs.engine.block.totals import SHARED, Amount, CountedTree, of_all, read_counts, summed
-from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.block.totals import SHARED, Amount, of_all, summed
+from fruitlangs.engine.block.trees import CountedTree, read_counts
+from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
+from fruitlangs.engine.errors import ConfigError, FormatError
 
 TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
 
@@ -74,6 +77,7 @@ def block(folder: Path) -> list[CountedTree]:
             CountedTree(
                 entry=entry,
                 state=done,
+                counted=10,
                 visible=TREE,
                 total=Amount(count=10, likely=20.0, low=15.0, high=30.0),
                 diameters=(0.07, 0.08),
@@ -151,3 +155,123 @@ def test_a_tree_without_a_place_has_that_of_its_photos(tmp_path: Path) -> None:
     one, other = (each.entry for each in read_counts(ledger))
     assert (one.latitude, one.longitude) == pytest.approx((47.0, 9.1))
     assert (other.latitude, other.longitude) == (1.0, 2.0)
+
+
+def row_result(ledger: Ledger, entry: TreeEntry) -> None:
+    """A result with two trees 4 m apart, with two fruit and one, and one fruit of no tree."""
+    fruits = [
+        {"id": number, "label": "apple", "center": [0, 0, 0], "diameter": size, "volume": 1e-4, "color": [190, 30, 40]}
+        | {"tree": tree, "probability": 0.9, "axes": [[0.04, 0, 0], [0, 0.04, 0], [0, 0, 0.04]]}
+        for number, (tree, size) in enumerate([(1, 0.07), (1, 0.08), (2, 0.06), (None, 0.07)], start=1)
+    ]
+    common = {"interval": [1, 3], "total": 4.0, "total_interval": [2, 6]}
+    trees = [
+        {"number": 1, "position": [0, 0, 0], "count": 2, "likely": 2.2, **common},
+        {"number": 2, "position": [0, 8, 0], "count": 1, "likely": 1.1, **common},
+    ]
+    document = {
+        "schema": "fruitlangs.fruits/1",
+        "set_id": "1",
+        "count": 4,
+        "unit": "m",
+        "metres_per_unit": 0.5,
+        "fruits": fruits,
+        "trees": trees,
+        "config": {},
+        "files": {},
+        "provenance": {
+            "source": "row",
+            "inputs_sha256": "0",
+            "encoder": "e",
+            "training": {"psnr": None, "ssim": None},
+            "prompts": ["apple"],
+        },
+    }
+    folder = ledger.result(entry).path
+    folder.mkdir(parents=True)
+    (folder / "fruits.json").write_text(json.dumps(document))
+    ledger.write(entry, TreeState(stage="done", fingerprint=entry.fingerprint, run="1", seconds=3.0))
+
+
+def test_a_row_has_a_line_for_each_of_its_trees(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",), position=10.0)
+    lone = TreeEntry(id="lone", source=tmp_path / "lone", prompt=("apple",))
+    ledger.write_trees([row, lone])
+    row_result(ledger, row)
+    one, two, waiting = read_counts(ledger)
+    assert [(tree.entry.id, tree.entry.row, tree.entry.position) for tree in (one, two)] == [
+        ("west-1", "west", 10.0),
+        ("west-2", "west", 14.0),
+    ]
+    assert one.visible == Amount(count=2, likely=2.2, low=1, high=3)
+    assert (one.diameters, two.diameters) == ((0.07, 0.08), (0.06,))
+    assert (waiting.entry.id, waiting.visible) == ("lone", None)
+    document = summary([one, two, waiting], all_trees=None, density=None)
+    assert (document["trees"], document["done"], document["elsewhere"]) == (3, 2, 1)
+    assert document["rows"]["west"]["count"] == 3
+    files = write_tables(ledger.path, [one, two, waiting], rows_of([one, two, waiting], None), document)
+    assert [tree["result"] for tree in json.loads(files[1].read_text())["by_tree"]] == ["trees/west"] * 2 + [
+        "trees/lone"
+    ]
+    page = write_page(ledger.path, [one, two], rows_of([one, two], None), document).read_text()
+    assert "1 counted fruit belong to no tree of their row and are not in the sums." in page
+    assert page.count("<circle") == 2
+
+
+def reviewed(tree: int | None, standing: Standing, probability: float = 0.6) -> ReviewedFruit:
+    return ReviewedFruit(
+        tree=tree,
+        standing=standing,
+        probability=probability,
+        center=(0.0, 7.0, 0.0),
+        axes=((0.05, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.05)),
+        diameter=0.1,
+        volume=5e-4,
+        color=(60, 140, 40),
+    )
+
+
+def test_the_tables_use_the_review_of_a_tree_and_keep_what_was_counted(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    decided = [reviewed(1, "rejected"), reviewed(1, ""), reviewed(2, "confirmed"), reviewed(None, "added")]
+    write_review(ledger.result(row).path, "1", Review(fruits=decided))
+    one, two = read_counts(ledger)
+    assert [(tree.counted, tree.visible and tree.visible.count) for tree in (one, two)] == [(2, 1), (1, 2)]
+    assert one.diameters == (0.1,)
+    assert two.colors == ((60, 140, 40),) * 2
+    assert two.visible is not None
+    assert two.visible.low == 2  # confirmed, and added by the user
+    lines = rows_of([one, two], None)
+    assert [(line["count"], line["reviewed"]) for line in lines] == [(2, 1), (1, 2)]
+    assert summary([one, two], all_trees=None, density=None)["block"]["count"] == 3
+    assert two.total is not None
+    assert (two.total.likely, two.total.count) == (5.0, 2)
+
+
+def test_a_review_of_an_earlier_count_is_not_used_and_a_damaged_one_is_an_error(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    folder = ledger.result(row).path
+    write_review(folder, "another set", Review(fruits=[reviewed(1, "rejected")]))
+    assert not any(tree.reviewed for tree in read_counts(ledger))
+    (folder / REVIEW).write_text('{"set_id": "1", "fruits": [{"tree": 1}]}')
+    with pytest.raises(FormatError, match=r"review\.json is damaged"):
+        read_counts(ledger)
+
+
+def test_the_decisions_of_a_review_can_be_read_again(tmp_path: Path) -> None:
+    spot = ball(7, "apple", np.array([1.0, 2.0, 3.0]), 0.08)
+    decision = Decision("add", "2026-11-28T10:00:00Z", "half hidden", (), (spot,))
+    write_review(tmp_path, "1", Review(fruits=[reviewed(1, "added")], decisions=[decision]))
+    review = read_review(tmp_path, "1")
+    assert review is not None
+    (read,) = review.decisions
+    assert (read.action, read.reason, read.before, read.after[0].id) == ("add", "half hidden", (), 7)
+    np.testing.assert_array_equal(read.after[0].axes, spot.axes)
+    assert review.fruits == [reviewed(1, "added")]

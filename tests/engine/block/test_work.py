@@ -15,7 +15,7 @@ import pytest
 
 from fruitlangs.engine.block.ledger import MOST_CRASHES, Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
-from fruitlangs.engine.block.totals import read_counts
+from fruitlangs.engine.block.trees import read_counts
 from fruitlangs.engine.block.worker import work
 from fruitlangs.engine.errors import Cancelled, OutputError, SceneError
 

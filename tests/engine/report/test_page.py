@@ -115,7 +115,7 @@ def test_what_the_user_decided_stands_next_to_the_count(tmp_path: Path) -> None:
 
 
 def test_each_tree_of_a_row_has_its_count(tmp_path: Path) -> None:
-    trees = [Tree(1, np.zeros(3), 31, (30, 33), 34.0, (31, 39)), Tree(2, np.ones(3), 12)]
+    trees = [Tree(1, np.zeros(3), 31, (30, 33), 31.5, 34.0, (31, 39)), Tree(2, np.ones(3), 12)]
     text = " ".join(page(tmp_path, count_of(*TWO.fruits, trees=trees)).text.split())
     assert "13130–3331–39 212--" in text
     assert "By tree" in text

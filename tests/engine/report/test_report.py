@@ -110,7 +110,7 @@ def test_fruits_json_counts_hanging_and_fallen_fruit_apart_and_by_tree(tmp_path:
     assert (document["count"], document["hanging"], document["fallen"]) == (2, 1, 1)
     assert [(fruit["fallen"], fruit["tree"]) for fruit in document["fruits"]] == [(False, 1), (True, None)]
     first = {"number": 1, "position": [0.0, 0.5, -1.0], "count": 1}
-    first |= {"interval": None, "total": None, "total_interval": None}
+    first |= {"likely": None, "interval": None, "total": None, "total_interval": None}
     assert document["trees"] == [first, {**first, "number": 2, "position": [5.0, 0.5, -1.0], "count": 0}]
 
 

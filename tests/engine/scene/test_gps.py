@@ -10,7 +10,7 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.scene.gps import GpsScale, GpsTag, local_metres, read_gps, scale_by_gps
+from fruitlangs.engine.scene.gps import GpsScale, GpsTag, degrees_of, local_metres, read_gps, scale_by_gps
 from fruitlangs.engine.scene.photos.lens import Lens
 from fruitlangs.engine.scene.photos.photo import posed_photos
 
@@ -213,3 +213,33 @@ def test_a_photo_whose_tags_make_no_sense_is_reported_and_the_others_count(tmp_p
     assert len(found.notices) == 1
     assert "005.jpg make no sense" in found.notices[0]
     assert "photos left out of the scale: 1" in found.notices[0]
+
+
+@pytest.mark.parametrize("straight", [True, False], ids=["a flight on one line", "a walk there and back"])
+def test_points_of_a_row_are_placed_on_the_earth(straight: bool) -> None:
+    """Scene units are half a metre, the scene's y points down, and its x to the north-east."""
+    along = np.linspace(0.0, 60.0, 40)
+    level = np.stack([along, np.zeros(40) if straight else 4.0 * (np.arange(40) % 2)], axis=1)
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+
+    def earth(places: np.ndarray) -> np.ndarray:
+        return 0.5 * places @ turn
+
+    # Seen from above, x is to the right and z, with y down, is upwards on the map.
+    centers = np.stack([level[:, 0], np.full(40, -3.0), level[:, 1]], axis=1)
+    error = np.random.default_rng(1).normal(0.0, 0.02, (40, 2))
+    tags = [tag_at(*place, None) for place in earth(level) + error]
+    asked = np.array([[10.0, 0.0, 3.0], [50.0, 0.0, -2.0]])
+    found = degrees_of(asked, centers, tags, np.array([0.0, -1.0, 0.0]))
+    expected = [tag_at(*place, None) for place in earth(asked[:, [0, 2]])]
+    assert found is not None
+    metres = local_metres([*(GpsTag(*each, None) for each in found), *expected])
+    assert np.abs(metres[:2] - metres[2:]).max() < 0.05
+
+
+def test_tags_that_only_scatter_place_no_point() -> None:
+    random = np.random.default_rng(1)
+    tags = [tag_at(*place, None) for place in random.normal(0.0, 3.0, (40, 2))]
+    up = np.array([0.0, 0.0, 1.0])
+    assert degrees_of(np.zeros((1, 3)), random.normal(0.0, 2.0, (40, 3)), tags, up) is None
+    assert degrees_of(np.zeros((1, 3)), np.zeros((40, 3)), tags, up) is None

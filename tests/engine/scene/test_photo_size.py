@@ -11,12 +11,13 @@ from PIL import Image
 from fruitlangs.engine.config import Config, EmbedConfig, SceneConfig
 from fruitlangs.engine.language.features.embedder import Embedder
 from fruitlangs.engine.photo_size import reduction, seen_width, side_to_read, width_notices
-from fruitlangs.engine.reconstruction import Run, reading_larger
+from fruitlangs.engine.reconstruction import reading_larger
 from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.scene.photos.lens import Lens
 from fruitlangs.engine.scene.photos.photo import make_scene, posed_photos
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.scene.source import Source
+from fruitlangs.engine.training import Run
 
 SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
 

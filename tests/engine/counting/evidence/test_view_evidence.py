@@ -66,6 +66,7 @@ def test_many_views_are_drawn_smaller_and_show_as_many_gaussians(monkeypatch: py
     whole = find_visibility(tree.gaussians, tree.cameras)
     pixels = sum(camera.width * camera.height for camera in tree.cameras)
     monkeypatch.setattr(visibility, "MOST_PIXELS", pixels // 9)
+    monkeypatch.setattr(visibility, "LEAST_VIEW", 1)
     small = find_visibility(tree.gaussians, tree.cameras)
     seen = whole.views > 0
     assert (small.views[seen] == 0).mean() < 0.02

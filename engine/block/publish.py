@@ -1,0 +1,48 @@
+"""Writes the answer for a block: from the results of its trees to tables and a page."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .ledger import Ledger
+from .page import write_page
+from .tables import ORCHARD_JSON, rows_of, summary, write_tables
+from .trees import CountedTree, read_counts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The trees of a block, their sums (see `tables.summary`), and the written files."""
+
+    trees: list[CountedTree]
+    document: dict[str, Any]
+    files: list[Path]
+
+
+def publish_block(ledger: Ledger, *, all_trees: int | None = None, density: float | None = None) -> Answer:
+    """Write the tables and the page of a block from what its results, and the reviews of these, say now.
+
+    all_trees, density: as of `tables.summary`.
+
+    Raises:
+        OutputError, FormatError: the folder is none of a block, cannot be written, or a result of it is damaged.
+        ConfigError: as `totals.of_all`.
+    """
+    trees = read_counts(ledger)
+    rows = rows_of(trees, density)
+    document = summary(trees, all_trees=all_trees, density=density)
+    files = write_tables(ledger.path, trees, rows, document)
+    files.append(write_page(ledger.path, trees, rows, document))
+    return Answer(trees=trees, document=document, files=files)
+
+
+def publish_again(ledger: Ledger) -> Answer:
+    """The same with the number of all trees and the density that were given the last time."""
+    document: dict[str, Any] = {}
+    with suppress(OSError, ValueError):
+        document = json.loads((ledger.path / ORCHARD_JSON).read_text(encoding="utf-8"))
+    return publish_block(ledger, all_trees=document.get("all_trees", {}).get("trees"), density=document.get("density"))

@@ -1,0 +1,201 @@
+"""The trees of a block with what their results say; a result of a row holds several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..counting.accounts.review import corrected_interval
+from ..errors import FruitLangsError
+from ..report.results import FRUITS_JSON, parse_results
+from ..scene.formats.cameras_json import camera_names, read_cameras
+from ..scene.gps import GpsTag, degrees_of, read_gps
+from ..scene.sfm.find_cameras import list_photos
+from ..scene.source import Source
+from ..training import CAMERAS
+from .ledger import Ledger, TreeState
+from .manifest import TreeEntry
+from .reviews import ReviewedFruit, fruit_of, read_review
+from .totals import Amount
+
+TAGS, TAGS_OF_ROW = 5, 100
+"""Photos whose GPS tags give a tree its place, and the trees of a row theirs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedTree:
+    """A tree of the block.
+
+    folder: id of its line in the manifest, which names the folder of its result; counted: fruit before a review;
+    visible, total: None unless it is done, after the review if it was `reviewed`; diameters: metres or scene units;
+    volumes: of all fruit; metric: whether they are metres; colors: mean sRGB of each fruit; elsewhere: fruit of the
+    same result that belong to no tree, of the first tree of a row only. The place of `entry` is that of the photos if
+    the manifest does not give it.
+    """
+
+    entry: TreeEntry
+    state: TreeState
+    folder: str = ""
+    counted: int | None = None
+    visible: Amount | None = None
+    total: Amount | None = None
+    reviewed: bool = False
+    diameters: tuple[float, ...] = ()
+    volume: float = 0.0
+    metric: bool = False
+    colors: tuple[tuple[int, int, int], ...] = ()
+    elsewhere: int = 0
+
+
+def read_counts(ledger: Ledger) -> list[CountedTree]:
+    """Every tree of the block with what its result says.
+
+    Raises:
+        OutputError, FormatError: the folder is none of a block, or a result of it is damaged.
+    """
+    found, states = [], ledger.states()
+    for entry in ledger.trees():
+        state = states[entry.id]
+        if state.stage != "done":
+            found.append(CountedTree(entry=_placed(entry), state=state, folder=entry.id))
+            continue
+        folder = ledger.result(entry).path
+        document = parse_results(folder / FRUITS_JSON)
+        review = read_review(folder, document["set_id"])
+        fruits, reviewed = fruit_of(document, review), review is not None
+        if document.get("trees"):
+            found += _row(entry, state, document, fruits, reviewed, folder)
+        else:
+            found.append(_counted(_placed(entry), state, document, fruits, reviewed, folder=entry.id))
+    return found
+
+
+def _row(
+    entry: TreeEntry,
+    state: TreeState,
+    document: dict[str, Any],
+    fruits: Sequence[ReviewedFruit],
+    reviewed: bool,
+    folder: Path,
+) -> list[CountedTree]:
+    """The trees of a result that tells them apart."""
+    trees = document["trees"]
+    feet = np.array([tree["position"] for tree in trees], np.float64)
+    along = np.linalg.norm(feet - feet[0], axis=1) * (document["metres_per_unit"] or 1.0)
+    earth = _places_of_trees(entry, folder, feet)
+    found = []
+    for place, tree in enumerate(trees):
+        latitude, longitude = (None, None) if earth is None else (round(float(each), 7) for each in earth[place])
+        own = replace(
+            entry,
+            id=f"{entry.id}-{tree['number']}",
+            row=entry.row or entry.id,
+            position=round((entry.position or 0.0) + float(along[place]), 3),
+            latitude=latitude,
+            longitude=longitude,
+        )
+        bears = [fruit for fruit in fruits if fruit.tree == tree["number"]]
+        found.append(_counted(own, state, {**document, **tree}, bears, reviewed, folder=entry.id))
+    elsewhere = sum(fruit.counts and fruit.tree is None for fruit in fruits)
+    return [replace(found[0], elsewhere=elsewhere), *found[1:]]
+
+
+def _counted(
+    entry: TreeEntry,
+    state: TreeState,
+    said: dict[str, Any],
+    fruits: Sequence[ReviewedFruit],
+    reviewed: bool,
+    *,
+    folder: str,
+) -> CountedTree:
+    """A tree with its fruit. said: count and intervals of the tree before the review, and the unit of the result."""
+    count = int(said["count"])
+    low, high = said.get("interval") or (count, count)
+    likely, total = said.get("likely"), said.get("total")
+    least, most = said.get("total_interval") or (count, count)
+    visible = Amount(count=count, likely=count if likely is None else likely, low=low, high=high)
+    hidden = None if total is None else Amount(count=count, likely=total, low=least, high=most)
+    if reviewed:
+        visible = _reviewed(visible, fruits)
+        hidden = None if hidden is None else _moved(hidden, visible)
+    standing = [fruit for fruit in fruits if fruit.counts]
+    return CountedTree(
+        entry=entry,
+        state=state,
+        folder=folder,
+        counted=count,
+        visible=visible,
+        total=hidden,
+        reviewed=reviewed,
+        diameters=tuple(fruit.diameter for fruit in standing),
+        volume=float(sum(fruit.volume for fruit in standing)),
+        metric=said["unit"] == "m",
+        colors=tuple(fruit.color for fruit in standing),
+    )
+
+
+def _reviewed(before: Amount, review: Sequence[ReviewedFruit]) -> Amount:
+    """The number of fruit after a review, with the interval that it leaves."""
+    found = [fruit for fruit in review if fruit.standing != "added"]
+    after = sum(fruit.counts for fruit in review)
+    low, high = corrected_interval(
+        before.count,
+        (int(before.low), int(before.high)),
+        np.array([fruit.probability for fruit in found]),
+        np.array([fruit.standing != "" for fruit in found], bool),
+        sum(fruit.standing == "rejected" for fruit in found),
+        after,
+    )
+    # The count and its most likely number differ by what it may have missed or taken for fruit.
+    likely = after + np.clip(before.likely - before.count, low - after, high - after)
+    return Amount(count=after, likely=float(likely), low=low, high=high)
+
+
+def _moved(total: Amount, visible: Amount) -> Amount:
+    """The number with hidden fruit after a review that changed the number of visible ones."""
+    moved = [max(each + visible.count - total.count, visible.count) for each in (total.likely, total.low, total.high)]
+    return Amount(count=visible.count, likely=moved[0], low=moved[1], high=moved[2])
+
+
+def _photos(entry: TreeEntry, most: int) -> list[Path]:
+    """At most this many of the photos of a tree, evenly chosen; none if its source is no folder of photos."""
+    folder = Source(path=entry.source).photos_folder() if entry.source.is_dir() else None
+    photos = [] if folder is None else list_photos(folder)
+    return photos[:: max(len(photos) // most, 1)]
+
+
+def _placed(entry: TreeEntry) -> TreeEntry:
+    """The entry with the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
+    if entry.latitude is not None:
+        return entry
+    tags = [tag for photo in _photos(entry, TAGS) if (tag := _tag(photo)) is not None]
+    if not tags:
+        return entry
+    latitude, longitude = (float(np.mean([getattr(tag, name) for tag in tags])) for name in ("latitude", "longitude"))
+    return replace(entry, latitude=round(latitude, 7), longitude=round(longitude, 7))
+
+
+def _places_of_trees(entry: TreeEntry, folder: Path, feet: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(T, 2) latitude and longitude of trees at feet (T, 3), by the GPS tags of the photos; None if these do not give
+    them."""
+    tags = {photo.name: tag for photo in _photos(entry, TAGS_OF_ROW) if (tag := _tag(photo)) is not None}
+    if not tags:
+        return None
+    scene, names = read_cameras(folder / CAMERAS), camera_names(folder / CAMERAS)
+    tagged = [(camera.center, tags[name]) for name, camera in zip(names, scene.cameras, strict=True) if name in tags]
+    if not tagged:
+        return None
+    return degrees_of(feet, np.array([center for center, _ in tagged]), [tag for _, tag in tagged], scene.up)
+
+
+def _tag(photo: Path) -> GpsTag | None:
+    try:
+        return read_gps(photo)
+    except (FruitLangsError, OSError):
+        return None

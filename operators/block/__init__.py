@@ -1,0 +1,1 @@
+"""Many trees in one Blender scene, and the review of each."""

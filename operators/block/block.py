@@ -1,0 +1,268 @@
+"""Opens a block of trees as one scene, its trees for review, and writes the reviews into its tables."""
+
+# Blender declares properties by calls in annotations.
+# mypy: disable-error-code="valid-type"
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ...engine.errors import ConfigError
+from ...engine.progress import part
+from ..blender_data import owned_object, owned_objects, select_only
+from ..data.fruit_objects import REVIEW, metres_per_unit, read_log, spot_of, write_log
+from ..data.stored_review import is_reviewed, keep_corrections
+from ..data.write import SET_ID
+from ..jobs.jobs import JobOperator, Work, busy, linked
+from ..settings.settings import known_path, stored_path
+from ..viewport.viewport import look_from_around, show_colors, shown_screens
+from .write_overview import TREE, color_fruit, write_overview
+
+if TYPE_CHECKING:
+    from ...engine.block.reviews import Review
+    from ...engine.progress import Progress
+    from .overview import ShownResult
+
+TREE_OF, OVERVIEW = "fruitlangs_tree_of_block", "fruitlangs_overview"
+"""Custom properties of the Blender scene of a tree: the folder of its result in the block; and of that of a block."""
+
+
+def block_folder(bpy_scene: bpy.types.Scene) -> Path:
+    """The folder of the block that was chosen in this Blender scene.
+
+    Raises:
+        ConfigError: none is.
+    """
+    folder = known_path(bpy_scene.fruitlangs.block.folder)
+    if folder is None:
+        raise ConfigError("Choose the folder that count_orchard.py wrote (its --out)")
+    return folder
+
+
+class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.open_block"
+    bl_label = "Open Orchard"
+    bl_description = "Show all trees of a block that count_orchard.py counted"
+    bl_options = {"UNDO"}
+
+    title = "Open Orchard"
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not busy(cls) and not linked(cls, context) and context.scene is not None
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not bpy.app.background and not self.directory and not context.scene.fruitlangs.block.folder:
+            return self.ask_where(context)
+        return super().invoke(context, event)
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        if self.directory:
+            context.scene.fruitlangs.block.folder = stored_path(Path(bpy.path.abspath(self.directory)))
+        folder = block_folder(context.scene)
+        return lambda progress: read_block(folder, progress)
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        bpy_scene = self._target.scene(context)
+        show_block(context, bpy_scene, result)
+        trees = bpy_scene.fruitlangs.block.trees
+        self.report({"INFO"}, f"{len(trees)} trees, {sum(max(tree.counted, 0) for tree in trees)} fruit counted")
+
+
+class FRUITLANGS_OT_open_tree(bpy.types.Operator):
+    bl_idname = "fruitlangs.open_tree"
+    bl_label = "Open Tree"
+    bl_description = "Open the result of the active tree in a Blender scene of its own, to review it"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or context.scene is None:
+            return False
+        block = context.scene.fruitlangs.block
+        if not 0 <= block.active < len(block.trees):
+            cls.poll_message_set("Choose a tree in the list")
+            return False
+        if block.trees[block.active].counted < 0:
+            cls.poll_message_set("This tree is not counted")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        overview = context.scene
+        tree = overview.fruitlangs.block.trees[overview.fruitlangs.block.active]
+        bpy_scene = next((each for each in bpy.data.scenes if _tree_of(each, overview) == tree.folder), None)
+        if bpy_scene is not None:
+            _enter(context, bpy_scene)
+            return {"FINISHED"}
+        bpy_scene = bpy.data.scenes.new(tree.folder)
+        bpy_scene[TREE_OF], bpy_scene[OVERVIEW] = tree.folder, overview
+        result = block_folder(overview) / "trees" / tree.folder
+        bpy_scene.fruitlangs.source = stored_path(result)
+        _restore(bpy_scene, result)
+        _enter(context, bpy_scene)
+        with context.temp_override(scene=bpy_scene, view_layer=bpy_scene.view_layers[0]):
+            return set(bpy.ops.fruitlangs.import_scene("INVOKE_DEFAULT"))
+
+
+class FRUITLANGS_OT_show_block(bpy.types.Operator):
+    bl_idname = "fruitlangs.show_block"
+    bl_label = "Back to Orchard"
+    bl_description = "Show all trees of the block again"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.scene is not None and context.scene.get(OVERVIEW) is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        _enter(context, context.scene[OVERVIEW])
+        return {"FINISHED"}
+
+
+class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.update_block"
+    bl_label = "Update Tables"
+    bl_description = "Write the reviews of all opened trees into the tables and the page of the block"
+
+    title = "Update Tables"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or context.scene is None:
+            return False
+        if not context.scene.fruitlangs.block.trees:
+            cls.poll_message_set("Open the block first")
+            return False
+        return True
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        folder = block_folder(context.scene)
+        reviews = {}
+        for bpy_scene in bpy.data.scenes:
+            own = _tree_of(bpy_scene, context.scene)
+            if own is not None and is_reviewed(bpy_scene):
+                keep_corrections(bpy_scene)
+                reviews[own] = (str(bpy_scene.get(SET_ID, "")), read_review_of(bpy_scene))
+        return lambda progress: update_block(folder, reviews, progress)
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        reviewed, shown = result
+        show_block(context, self._target.scene(context), shown)
+        self.report({"INFO"}, f"Tables and page updated with the reviews of {reviewed} trees")
+
+
+def read_block(folder: Path, progress: Progress) -> list[ShownResult]:
+    """What is shown of a block; in the thread of a job."""
+    from .overview import read_overview
+
+    return read_overview(folder, progress)
+
+
+def update_block(
+    folder: Path, reviews: dict[str, tuple[str, Review]], progress: Progress
+) -> tuple[int, list[ShownResult]]:
+    """Store reviews, {folder of the result: (its set_id, review)}, and write the tables; returns the number of reviewed
+    trees, and what is shown of the block."""
+    from ...engine.block.ledger import Ledger
+    from ...engine.block.publish import publish_again
+    from ...engine.block.reviews import write_review
+
+    ledger = Ledger(folder)
+    for own, (set_id, review) in reviews.items():
+        write_review(ledger.folder(own).path, set_id, review)
+    progress(0.1, "writing the tables")
+    answer = publish_again(ledger)
+    return sum(tree.reviewed for tree in answer.trees), read_block(folder, part(progress, 0.2, 1.0))
+
+
+def read_review_of(bpy_scene: bpy.types.Scene) -> Review:
+    """The review of the result that this Blender scene shows, rejected fruit included."""
+    from ...engine.block.reviews import Review, ReviewedFruit
+
+    root, unit = owned_object(bpy_scene, "root"), metres_per_unit(bpy_scene) or 1.0
+    assert root is not None
+    fruits = []
+    for item in owned_objects(bpy_scene, "fruit"):
+        spot, tree = spot_of(item, root), item.get("tree")
+        color = np.round(255.0 * np.array(item.get("color", (0.8, 0.2, 0.2)))).astype(int)
+        fruits.append(
+            ReviewedFruit(
+                tree=None if tree is None else int(tree),
+                standing=item.get(REVIEW, ""),
+                probability=float(item.get("probability", 1.0)),
+                center=tuple(spot.center.tolist()),
+                axes=tuple(tuple(axis) for axis in (spot.axes * unit).tolist()),
+                diameter=spot.diameter * unit,
+                volume=float(np.pi / 6.0 * (spot.diameter * unit) ** 3),
+                color=tuple(color.tolist()),
+            )
+        )
+    return Review(fruits=fruits, decisions=read_log(bpy_scene))
+
+
+def _restore(bpy_scene: bpy.types.Scene, result: Path) -> None:
+    """Put the decisions that were stored with a result into the log; they apply when the result is shown."""
+    from ...engine.block.reviews import read_review
+    from ...engine.report.results import FRUITS_JSON, parse_results
+
+    review = read_review(result, parse_results(result / FRUITS_JSON)["set_id"])
+    for decision in () if review is None else review.decisions:
+        write_log(bpy_scene, decision)
+
+
+def _tree_of(bpy_scene: bpy.types.Scene, overview: bpy.types.Scene) -> str | None:
+    """The folder of the tree that a Blender scene shows, if it is one of this overview's."""
+    return str(bpy_scene[TREE_OF]) if bpy_scene.get(OVERVIEW) == overview and TREE_OF in bpy_scene else None
+
+
+def _enter(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> None:
+    if context.window is not None:
+        context.window.scene = bpy_scene
+
+
+def show_block(context: bpy.types.Context, bpy_scene: bpy.types.Scene, results: list[ShownResult]) -> None:
+    """Show a block in this Blender scene, and list its trees."""
+    block = bpy_scene.fruitlangs.block
+    write_overview(bpy_scene, results, block.colors)
+    active = block.trees[block.active].name if 0 <= block.active < len(block.trees) else ""
+    block.trees.clear()
+    for result in results:
+        for tree in result.trees:
+            entry = block.trees.add()
+            entry.name, entry.folder, entry.problem = tree.name, result.folder, tree.problem
+            entry.counted, entry.reviewed = tree.counted, tree.reviewed
+    names = [tree.name for tree in block.trees]
+    block["active"] = names.index(active) if active in names else 0
+    screens = shown_screens(context, bpy_scene)
+    show_colors(screens, splats=False)
+    corners = [Vector((*result.place, 0.5 * result.width)) for result in results]
+    middle = sum(corners, Vector((0.0, 0.0, 0.0))) / max(len(corners), 1)
+    reach = max([result.width for result in results] + [(corner - middle).length for corner in corners])
+    look_from_around(screens, [middle + Vector((1.2 * reach, 0.0, 0.0)), middle - Vector((1.2 * reach, 0.0, 0.0))])
+
+
+def tree_chosen(block: Any, context: bpy.types.Context) -> None:
+    """Called when a tree was chosen in the list: select its fruit."""
+    if bpy.context.mode != "OBJECT" or not 0 <= block.active < len(block.trees):
+        return
+    name = block.trees[block.active].name
+    select_only(context, [item for item in owned_objects(context.scene, "block-fruit") if item.get(TREE) == name])
+
+
+def colors_chosen(block: Any, context: bpy.types.Context) -> None:
+    """Called when the colours of the fruit were chosen."""
+    color_fruit(block.id_data, block.colors)
+
+
+CLASSES = (
+    FRUITLANGS_OT_open_block,
+    FRUITLANGS_OT_open_tree,
+    FRUITLANGS_OT_show_block,
+    FRUITLANGS_OT_update_block,
+)

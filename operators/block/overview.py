@@ -1,0 +1,174 @@
+"""A block as it is shown: fruit and a few thousand Gaussians of each result, and where its trees stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.progress import Progress, silent
+from ..data.write_gaussians import REACH
+from ..data.write_root import looked_at, upright_matrix
+
+if TYPE_CHECKING:
+    from ...engine.block.reviews import ReviewedFruit
+    from ...engine.block.trees import CountedTree
+    from ...engine.scene.camera import Scene
+    from ...engine.splatting.gaussians import Gaussians
+
+FloatArray = NDArray[np.float64]
+
+MOST_POINTS, MOST_EACH = 300_000, 20_000
+"""Gaussians that are shown of all results together, and of one."""
+APART = 1.2
+"""Distance between two results whose places are not known, in widths of the widest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShownTree:
+    """A tree. name: of its line in the table; problem: why it has no count; counted, reviewed: numbers, -1 without;
+    centers, axes, probabilities: (F, 3), (F, 3, 3) half axes and (F,) of its fruit, in the frame of the result."""
+
+    name: str
+    problem: str = ""
+    counted: int = -1
+    reviewed: int = -1
+    centers: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    axes: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    probabilities: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShownResult:
+    """A result with its trees. folder: its name; place: (2,) in the world; matrix: (4, 4) from its frame to the world,
+    upright, with its middle over the origin; points, colors: (P, 3) the largest of its Gaussians and their sRGB; width:
+    of what is shown, in the world."""
+
+    folder: str
+    trees: Sequence[ShownTree]
+    place: FloatArray = field(default_factory=lambda: np.zeros(2))
+    matrix: FloatArray = field(default_factory=lambda: np.eye(4))
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    colors: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    width: float = 0.0
+
+
+def read_overview(block: Path, progress: Progress = silent) -> list[ShownResult]:
+    """Every result of a block, in the order of its manifest.
+
+    Raises:
+        OutputError, FormatError: the folder is none of a block, or a result of it is damaged.
+    """
+    from ...engine.block.ledger import Ledger
+    from ...engine.block.trees import read_counts
+
+    ledger = Ledger(block)
+    trees = read_counts(ledger)
+    own: dict[str, list[CountedTree]] = {}
+    for tree in trees:
+        own.setdefault(tree.folder, []).append(tree)
+    most = min(MOST_POINTS // max(len(own), 1), MOST_EACH)
+    found = []
+    for number, (folder, its) in enumerate(own.items()):
+        progress(number / len(own), f"reading {folder}, {number + 1} of {len(own)}")
+        found.append(_read(ledger.folder(folder).path, its, most))
+    return [replace(each, place=place) for each, place in zip(found, _places(found, own), strict=True)]
+
+
+def _read(path: Path, trees: Sequence[CountedTree], most: int) -> ShownResult:
+    from ...engine.block.reviews import fruit_of, read_review
+    from ...engine.report.results import FRUITS_JSON, parse_results
+    from ...engine.scene.formats.cameras_json import read_cameras
+    from ...engine.splatting.ply import read_ply
+    from ...engine.training import CAMERAS, GAUSSIANS
+
+    if trees[0].visible is None:
+        return ShownResult(folder=path.name, trees=[_uncounted(tree) for tree in trees])
+    document = parse_results(path / FRUITS_JSON)
+    unit = document["metres_per_unit"] or 1.0
+    fruits = [fruit for fruit in fruit_of(document, read_review(path, document["set_id"])) if fruit.counts]
+    numbers = [tree["number"] for tree in document.get("trees") or []] or [None]
+    shown = [
+        _tree(tree, [fruit for fruit in fruits if number is None or fruit.tree == number], unit)
+        for tree, number in zip(trees, numbers, strict=True)
+    ]
+    scene = replace(read_cameras(path / CAMERAS), metres_per_unit=document["metres_per_unit"])
+    points, colors = _largest(scene, read_ply(path / GAUSSIANS), most)
+    matrix = np.diag([unit, unit, unit, 1.0]) @ upright_matrix(replace(scene, points=points))
+    matrix = _along_x(matrix, [tree.centers.mean(axis=0) for tree in shown if len(tree.centers)]) @ matrix
+    centers = [tree.centers for tree in shown if len(tree.centers)]
+    world = (np.concatenate(centers) if centers else points) @ matrix[:3, :3].T
+    width = float(np.ptp(world[:, :2], axis=0).max()) if len(world) else 0.0
+    return ShownResult(folder=path.name, trees=shown, matrix=matrix, points=points, colors=colors, width=width)
+
+
+def _along_x(matrix: FloatArray, trees: Sequence[FloatArray]) -> FloatArray:
+    """(4, 4) the turn about z after which trees of a row, at (3,) in its frame, follow each other along x."""
+    turn = np.eye(4)
+    if len(trees) > 1:
+        x, y = (matrix[:3, :3] @ (trees[-1] - trees[0]))[:2]
+        turn[:2, :2] = np.array([[x, y], [-y, x]]) / max(float(np.hypot(x, y)), 1e-12)
+    return turn
+
+
+def _uncounted(tree: CountedTree) -> ShownTree:
+    return ShownTree(name=tree.entry.id, problem=tree.state.reason or tree.state.stage)
+
+
+def _tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> ShownTree:
+    assert tree.visible is not None
+    return ShownTree(
+        name=tree.entry.id,
+        counted=tree.counted or 0,
+        reviewed=tree.visible.count if tree.reviewed else -1,
+        centers=np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3),
+        axes=np.array([fruit.axes for fruit in fruits], np.float64).reshape(-1, 3, 3) / unit,
+        probabilities=np.array([fruit.probability for fruit in fruits], np.float64),
+    )
+
+
+def _largest(scene: Scene, gaussians: Gaussians, most: int) -> tuple[FloatArray, FloatArray]:
+    """(P, 3) means and (P, 3) sRGB of the Gaussians that cover most, without distant ones."""
+    means = gaussians.means.double().numpy()
+    scales = np.sort(gaussians.scales.double().numpy(), axis=1)
+    covered = gaussians.opacities.double().numpy() * scales[:, 1] * scales[:, 2]
+    covered[np.linalg.norm(means - looked_at(scene), axis=1) > REACH * scene.extent] = 0.0
+    chosen = np.sort(np.argsort(-covered, kind="stable")[: min(most, int((covered > 0.0).sum()))])
+    return means[chosen], gaussians.base_colors.double().numpy()[chosen]
+
+
+def _places(results: Sequence[ShownResult], own: dict[str, list[CountedTree]]) -> list[FloatArray]:
+    """(2,) in the world of each result: by GPS, else by row and position, if lengths are metres and all are known; else
+    row by row, side by side."""
+    from ...engine.scene.gps import GpsTag, local_metres
+
+    entries = [[tree.entry for tree in own[each.folder]] for each in results]
+    latitudes, longitudes, alongs = (
+        [_mean([getattr(entry, name) for entry in its]) for its in entries]
+        for name in ("latitude", "longitude", "position")
+    )
+    metric = all(tree.metric for its in own.values() for tree in its if tree.visible is not None)
+    if metric and None not in latitudes + longitudes:
+        tags = [GpsTag(*place, None) for place in zip(latitudes, longitudes, strict=True)]  # type: ignore[arg-type]
+        return list(local_metres(tags)[:, :2])
+    rows = list(dict.fromkeys(its[0].row for its in entries))
+    apart = APART * max((each.width for each in results), default=0.0) or 1.0
+    known = metric and None not in alongs
+    taken = dict.fromkeys(rows, 0)
+    found = []
+    for its, along in zip(entries, alongs, strict=True):
+        row = its[0].row
+        x = along if known and along is not None else apart * taken[row]
+        taken[row] += 1
+        found.append(np.array([x, -apart * rows.index(row)]))
+    return found
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Their mean; None if one is not known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known and len(known) == len(values) else None

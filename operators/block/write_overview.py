@@ -1,0 +1,147 @@
+"""Writes the overview of a block: a collection for each tree, its fruit as one mesh, and a few of its Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ..blender_data import (
+    OWNER,
+    linear_from_srgb,
+    new_object,
+    owned_collection,
+    owned_objects,
+    point_mesh,
+    remove_objects,
+    rgba,
+    set_attribute,
+)
+from ..viewport.fruit_colours import probability_colours, tree_colour
+from ..viewport.gaussian_nodes import point_node_group, set_input
+from .overview import ShownResult, ShownTree
+
+FloatArray = NDArray[np.float64]
+Colors = Literal["TREE", "PROBABILITY"]
+
+COLORS = "fruit color"
+"""Colour attribute of the fruit meshes."""
+TREE, PROBABILITIES = "fruitlangs_tree", "probability"
+"""Custom property of a tree's fruit: its name; and the attribute of the probability of each vertex' fruit."""
+SUBDIVISIONS = 2
+"""Of the icosphere that stands for a fruit: 42 vertices."""
+POINT_RADIUS = 0.006
+"""Radius of a point, in widths of what is shown."""
+
+
+def write_overview(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult], colors: Colors) -> None:
+    """Replace what this Blender scene shows of a block."""
+    remove_overview(bpy_scene)
+    parent = owned_collection(bpy_scene, "block", "Orchard")
+    number = 0
+    for result in results:
+        root = new_object(result.folder, None, "block-root", _collection(result.folder, parent), None)
+        root.empty_display_size = 0.1 * result.width or 0.1
+        root.matrix_basis = Matrix.Translation((*result.place, 0.0)) @ Matrix(result.matrix.tolist())
+        several = len(result.trees) > 1
+        for tree in result.trees:
+            own = root.users_collection[0]
+            collection = _collection(tree.name, own) if several else own
+            _write_fruit(tree, number, collection, root, colors)
+            number += 1
+        if len(result.points):
+            _write_points(result, root)
+
+
+def remove_overview(bpy_scene: bpy.types.Scene) -> None:
+    """Remove what this Blender scene shows of a block."""
+    for role in ("block-fruit", "block-points", "block-root"):
+        remove_objects(owned_objects(bpy_scene, role))
+    for collection in [each for each in bpy_scene.collection.children_recursive if each.get(OWNER) == "block-tree"]:
+        bpy.data.collections.remove(collection)
+
+
+def color_fruit(bpy_scene: bpy.types.Scene, colors: Colors) -> None:
+    """Colour all fruit by their tree, or by their probability."""
+    for number, item in enumerate(owned_objects(bpy_scene, "block-fruit")):
+        _color(item, number, colors)
+
+
+def _collection(name: str, parent: bpy.types.Collection) -> bpy.types.Collection:
+    collection = bpy.data.collections.new(name)
+    collection[OWNER] = "block-tree"
+    parent.children.link(collection)
+    return collection
+
+
+def _write_fruit(
+    tree: ShownTree, number: int, collection: bpy.types.Collection, root: bpy.types.Object, colors: Colors
+) -> None:
+    """One mesh of all fruit of a tree: a sphere stretched along the axes of each."""
+    vertices, faces = _sphere()
+    each = tree.centers[:, None] + np.einsum("vk,fkj->fvj", vertices, tree.axes)
+    steps = np.arange(len(tree.centers))[:, None, None] * len(vertices)
+    mesh = bpy.data.meshes.new(tree.name)
+    mesh.from_pydata(each.reshape(-1, 3).tolist(), [], (faces + steps).reshape(-1, 3).tolist())
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
+    set_attribute(mesh, PROBABILITIES, "FLOAT", np.repeat(tree.probabilities, len(vertices)))
+    mesh.materials.append(_material())
+    mesh.update()
+    item = new_object(f"{tree.name} fruit", mesh, "block-fruit", collection, root)
+    item[TREE] = tree.name
+    _color(item, number, colors)
+
+
+def _color(item: bpy.types.Object, number: int, colors: Colors) -> None:
+    mesh, count = item.data, len(item.data.vertices)
+    if colors == "TREE":
+        shown = np.tile(tree_colour(number), (count, 1))
+    else:
+        probabilities = np.empty(count, np.float32)
+        mesh.attributes[PROBABILITIES].data.foreach_get("value", probabilities)
+        shown = probability_colours(probabilities)
+    set_attribute(mesh, COLORS, "FLOAT_COLOR", rgba(linear_from_srgb(shown)))
+    mesh.attributes.active_color = mesh.attributes[COLORS]
+    mesh.update()
+
+
+def _write_points(result: ShownResult, root: bpy.types.Object) -> None:
+    mesh = point_mesh(f"{result.folder} Gaussians", result.points)
+    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(result.colors)))
+    mesh.update()
+    item = new_object(mesh.name, mesh, "block-points", root.users_collection[0], root)
+    item.hide_select = True
+    modifier = item.modifiers.new("Points", "NODES")
+    modifier.node_group = point_node_group()
+    scale = float(np.linalg.norm(result.matrix[0, :3]))
+    set_input(modifier, "Radius", POINT_RADIUS * result.width / scale)
+
+
+def _sphere() -> tuple[FloatArray, NDArray[np.int64]]:
+    """(V, 3) vertices of a unit sphere and (T, 3) its triangles."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=SUBDIVISIONS - 1)
+    return np.asarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int64)
+
+
+def _material() -> bpy.types.Material:
+    """A matt material in the colour attribute, one for all trees."""
+    for material in bpy.data.materials:
+        if material.get(OWNER) == "block-fruit":
+            return material
+    material = bpy.data.materials.new("Fruit of a block")
+    material[OWNER] = "block-fruit"
+    material.use_nodes = True
+    tree: Any = material.node_tree
+    skin = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    skin.inputs["Roughness"].default_value = 0.4
+    color = tree.nodes.new("ShaderNodeVertexColor")
+    color.layer_name = COLORS
+    color.location = (skin.location.x - 200, skin.location.y)
+    tree.links.new(color.outputs["Color"], skin.inputs["Base Color"])
+    return material

@@ -1,0 +1,176 @@
+"""A block of trees opens as one scene, and reviews of its trees go into its tables."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from fruitlangs.engine.block.ledger import Ledger, TreeState
+from fruitlangs.engine.block.manifest import TreeEntry
+from fruitlangs.engine.block.publish import publish_block
+from fruitlangs.engine.pipeline import count_scene
+from fruitlangs.fruitlangs_addon.panels.block_panel import cells
+from fruitlangs.operators.blender_data import get_attribute, owned_objects
+from fruitlangs.operators.block.block import OVERVIEW, TREE_OF
+from fruitlangs.operators.block.overview import read_overview
+from fruitlangs.operators.data.fruit_objects import REJECTED, standing
+
+
+@pytest.fixture(scope="module")
+def block(counted_balls: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two trees, a row of two trees, and a tree that failed."""
+    from conftest import balls_config
+
+    folder = tmp_path_factory.mktemp("orchard") / "block"
+    names = ("one", "two", "row", "lost")
+    trees = [
+        TreeEntry(id=name, source=folder / name, prompt=("apple",), row="A" if name == "row" else "B") for name in names
+    ]
+    ledger = Ledger(folder)
+    ledger.write_trees(trees)
+    for tree in trees[:2]:
+        shutil.copytree(counted_balls.out, ledger.result(tree).path)
+    config = replace(balls_config(), count=replace(balls_config().count, trees=2))
+    count_scene(counted_balls.out, ["apple"], ledger.result(trees[2]).path, config=config)
+    for tree in trees[:3]:
+        ledger.write(tree, TreeState(stage="done", fingerprint=tree.fingerprint))
+    lost = TreeState(stage="failed", fingerprint=trees[3].fingerprint, reason="no photos")
+    ledger.write(trees[3], lost)
+    publish_block(ledger, all_trees=40, density=900.0)
+    return folder
+
+
+@pytest.fixture
+def opened(block: Path, tmp_path: Path, extension: Any) -> Path:
+    """A copy of the block, opened."""
+    copy = tmp_path / "block"
+    shutil.copytree(block, copy)
+    bpy.ops.fruitlangs.open_block(directory=str(copy))
+    return copy
+
+
+def trees_of(scene: bpy.types.Scene) -> dict[str, Any]:
+    return {tree.name: tree for tree in scene.fruitlangs.block.trees}
+
+
+def open_tree(name: str) -> bpy.types.Scene:
+    """Open a tree of the block in the current scene, as the button does; returns its Blender scene."""
+    scene = bpy.context.scene
+    block = scene.fruitlangs.block
+    block.active = [tree.name for tree in block.trees].index(name)
+    bpy.ops.fruitlangs.open_tree()
+    return next(each for each in bpy.data.scenes if each.get(TREE_OF) == block.trees[block.active].folder)
+
+
+def test_a_block_is_one_scene_with_a_collection_for_each_tree(opened: Path) -> None:
+    scene = bpy.context.scene
+    names = [each.name for each in scene.collection.children_recursive]
+    assert {"Orchard", "one", "two", "row", "row-1", "row-2", "lost"} <= set(names)
+    assert [cells(tree) for tree in scene.fruitlangs.block.trees][-1] == ["no photos"]
+    for item in owned_objects(scene, "block-fruit"):
+        assert len(item.data.vertices) == 42 * max(trees_of(scene)[item["fruitlangs_tree"]].counted, 0)
+    assert (
+        sum(tree.counted for tree in trees_of(scene).values() if tree.folder == "row") == trees_of(scene)["one"].counted
+    )
+
+
+def test_fruit_are_where_the_result_has_them_and_trees_do_not_overlap(opened: Path, counted_balls: Any) -> None:
+    scene = bpy.context.scene
+    bpy.context.view_layer.update()
+    item = next(each for each in owned_objects(scene, "block-fruit") if each["fruitlangs_tree"] == "one")
+    vertices = np.array([vertex.co for vertex in item.data.vertices]).reshape(-1, 42, 3)
+    np.testing.assert_allclose(vertices.mean(axis=1), counted_balls.fruit_count.centers, atol=1e-4)
+    sizes = np.linalg.norm(vertices - vertices.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
+    np.testing.assert_allclose(2.0 * sizes, counted_balls.fruit_count.diameters, rtol=0.05)
+    boxes = []
+    for each in owned_objects(scene, "block-fruit"):
+        if each.name.startswith(("one", "two")):
+            world = np.array([each.matrix_world @ vertex.co for vertex in each.data.vertices])
+            boxes.append((world.min(axis=0), world.max(axis=0)))
+    (low, high), (next_low, next_high) = boxes
+    assert (high[0] < next_low[0]) or (next_high[0] < low[0])
+
+
+def test_the_colours_show_the_tree_or_the_probability(opened: Path) -> None:
+    scene = bpy.context.scene
+
+    def colors() -> list[np.ndarray]:
+        return [
+            np.unique(get_attribute(item.data, "fruit color"), axis=0)
+            for item in owned_objects(scene, "block-fruit")
+            if len(item.data.vertices)
+        ]
+
+    by_tree = colors()
+    assert [len(each) for each in by_tree] == [1] * len(by_tree)
+    assert len(np.unique(np.concatenate(by_tree), axis=0)) == len(by_tree)
+    scene.fruitlangs.block.colors = "PROBABILITY"
+    assert max(len(each) for each in colors()) > 1
+
+
+def test_a_review_of_a_tree_goes_into_the_tables_and_is_there_when_the_tree_is_opened_again(opened: Path) -> None:
+    overview = bpy.context.scene
+    before = trees_of(overview)["two"].counted
+    tree = open_tree("two")
+    assert tree[OVERVIEW] == overview
+    assert len(standing(tree)) == before
+    with bpy.context.temp_override(scene=tree, view_layer=tree.view_layers[0]):
+        first = owned_objects(tree, "fruit")[0]
+        tree.view_layers[0].objects.active = first
+        first.select_set(True, view_layer=tree.view_layers[0])
+        bpy.ops.fruitlangs.reject_fruit(reason="a leaf")
+    bpy.ops.fruitlangs.show_block()
+    assert bpy.context.scene == overview
+    bpy.ops.fruitlangs.update_block()
+    assert cells(trees_of(overview)["two"]) == [str(before), str(before - 1)]
+    assert cells(trees_of(overview)["one"]) == [str(before), ""]
+    rows = {row["tree"]: row for row in csv.DictReader((opened / "orchard.csv").open())}
+    assert (rows["two"]["count"], rows["two"]["reviewed"]) == (str(before), str(before - 1))
+    assert '"trees": 40' in (opened / "orchard.json").read_text()
+    shown = [item for item in owned_objects(overview, "block-fruit") if item["fruitlangs_tree"] == "two"]
+    assert len(shown[0].data.vertices) == 42 * (before - 1)
+
+    bpy.data.scenes.remove(tree)
+    again = open_tree("two")
+    assert [item.get("review") for item in owned_objects(again, "fruit")].count(REJECTED) == 1
+    assert [entry.reason for entry in again.fruitlangs.review.log] == ["a leaf"]
+    bpy.data.scenes.remove(again)
+
+
+def test_a_tree_that_failed_cannot_be_opened(opened: Path) -> None:
+    block = bpy.context.scene.fruitlangs.block
+    block.active = [tree.name for tree in block.trees].index("lost")
+    with pytest.raises(RuntimeError, match="not counted"):
+        bpy.ops.fruitlangs.open_tree()
+
+
+def test_a_folder_of_no_block_is_an_error(tmp_path: Path, extension: Any) -> None:
+    with pytest.raises(RuntimeError, match="It is not the folder of a block"):
+        bpy.ops.fruitlangs.open_block(directory=str(tmp_path))
+
+
+def test_many_trees_share_the_points_that_are_shown(block: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fruitlangs.operators.block import overview
+
+    whole = read_overview(block)
+    monkeypatch.setattr(overview, "MOST_POINTS", 400)
+    fewer = read_overview(block)
+    assert [len(each.points) for each in fewer] == [100, 100, 100, 0]
+    assert all(len(each.points) > 100 for each in whole[:3])
+
+
+def test_trees_with_known_places_stand_there(block: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "block"
+    shutil.copytree(block, copy)
+    ledger = Ledger(copy)
+    trees = ledger.trees()
+    ledger.write_trees([replace(tree, latitude=47.0, longitude=9.0 + 1e-4 * k) for k, tree in enumerate(trees)])
+    places = np.array([each.place for each in read_overview(copy)])
+    assert len(np.unique(places.round(6), axis=0)) == len(places)
