@@ -14,10 +14,10 @@ from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.language.vocabulary import FRUITS
 from fruitlangs.operators.blender_data import get_attribute
 from fruitlangs.operators.data.write import save_blend, write_blend, write_result
-from fruitlangs.operators.viewport.fruit_colours import LABEL_HUES
 from fruitlangs.operators.data.write_gaussians import ASKED, asked_words
 from fruitlangs.operators.data.write_points import write_points
 from fruitlangs.operators.data.write_root import looked_at, write_root
+from fruitlangs.operators.viewport.fruit_colours import LABEL_HUES
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 
