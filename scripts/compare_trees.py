@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from _terminal import arguments_of, run, table
 from fruitlangs.engine.counting.fruit import NO_TREE
 from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.trees import (
     TreeComparison,
     TreePlaces,
@@ -37,6 +38,9 @@ from fruitlangs.engine.result_folder import ResultFolder
 from fruitlangs.engine.scene.formats.cameras_json import read_cameras
 from fruitlangs.engine.training import CAMERAS
 
+RADIUS = 0.5
+"""Largest distance of a counted from a true fruit, in diameters."""
+
 
 def main(given: Sequence[str] | None = None) -> None:
     """Print the table.
@@ -50,14 +54,14 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--trees", type=Path, help="text: number x y z a tree, or number and two corners of its box")
     parser.add_argument("--label", help="compare with true fruit of this word only (default: the counted prompts)")
     arguments = parser.parse_args(arguments_of(__file__) if given is None else given)
-    visible, total = compare_row(arguments.result, arguments.truth, arguments.trees, arguments.label)
-    print(comparison_table(visible, total))
+    print(comparison_table(*compare_row(arguments.result, arguments.truth, arguments.trees, arguments.label)))
 
 
 def compare_row(
     folder: Path, truth_file: Path, trees_file: Path | None, label: str | None
-) -> tuple[TreeComparison, TreeComparison]:
-    """The counted fruit of a result folder compared with visible fruit and with all fruit, by tree."""
+) -> tuple[TreeComparison, TreeComparison, list[float]]:
+    """The counted fruit of a result folder compared with visible fruit and with all fruit, by tree; and F1 of each
+    tree: a fruit that was counted for a wrong tree is missing there and too many here."""
     document = ResultFolder(folder).read(verify=False)
     up = read_cameras(folder / CAMERAS).up
     wanted = true_labels([label] if label else document["provenance"]["prompts"])
@@ -71,7 +75,15 @@ def compare_row(
     else:
         counted = assign_to_trees(_rows(fruit["center"] for fruit in document["fruits"]), places, up)
     trees = np.union1d(places.numbers, numbers[numbers != NO_TREE])
-    return compare(tally(numbers[truth.visible], trees), counted), compare(tally(numbers, trees), counted)
+    centers = _rows(fruit["center"] for fruit in document["fruits"])
+    diameters = np.array([fruit["diameter"] for fruit in document["fruits"]], np.float64)
+    diameters /= document["metres_per_unit"] or 1.0
+    scores = [
+        count_metrics(centers[counted == tree], diameters[counted == tree], truth.select(numbers == tree), RADIUS).f1
+        for tree in trees
+    ]
+    visible, total = (compare(tally(of, trees), counted) for of in (numbers[truth.visible], numbers))
+    return visible, total, scores
 
 
 def own_trees(document: Mapping[str, Any], places: TreePlaces, up: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -85,15 +97,16 @@ def _rows(places: Iterable[Sequence[float]]) -> NDArray[np.float64]:
     return np.array(list(places), dtype=np.float64).reshape(-1, 3)
 
 
-def comparison_table(visible: TreeComparison, total: TreeComparison) -> str:
-    """One row per tree, the sum, and one line of figures for each of the two truths."""
+def comparison_table(visible: TreeComparison, total: TreeComparison, scores: Sequence[float]) -> str:
+    """One row per tree, the sum, and one line of figures for each of the two truths. scores: F1 of each tree."""
+    columns = (visible.trees, visible.true, total.true, visible.counted, scores)
     rows = [
-        (str(tree), str(seen), str(every), str(counted), f"{counted - seen:+d}")
-        for tree, seen, every, counted in zip(visible.trees, visible.true, total.true, visible.counted, strict=True)
+        (str(tree), str(seen), str(every), str(counted), f"{counted - seen:+d}", f"{score:.3f}")
+        for tree, seen, every, counted, score in zip(*columns, strict=True)
     ]
     sums = [int(column.sum()) for column in (visible.true, total.true, visible.counted)]
-    whole = ("sum", *(str(value) for value in sums), f"{sums[2] - sums[0]:+d}")
-    lines = [table([("tree", "visible", "true", "counted", "counted - visible"), *rows, whole])]
+    whole = ("sum", *(str(value) for value in sums), f"{sums[2] - sums[0]:+d}", "")
+    lines = [table([("tree", "visible", "true", "counted", "counted - visible", "F1"), *rows, whole])]
     for name, comparison in (("visible fruit", visible), ("all fruit", total)):
         lines.append(
             f"against {name}: MAPE {comparison.mape:.1%}, bias {comparison.bias:+.2f} a tree, R² {comparison.r2:.3f}"

@@ -110,11 +110,10 @@ def main() -> None:
 def block_text(document: dict[str, Any]) -> str:
     """The sums of a block (`tables.summary`) in words."""
     block, lines = document["block"], []
-    interval = f", most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
-    lines.append(
-        f"block: {block['count']} visible fruit counted on {document['done']} of {document['trees']} trees"
-        + (interval if "likely" in block else "")
-    )
+    counted = f"block: {block['count']} visible fruit counted on {document['done']} of {document['trees']} trees"
+    if "likely" in block:
+        counted += f", most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
+    lines.append(counted)
     for name, row in document["rows"].items():
         lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
     if document["elsewhere"]:

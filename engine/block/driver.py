@@ -9,7 +9,8 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +21,11 @@ from .ledger import LOG, Ledger, TreeState, run_name
 
 Executor = Literal["local", "slurm"]
 STATUS = "status.json"
+CONTROLLERS = "controllers.txt"
+"""File in the folder of logs."""
 POLL_SECONDS = 1.0
+PATIENCE = 10.0
+"""Time between two looks at the states, in times that a look takes: 1.4 s for 10,000 trees."""
 WORKER_BYTES = 3 << 30
 """Memory that a worker gets at least: 60 photos of 1600×1200 with cameras from photos alone take about that."""
 LONGEST_MINUTES = 60 * 24 * 7
@@ -75,7 +80,9 @@ def drive(
     states: dict[str, TreeState] = {}
     try:
         while True:
+            began = time.monotonic()
             before, states = states, ledger.states()
+            pause = max(POLL_SECONDS, PATIENCE * (time.monotonic() - began))
             for own, state in states.items():
                 if state.stage in ("done", "failed") and state.run == run and own not in told:
                     told.add(own)
@@ -90,11 +97,27 @@ def drive(
                 continue
             waiting = sum(state.is_open(run) and state.stage != "running" for state in states.values())
             for _ in range(min(jobs - len(running), waiting)):
-                running.append(executor.submit(function))
-            time.sleep(POLL_SECONDS)
+                with _errors_into(ledger.path / LOG / CONTROLLERS):
+                    running.append(executor.submit(function))
+            time.sleep(pause)
     finally:
         for job in running:
             job.cancel(check=False)
+
+
+@contextmanager
+def _errors_into(path: Path) -> Iterator[None]:
+    """Let processes that are started in the block write their errors to a file: those of submitit, which start and watch
+    local workers, print a traceback when a cancel ends them."""
+    sys.stderr.flush()
+    kept, log = os.dup(2), os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(log, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(log)
 
 
 def _alive(jobs: Sequence[Any], executor: Executor) -> list[Any]:

@@ -22,11 +22,13 @@ from .trees import CountedTree
 
 COLUMNS = (
     "tree", "row", "position", "latitude", "longitude", "state", "count", "reviewed", "likely", "low", "high",
-    "with_hidden", "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume", "kg",
-    "reason",
+    "with_hidden", "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume",
+    "fruit_weight_g", "yield_kg", "reason",
 )  # fmt: skip
 ORCHARD_JSON = "orchard.json"
 DECIMALS = 6
+CLASS_MM = 5
+"""Width of a size class."""
 
 
 def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[str, Any]]:
@@ -47,7 +49,9 @@ def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[st
                 row["mean_diameter"] = round(float(np.mean(tree.diameters)), DECIMALS)
                 row["diameter_sd"] = round(float(np.std(tree.diameters)), DECIMALS)
             if density is not None and tree.metric:
-                row["kg"] = round(density * tree.volume, 3)
+                row["yield_kg"] = round(density * tree.volume, 3)
+                fruit = max(len(tree.diameters), 1)
+                row["fruit_weight_g"] = round(1000.0 * density * tree.volume / fruit, 1) if tree.volume else None
         rows.append(row)
     return rows
 
@@ -82,9 +86,10 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "rows": rows,
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters),
+        "size_classes_mm": _size_classes(diameters) if metric else None,
         "colours": _colours(done),
         "density": density,
-        "kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
+        "yield_kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
     }
     if all_trees is not None:
         amounts = [tree.visible for tree in done if tree.visible is not None]
@@ -117,6 +122,14 @@ def _spread(diameters: np.ndarray) -> dict[str, Any] | None:
     low, high = np.quantile(diameters, [0.1, 0.9])
     numbers = {"mean": diameters.mean(), "sd": diameters.std(), "low": low, "high": high}
     return {"fruit": len(diameters), **{name: round(float(value), DECIMALS) for name, value in numbers.items()}}
+
+
+def _size_classes(diameters: np.ndarray) -> dict[str, int]:
+    """How many fruit there are in each class of 5 mm, as fruit are sorted; diameters: metres."""
+    classes, counts = np.unique(np.floor(1000.0 * diameters / CLASS_MM).astype(int), return_counts=True)
+    return {
+        f"{CLASS_MM * each}-{CLASS_MM * (each + 1)}": int(count) for each, count in zip(classes, counts, strict=True)
+    }
 
 
 def geojson(trees: Sequence[CountedTree], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

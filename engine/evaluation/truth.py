@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,12 @@ class Truth:
     ids: NDArray[np.int64] | None = None
     trees: NDArray[np.int64] | None = None
     neighbours: NDArray[np.bool_] | None = None
+
+    def select(self, index: NDArray[np.bool_]) -> Truth:
+        """The true fruit at index (M,)."""
+        names = ("centers", "diameters", "visible", "visible_fractions", "ids", "trees", "neighbours")
+        chosen = {name: values[index] for name in names if (values := getattr(self, name)) is not None}
+        return replace(self, **chosen)
 
     @property
     def total(self) -> int:

@@ -20,7 +20,7 @@ from ..data.stored_review import is_reviewed, keep_corrections
 from ..data.write import SET_ID
 from ..jobs.jobs import JobOperator, Work, busy, linked
 from ..settings.settings import known_path, stored_path
-from ..viewport.viewport import look_from_around, show_colors, shown_screens
+from ..viewport.viewport import look_at_point, show_colors, shown_screens
 from .write_overview import TREE, color_fruit, write_overview
 
 if TYPE_CHECKING:
@@ -241,10 +241,11 @@ def show_block(context: bpy.types.Context, bpy_scene: bpy.types.Scene, results: 
     block["active"] = names.index(active) if active in names else 0
     screens = shown_screens(context, bpy_scene)
     show_colors(screens, splats=False)
-    corners = [Vector((*result.place, 0.5 * result.width)) for result in results]
+    corners = [Vector((*result.place, 0.0)) for result in results]
     middle = sum(corners, Vector((0.0, 0.0, 0.0))) / max(len(corners), 1)
-    reach = max([result.width for result in results] + [(corner - middle).length for corner in corners])
-    look_from_around(screens, [middle + Vector((1.2 * reach, 0.0, 0.0)), middle - Vector((1.2 * reach, 0.0, 0.0))])
+    width = max((result.width for result in results), default=0.0)
+    reach = width + max(((corner - middle).length for corner in corners), default=0.0)
+    look_at_point(screens, middle + Vector((0.0, 0.0, 0.5 * width)), 1.4 * reach)
 
 
 def tree_chosen(block: Any, context: bpy.types.Context) -> None:

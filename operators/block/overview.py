@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.progress import Progress, silent
-from ..data.write_gaussians import REACH
 from ..data.write_root import looked_at, upright_matrix
 
 if TYPE_CHECKING:
@@ -22,8 +21,11 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-MOST_POINTS, MOST_EACH = 300_000, 20_000
+MOST_POINTS, MOST_EACH = 200_000, 20_000
 """Gaussians that are shown of all results together, and of one."""
+AROUND, NEAR = 0.4, 0.6
+"""Room around the fruit in which Gaussians are shown, in widths of the fruit; and without fruit the distance from what
+the cameras look at, in extents of the scene."""
 APART = 1.2
 """Distance between two results whose places are not known, in widths of the widest."""
 
@@ -45,7 +47,7 @@ class ShownTree:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShownResult:
     """A result with its trees. folder: its name; place: (2,) in the world; matrix: (4, 4) from its frame to the world,
-    upright, with its middle over the origin; points, colors: (P, 3) the largest of its Gaussians and their sRGB; width:
+    upright, with its middle over the origin; points, colors: (P, 3) some of its Gaussians and their sRGB; width:
     of what is shown, in the world."""
 
     folder: str
@@ -97,11 +99,11 @@ def _read(path: Path, trees: Sequence[CountedTree], most: int) -> ShownResult:
         for tree, number in zip(trees, numbers, strict=True)
     ]
     scene = replace(read_cameras(path / CAMERAS), metres_per_unit=document["metres_per_unit"])
-    points, colors = _largest(scene, read_ply(path / GAUSSIANS), most)
+    centers = np.concatenate([tree.centers for tree in shown])
+    points, colors = _some(scene, read_ply(path / GAUSSIANS), centers, most)
     matrix = np.diag([unit, unit, unit, 1.0]) @ upright_matrix(replace(scene, points=points))
     matrix = _along_x(matrix, [tree.centers.mean(axis=0) for tree in shown if len(tree.centers)]) @ matrix
-    centers = [tree.centers for tree in shown if len(tree.centers)]
-    world = (np.concatenate(centers) if centers else points) @ matrix[:3, :3].T
+    world = (centers if len(centers) else points) @ matrix[:3, :3].T
     width = float(np.ptp(world[:, :2], axis=0).max()) if len(world) else 0.0
     return ShownResult(folder=path.name, trees=shown, matrix=matrix, points=points, colors=colors, width=width)
 
@@ -131,14 +133,22 @@ def _tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> Sh
     )
 
 
-def _largest(scene: Scene, gaussians: Gaussians, most: int) -> tuple[FloatArray, FloatArray]:
-    """(P, 3) means and (P, 3) sRGB of the Gaussians that cover most, without distant ones."""
+def _some(scene: Scene, gaussians: Gaussians, fruit: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """(P, 3) means and (P, 3) sRGB of Gaussians around the fruit (F, 3), or around what the cameras look at without
+    any: a random choice, the same each time, in which large ones are likelier."""
     means = gaussians.means.double().numpy()
-    scales = np.sort(gaussians.scales.double().numpy(), axis=1)
-    covered = gaussians.opacities.double().numpy() * scales[:, 1] * scales[:, 2]
-    covered[np.linalg.norm(means - looked_at(scene), axis=1) > REACH * scene.extent] = 0.0
-    chosen = np.sort(np.argsort(-covered, kind="stable")[: min(most, int((covered > 0.0).sum()))])
-    return means[chosen], gaussians.base_colors.double().numpy()[chosen]
+    chance = gaussians.opacities.double().numpy() * gaussians.scales.double().numpy().max(axis=1)
+    if len(fruit) > 1:
+        low, high = fruit.min(axis=0), fruit.max(axis=0)
+        margin = AROUND * float(np.median(high - low))
+        chance[((means < low - margin) | (means > high + margin)).any(axis=1)] = 0.0
+    else:
+        chance[np.linalg.norm(means - looked_at(scene), axis=1) > NEAR * scene.extent] = 0.0
+    there = np.flatnonzero(chance > 0.0)
+    if len(there) > most:
+        share = chance[there] / chance[there].sum()
+        there = np.sort(np.random.default_rng(0).choice(there, most, replace=False, p=share))
+    return means[there], gaussians.base_colors.double().numpy()[there]
 
 
 def _places(results: Sequence[ShownResult], own: dict[str, list[CountedTree]]) -> list[FloatArray]:

@@ -72,3 +72,12 @@ def test_what_is_wrong_is_one_line(arguments: list[str], text: str, tmp_path: Pa
     assert len(done.stderr.splitlines()) == 1
     assert text in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_block_in_which_every_tree_failed_has_tables_and_an_error(tmp_path: Path) -> None:
+    (tmp_path / "orchard.csv").write_text("id,source,prompt\n1,missing,apple\n")
+    done = count(tmp_path / "orchard.csv", "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("error: 1 of 1 trees failed and are not in the sums")
+    assert "block: 0 visible fruit counted on 0 of 1 trees\n" in done.stdout
+    assert (tmp_path / "out" / "orchard.html").is_file()

@@ -97,7 +97,7 @@ def test_the_tables_have_a_line_for_each_tree_and_sums_without_failed_ones(tmp_p
     assert [path.name for path in files] == ["orchard.csv", "orchard.json", "orchard.geojson"]
     rows = list(csv.DictReader(files[0].open()))
     assert [row["count"] for row in rows] == ["10", "10", "10", ""]
-    assert rows[0]["kg"] == "0.36"
+    assert (rows[0]["yield_kg"], rows[0]["fruit_weight_g"]) == ("0.36", "180.0")
     assert (rows[3]["state"], rows[3]["reason"]) == ("failed", "no <photos>")
     document = json.loads(files[1].read_text())
     assert document["block"]["count"] == 30
@@ -105,9 +105,10 @@ def test_the_tables_have_a_line_for_each_tree_and_sums_without_failed_ones(tmp_p
     assert {name: row["count"] for name, row in document["rows"].items()} == {"A": 20, "B": 10}
     assert document["failed"] == {"t 3": "no <photos>"}
     assert document["all_trees"]["likely"] == pytest.approx(360.0)
-    assert document["kg"] == pytest.approx(1.08)
+    assert document["yield_kg"] == pytest.approx(1.08)
     assert document["diameters"]["fruit"] == 6
     assert document["colours"] == {"red": 3, "green": 3}
+    assert document["size_classes_mm"] == {"70-75": 3, "80-85": 3}
 
 
 def test_a_map_has_the_trees_with_places_longitude_first(tmp_path: Path) -> None:
@@ -120,7 +121,7 @@ def test_a_map_has_the_trees_with_places_longitude_first(tmp_path: Path) -> None
 def test_weights_need_metres(tmp_path: Path) -> None:
     tree = block(tmp_path)[0]
     unknown = CountedTree(entry=tree.entry, state=tree.state, visible=TREE, volume=3.0)
-    assert rows_of([unknown], 900.0)[0]["kg"] is None
+    assert rows_of([unknown], 900.0)[0]["yield_kg"] is None
 
 
 def test_the_page_says_what_failed_and_escapes_it(tmp_path: Path) -> None:
