@@ -23,10 +23,11 @@ from .language.features.joint import judged
 from .memory import require_memory
 from .progress import Progress, part
 from .result_folder import SPOOL
-from .scene.camera import Scene
+from .scene.alignment import Similarity
+from .scene.camera import Camera, Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
 from .scene.walk import Walk, cut
-from .splatting.gaussians import Gaussians, concatenated
+from .splatting.gaussians import Gaussians, concatenated, moved_gaussians
 from .splatting.gpu.adapters import Adapter
 from .splatting.ply import read_ply, write_ply
 from .splatting.training.train import CPU, Watch, train
@@ -148,13 +149,17 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
     """
     config, count = run.config, len(walk.sections)
     scenes = [scene.of_views(section.photos) for section in walk.sections]
-    require_memory(config.train.max_gaussians, config, max((each.cameras for each in scenes), key=len), trained=True)
+    runs = [_as_long_as(each, run) for each in scenes]
+    for alone, seen in zip(runs, scenes, strict=True):
+        require_memory(alone.config.train.max_gaussians, config, seen.cameras, trained=True)
     folders = [folder.with_name(f"{folder.name}-{number}") for number in range(1, count + 1)]
     gaussians, results, cameras = list[Gaussians](), list[dict[str, Any]](), list(scene.cameras)
     for number, (section, own) in enumerate(zip(walk.sections, folders, strict=True)):
         share = _named(part(progress, number / count, (number + 1) / count), f"section {number + 1} of {count}: ")
-        trained_alone = _read(own) or _train_into(own, scenes[number], run, share)
+        trained_alone = _read(own) or _train_into(own, scenes[number], runs[number], share)
         found, posed = read_ply(own / GAUSSIANS), read_cameras(own / CAMERAS).cameras
+        if config.train.refine_poses:
+            found, posed = _anchored(found, posed, scenes[number].cameras)
         gaussians.append(found.select(torch.from_numpy(walk.cells(found.means.double().numpy()) == number)))
         owned = np.flatnonzero(walk.owners[section.photos] == number)
         for view in owned:
@@ -171,6 +176,41 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
     for own in folders:
         shutil.rmtree(own, ignore_errors=True)
     return together
+
+
+def _as_long_as(section: Scene, run: Run) -> Run:
+    """The run with as many steps and Gaussians more as a section has photos more than usual, because others overlap."""
+    train = run.config.train
+    more = max(len(section.cameras) / SECTION_PHOTOS, 1.0)
+    longer = dataclasses.replace(
+        train, steps=round(more * train.steps), max_gaussians=round(more * train.max_gaussians)
+    )
+    return dataclasses.replace(run, config=dataclasses.replace(run.config, train=longer))
+
+
+def _anchored(
+    gaussians: Gaussians, posed: Sequence[Camera], given: Sequence[Camera]
+) -> tuple[Gaussians, Sequence[Camera]]:
+    """A section whose cameras were refined, back in the frame of the given ones, which all sections share: refined
+    cameras drift together. The turn is the mean of those of all cameras (chordal; Hartley et al. 2013), which two
+    places or a straight line of them do not determine. Colours keep their directions: it is a fraction of a degree."""
+    turns = [
+        one.world_to_camera[:3, :3].T @ other.world_to_camera[:3, :3] for one, other in zip(given, posed, strict=True)
+    ]
+    left, _, right = np.linalg.svd(np.sum(turns, axis=0))
+    rotation = (left * [1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    source, target = (np.array([camera.center for camera in each]) for each in (posed, given))
+    spread = float(np.linalg.norm(source - source.mean(axis=0)))
+    scale = float(np.linalg.norm(target - target.mean(axis=0))) / spread if spread else 1.0
+    moved = Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
+    return moved_gaussians(gaussians, moved), [_moved(camera, moved) for camera in posed]
+
+
+def _moved(camera: Camera, moved: Similarity) -> Camera:
+    pose = np.eye(4)
+    pose[:3, :3] = camera.world_to_camera[:3, :3] @ moved.rotation.T
+    pose[:3, 3] = -pose[:3, :3] @ moved.apply(camera.center)
+    return dataclasses.replace(camera, world_to_camera=pose)
 
 
 def _read(folder: Path) -> dict[str, Any] | None:

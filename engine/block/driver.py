@@ -107,7 +107,7 @@ def drive(
 
 @contextmanager
 def _errors_into(path: Path) -> Iterator[None]:
-    """Let processes that are started in the block write their errors to a file: those of submitit, which start and watch
+    """Let processes that are started inside write their errors to a file: those of submitit, which start and watch
     local workers, print a traceback when a cancel ends them."""
     sys.stderr.flush()
     kept, log = os.dup(2), os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from torch import Tensor
+
+from ..scene.alignment import Similarity
 
 SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0]."""
@@ -84,6 +87,19 @@ def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
     """The Gaussians of all parts, which are of one degree, in their order."""
     whole: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in parts]) for name in PARAMETERS}
     return replace(parts[0], **whole)
+
+
+def moved_gaussians(gaussians: Gaussians, moved: Similarity) -> Gaussians:
+    """The Gaussians in the frame that a similarity leads to, without turning the directions of their colours."""
+    means = torch.from_numpy(moved.apply(gaussians.means.double().numpy())).float()
+    x, y, z, w = Rotation.from_matrix(moved.rotation).as_quat()
+    turn = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]], dtype=torch.float32)
+    return replace(
+        gaussians,
+        means=means,
+        log_scales=gaussians.log_scales + math.log(moved.scale),
+        quats=gaussians.quats @ turn.T,
+    )
 
 
 def round_gaussians(

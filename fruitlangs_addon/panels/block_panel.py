@@ -47,7 +47,6 @@ class FRUITLANGS_PT_block(SidebarPanel, bpy.types.Panel):
     bl_idname = "FRUITLANGS_PT_block"
     bl_label = "Orchard"
     bl_order = 7
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, block = self.layout, context.scene.fruitlangs.block

@@ -245,7 +245,7 @@ def show_block(context: bpy.types.Context, bpy_scene: bpy.types.Scene, results: 
     middle = sum(corners, Vector((0.0, 0.0, 0.0))) / max(len(corners), 1)
     width = max((result.width for result in results), default=0.0)
     reach = width + max(((corner - middle).length for corner in corners), default=0.0)
-    look_at_point(screens, middle + Vector((0.0, 0.0, 0.5 * width)), 1.4 * reach)
+    look_at_point(screens, middle + Vector((0.0, 0.0, 0.5 * width)), 1.7 * reach)
 
 
 def tree_chosen(block: Any, context: bpy.types.Context) -> None:

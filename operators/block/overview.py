@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-MOST_POINTS, MOST_EACH = 200_000, 20_000
+MOST_POINTS, MOST_EACH = 200_000, 6_000
 """Gaussians that are shown of all results together, and of one."""
-AROUND, NEAR = 0.4, 0.6
+AROUND, NEAR = 0.2, 0.6
 """Room around the fruit in which Gaussians are shown, in widths of the fruit; and without fruit the distance from what
 the cameras look at, in extents of the scene."""
 APART = 1.2

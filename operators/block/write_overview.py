@@ -34,7 +34,7 @@ TREE, PROBABILITIES = "fruitlangs_tree", "probability"
 """Custom property of a tree's fruit: its name; and the attribute of the probability of each vertex' fruit."""
 SUBDIVISIONS = 2
 """Of the icosphere that stands for a fruit: 42 vertices."""
-POINT_RADIUS = 0.006
+POINT_RADIUS = 0.004
 """Radius of a point, in widths of what is shown."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +21,8 @@ EDGE = 0.815
 """Position across the sidebar of the small buttons next to a list, as a share of its width."""
 TAUGHT = "quince"
 """The word that is taught: no built-in one."""
+COPIES = 7
+"""Trees of the block that are counted."""
 WAIT = 0.3
 """Seconds between two checks whether a job has ended."""
 
@@ -49,6 +52,7 @@ def live(hand: Hand, day: Day) -> Steps:
     yield from count(hand, day)
     yield from review(hand, day)
     yield from export(hand, day)
+    yield from orchard(hand, day)
 
 
 def settings() -> Any:
@@ -300,6 +304,55 @@ def export(hand: Hand, day: Day) -> Steps:
     yield from work_done(hand)
     rows = (day.work / "fruit.csv").read_text(encoding="utf-8").splitlines()
     day.check("the table has the corrected count", len(rows) - 1 == counted())
+
+
+def orchard(hand: Hand, day: Day) -> Steps:
+    """Open a block of trees, review one of them, and update the tables."""
+    overview = hand.window.scene = bpy.data.scenes.new("Orchard")
+    settings().block.folder = str(block_of_copies(Path(bpy.path.abspath(result_folder()))))
+    yield 0.5
+    yield from hand.push("fruitlangs.open_block")
+    yield from work_done(hand)
+    trees = overview.fruitlangs.block.trees
+    day.check("all trees are shown", [tree.counted > 0 for tree in trees] == [True] * COPIES + [False])
+    yield from hand.find("fruitlangs.block.colors")  # the last button: all are visible
+    yield from picture(hand, day, "orchard")
+    yield from hand.push("fruitlangs.open_tree")
+    yield from work_done(hand)
+    day.check("the tree has a scene of its own", hand.window.scene != overview and counted() == trees[0].counted)
+    yield from hand.push("fruitlangs.next_uncertain")
+    yield from hand.push("fruitlangs.reject_fruit")
+    yield from hand.push("fruitlangs.show_block")
+    yield from hand.push("fruitlangs.update_block")
+    yield from work_done(hand)
+    trees = overview.fruitlangs.block.trees
+    day.check("the tables have the review", trees[0].reviewed == trees[0].counted - 1)
+
+
+def result_folder() -> str:
+    """The folder of the day's result."""
+    return next(scene.fruitlangs.result.folder for scene in bpy.data.scenes if scene.fruitlangs.result.folder)
+
+
+def block_of_copies(result: Path) -> Path:
+    """A block with copies of a result in two rows, and a tree that failed."""
+    from fruitlangs.engine.block.ledger import Ledger, TreeState
+    from fruitlangs.engine.block.manifest import TreeEntry
+    from fruitlangs.engine.block.publish import publish_block
+
+    ledger = Ledger(result.parent / "block")
+    trees = [
+        TreeEntry(id=f"{'AB'[k // 4]}{k % 4 + 1}", source=result, prompt=("apple",), row="AB"[k // 4], position=k % 4)
+        for k in range(COPIES + 1)
+    ]
+    ledger.write_trees(trees)
+    for tree in trees[:COPIES]:
+        shutil.copytree(result, ledger.result(tree).path, dirs_exist_ok=True)
+        ledger.write(tree, TreeState(stage="done", fingerprint=tree.fingerprint))
+    lost = TreeState(stage="failed", fingerprint=trees[-1].fingerprint, reason=f"{trees[-1].id} has 2 photos")
+    ledger.write(trees[-1], lost)
+    publish_block(ledger)
+    return ledger.path
 
 
 def running() -> Any:
