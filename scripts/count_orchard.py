@@ -59,7 +59,7 @@ class Arguments:
     """Memory of a worker that Slurm reserves."""
     gpus: int = 0
     """Graphics cards of a worker that Slurm reserves."""
-    trees: int | None = None
+    all_trees: int | None = None
     """Number of all trees of the block, if those of the manifest are a random sample of them."""
     density: float | None = None
     """Kilograms per cubic metre of the fruit, for weights; needs the scale of every tree."""
@@ -99,7 +99,7 @@ def main() -> None:
 
     command = python_command(Path(__file__).resolve())
     states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
-    answer = publish_block(ledger, all_trees=arguments.trees, density=arguments.density)
+    answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
     failed = sum(state.stage == "failed" for state in states.values())

@@ -56,7 +56,7 @@ def of_all(amounts: Sequence[Amount], trees: int) -> Amount:
     """
     sample = len(amounts)
     if trees < sample:
-        raise ConfigError(f"{sample} trees were counted, which is more than the {trees} of the block (--trees)")
+        raise ConfigError(f"{sample} trees were counted, which is more than the {trees} of the block (--all-trees)")
     if sample < LEAST_SAMPLE and trees > sample:
         raise ConfigError(f"All trees are estimated from {LEAST_SAMPLE} counted ones or more, and here are {sample}")
     whole = summed(amounts)

@@ -17,7 +17,7 @@ from fruitlangs.engine.block.ledger import MOST_CRASHES, Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.trees import read_counts
 from fruitlangs.engine.block.worker import work
-from fruitlangs.engine.errors import Cancelled, OutputError, SceneError
+from fruitlangs.engine.errors import Cancelled, FormatError, OutputError, SceneError
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -120,6 +120,13 @@ def test_a_tree_that_kills_its_workers_is_given_up(ledger: Ledger) -> None:
 def test_the_folder_of_no_block_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is not the folder of a block"):
         Ledger(tmp_path).trees()
+
+
+def test_the_folder_of_another_version_is_an_error_that_says_what_to_do(ledger: Ledger) -> None:
+    listed = json.loads((ledger.path / "manifest.json").read_text())
+    (ledger.path / "manifest.json").write_text(json.dumps([{**each, "colour": "red"} for each in listed]))
+    with pytest.raises(FormatError, match=r"is of another version .*Count into another folder"):
+        ledger.trees()
 
 
 def test_a_damaged_state_is_a_tree_that_waits(ledger: Ledger) -> None:
