@@ -91,6 +91,8 @@ def cut(scene: Scene, *, photos: int, sections: int = 0) -> Walk | None:
     if count <= 1:
         return None
     borders = _borders(looks, points @ axis, count, STEP * half)
+    if not borders:
+        return None
     ends = np.array([-np.inf, *borders, np.inf])
     found = [
         Section(float(low), float(high), np.flatnonzero((looks >= low - half) & (looks <= high + half)))
@@ -138,4 +140,15 @@ def _borders(looks: FloatArray, places: FloatArray, count: int, step: float) -> 
         near = np.searchsorted(ordered, [tried - step, tried + step])
         crowd = near[1] - near[0]
         borders.append(float(tried[np.lexsort((np.abs(tried - border), crowd))[0]]))
-    return borders
+    return _apart(borders, looks)
+
+
+def _apart(borders: Sequence[float], looks: FloatArray) -> list[float]:
+    """The borders without those between which too few photos look, as where many were taken at one place."""
+    kept, ordered, used = list[float](), np.sort(looks), 0
+    for border in borders:
+        before = int(np.searchsorted(ordered, border))
+        if before - used >= FEWEST and len(ordered) - before >= FEWEST:
+            kept.append(border)
+            used = before
+    return kept

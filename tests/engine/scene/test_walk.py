@@ -117,6 +117,15 @@ def test_more_sections_than_there_are_is_an_error_that_names_what_fits() -> None
         cut(walk_along(9, 90), photos=30, sections=50)
 
 
+def test_no_section_is_empty_where_many_photos_were_taken_at_one_place() -> None:
+    along = np.concatenate([np.linspace(-0.5, 16.5, 30), np.full(200, 3.0)])
+    targets = np.stack([along, 0.0 * along, 0.0 * along + 1.0], axis=1)
+    walk = require(cut(scene_of(targets - [0.0, 2.0, 0.0], targets, row_of_trees(9)), photos=30))
+    assert np.bincount(walk.owners, minlength=len(walk.sections)).min() >= 4
+    lows = [section.low for section in walk.sections]
+    assert lows == sorted(lows)
+
+
 def test_a_scene_without_points_is_not_cut() -> None:
     scene = walk_along(9, 90)
     assert cut(Scene(scene.cameras, scene.images, np.zeros((0, 3)), scene.colors[:0], UP), photos=30) is None
