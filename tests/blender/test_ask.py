@@ -189,7 +189,8 @@ def test_reconstruct_shows_gaussians_that_a_count_then_finds(extension, balls, c
     assert settings.result.count == counted_balls.fruit_count.count
 
 
-def test_a_ply_of_another_program_is_imported_and_asked(extension, counted_balls, tmp_path):
+def test_a_ply_of_another_program_is_imported_and_asked(extension, counted_balls, tmp_path, monkeypatch):
+    monkeypatch.setattr("fruitlangs.engine.splatting.subject.viewpoints.VIEWS", 6)
     shutil.copy(counted_balls.out / "gaussians.ply", tmp_path / "tree.ply")
     settings = bpy.context.scene.fruitlangs
     settings.source = str(tmp_path / "tree.ply")

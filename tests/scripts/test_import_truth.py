@@ -88,9 +88,9 @@ def test_trees_of_an_imported_row_are_compared(row: Path, tmp_path: Path, capsys
     assert run("compare_trees", found, "--truth", tmp_path / "truth.json") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split() for line in lines[1:5]] == [
-        ["1", "2", "2", "1", "-1"],
-        ["2", "1", "1", "1", "+0"],
-        ["3", "1", "1", "2", "+1"],
+        ["1", "2", "2", "1", "-1", "0.667"],
+        ["2", "1", "1", "1", "+0", "1.000"],
+        ["3", "1", "1", "2", "+1", "0.667"],
         ["sum", "4", "4", "4", "+0"],
     ]
     assert lines[5] == "against visible fruit: MAPE 50.0%, bias +0.00 a tree, R² -2.000"
