@@ -102,10 +102,10 @@ def test_the_files_agree_on_the_count(counted: Result) -> None:
     assert document(counted.out)["count"] == len(rows) == counted.fruit_count.count > 0
 
 
-def test_two_runs_differ_in_date_and_seconds_only(counted: Result, tmp_path: Path) -> None:
-    again = count_scene(SAMPLE, ["fruit"], tmp_path, config=SMALL)
-    assert without_times(again.out) == without_times(counted.out)
-    assert (again.out / "gaussians.ply").read_bytes() == (counted.out / "gaussians.ply").read_bytes()
+def test_two_runs_differ_in_date_and_seconds_only(balls: Path, counted_balls: Result, tmp_path: Path) -> None:
+    again = count_scene(balls, ["apple"], tmp_path, config=balls_config())
+    assert without_times(again.out) == without_times(counted_balls.out)
+    assert (again.out / "gaussians.ply").read_bytes() == (counted_balls.out / "gaussians.ply").read_bytes()
 
 
 def test_a_second_prompt_reuses_training_and_features(counted: Result, tmp_path: Path) -> None:
