@@ -104,7 +104,8 @@ def main() -> None:
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
     failed = sum(state.stage == "failed" for state in states.values())
     if failed:
-        raise CountingError(f"{failed} of {len(trees)} trees failed and are not in the sums. See {answer.files[0]}")
+        every = answer.document["trees"]
+        raise CountingError(f"{failed} of {every} trees failed and are not in the sums. See {answer.files[0]}")
 
 
 def block_text(document: dict[str, Any]) -> str:
