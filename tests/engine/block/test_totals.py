@@ -249,6 +249,9 @@ def test_the_tables_use_the_review_of_a_tree_and_keep_what_was_counted(tmp_path:
     lines = rows_of([one, two], None)
     assert [(line["count"], line["reviewed"]) for line in lines] == [(2, 1), (1, 2)]
     assert summary([one, two], all_trees=None, density=None)["block"]["count"] == 3
+    page = write_page(ledger.path, [one, two], lines, summary([one, two], all_trees=None, density=None)).read_text()
+    assert "<th>reviewed</th>" in page
+    assert "<td>2</td><td>1</td>" in page
     assert two.total is not None
     assert (two.total.likely, two.total.count) == (5.0, 2)
 
