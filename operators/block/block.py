@@ -80,6 +80,7 @@ class FRUITLANGS_OT_open_tree(bpy.types.Operator):
     bl_idname = "fruitlangs.open_tree"
     bl_label = "Open Tree"
     bl_description = "Open the result of the active tree in a Blender scene of its own, to review it"
+    bl_options = {"UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -129,6 +130,7 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.update_block"
     bl_label = "Update Tables"
     bl_description = "Write the reviews of all opened trees into the tables and the page of the block"
+    bl_options = {"UNDO"}
 
     title = "Update Tables"
 
