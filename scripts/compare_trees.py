@@ -69,13 +69,13 @@ def compare_row(
     numbers = truth.trees
     if numbers is None or not numbers.any():
         raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on. Expected a number as its tree")
+    centers = _rows(fruit["center"] for fruit in document["fruits"])
     places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
     if trees_file is None and document.get("trees"):
         counted = own_trees(document, places, up)
     else:
-        counted = assign_to_trees(_rows(fruit["center"] for fruit in document["fruits"]), places, up)
+        counted = assign_to_trees(centers, places, up)
     trees = np.union1d(places.numbers, numbers[numbers != NO_TREE])
-    centers = _rows(fruit["center"] for fruit in document["fruits"])
     diameters = np.array([fruit["diameter"] for fruit in document["fruits"]], np.float64)
     diameters /= document["metres_per_unit"] or 1.0
     scores = [

@@ -15,8 +15,6 @@ SHARED = 0.5
 """Share of the variance of a tree's count that all trees of a block have in common, because they have one kind of
 fruit, one camera and one light. It does not average away. The intervals were calibrated on generated trees, where no
 common part was found; in an orchard it is unknown, so half is assumed."""
-NORMAL = float(stats.norm.ppf(0.95))
-"""Standard deviations from the middle to an end of a 90 % interval."""
 LEAST_SAMPLE = 3
 """Photographed trees from which all trees are estimated."""
 

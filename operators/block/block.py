@@ -15,18 +15,19 @@ from mathutils import Vector
 from ...engine.errors import ConfigError
 from ...engine.progress import part
 from ..blender_data import owned_object, owned_objects, select_only
-from ..data.fruit_objects import REVIEW, metres_per_unit, read_log, spot_of, write_log
+from ..data.fruit_objects import REVIEW, metres_per_unit, read_log, write_log
+from ..data.read_fruits import read_fruit
 from ..data.stored_review import is_reviewed, keep_corrections
 from ..data.write import SET_ID
 from ..jobs.jobs import JobOperator, Work, busy, linked
 from ..settings.settings import known_path, stored_path
 from ..viewport.viewport import look_at_point, show_colors, shown_screens
+from .overview import ShownResult, read_overview
 from .write_overview import TREE, color_fruit, write_overview
 
 if TYPE_CHECKING:
     from ...engine.block.reviews import Review
     from ...engine.progress import Progress
-    from .overview import ShownResult
 
 TREE_OF, OVERVIEW = "fruitlangs_tree_of_block", "fruitlangs_overview"
 """Custom properties of the Blender scene of a tree: the folder of its result in the block; and of that of a block."""
@@ -104,7 +105,9 @@ class FRUITLANGS_OT_open_tree(bpy.types.Operator):
             return {"FINISHED"}
         bpy_scene = bpy.data.scenes.new(tree.folder)
         bpy_scene[TREE_OF], bpy_scene[OVERVIEW] = tree.folder, overview
-        result = block_folder(overview) / "trees" / tree.folder
+        from ...engine.block.ledger import Ledger
+
+        result = Ledger(block_folder(overview)).folder(tree.folder).path
         bpy_scene.fruitlangs.source = stored_path(result)
         _restore(bpy_scene, result)
         _enter(context, bpy_scene)
@@ -161,9 +164,11 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
 
 def read_block(folder: Path, progress: Progress) -> list[ShownResult]:
     """What is shown of a block; in the thread of a job."""
-    from .overview import read_overview
+    from ...engine.block.ledger import Ledger
+    from ...engine.block.trees import read_counts
 
-    return read_overview(folder, progress)
+    ledger = Ledger(folder)
+    return read_overview(ledger, read_counts(ledger), progress)
 
 
 def update_block(
@@ -180,29 +185,29 @@ def update_block(
         write_review(ledger.folder(own).path, set_id, review)
     progress(0.1, "writing the tables")
     answer = publish_again(ledger)
-    return sum(tree.reviewed for tree in answer.trees), read_block(folder, part(progress, 0.2, 1.0))
+    return sum(tree.reviewed for tree in answer.trees), read_overview(ledger, answer.trees, part(progress, 0.2, 1.0))
 
 
 def read_review_of(bpy_scene: bpy.types.Scene) -> Review:
     """The review of the result that this Blender scene shows, rejected fruit included."""
     from ...engine.block.reviews import Review, ReviewedFruit
 
+    no_gaussians = np.zeros(0, np.int32)
     root, unit = owned_object(bpy_scene, "root"), metres_per_unit(bpy_scene) or 1.0
     assert root is not None
     fruits = []
     for item in owned_objects(bpy_scene, "fruit"):
-        spot, tree = spot_of(item, root), item.get("tree")
-        color = np.round(255.0 * np.array(item.get("color", (0.8, 0.2, 0.2)))).astype(int)
+        fruit = read_fruit(item, root, int(item.get("id", 0)), no_gaussians, unit)
         fruits.append(
             ReviewedFruit(
-                tree=None if tree is None else int(tree),
+                tree=fruit.tree,
                 standing=item.get(REVIEW, ""),
-                probability=float(item.get("probability", 1.0)),
-                center=tuple(spot.center.tolist()),
-                axes=tuple(tuple(axis) for axis in (spot.axes * unit).tolist()),
-                diameter=spot.diameter * unit,
-                volume=float(np.pi / 6.0 * (spot.diameter * unit) ** 3),
-                color=tuple(color.tolist()),
+                probability=fruit.probability,
+                center=tuple(fruit.center.tolist()),
+                axes=tuple(tuple(axis) for axis in (fruit.axes * unit).tolist()),
+                diameter=fruit.diameter * unit,
+                volume=fruit.volume * unit**3,
+                color=tuple(fruit.color.tolist()),
             )
         )
     return Review(fruits=fruits, decisions=read_log(bpy_scene))

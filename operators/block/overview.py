@@ -14,6 +14,7 @@ from ...engine.progress import Progress, silent
 from ..data.write_root import looked_at, upright_matrix
 
 if TYPE_CHECKING:
+    from ...engine.block.ledger import Ledger
     from ...engine.block.reviews import ReviewedFruit
     from ...engine.block.trees import CountedTree
     from ...engine.scene.camera import Scene
@@ -59,17 +60,12 @@ class ShownResult:
     width: float = 0.0
 
 
-def read_overview(block: Path, progress: Progress = silent) -> list[ShownResult]:
-    """Every result of a block, in the order of its manifest.
+def read_overview(ledger: Ledger, trees: Sequence[CountedTree], progress: Progress = silent) -> list[ShownResult]:
+    """Every result of a block, in the order of its manifest. trees: of `read_counts`.
 
     Raises:
-        OutputError, FormatError: the folder is none of a block, or a result of it is damaged.
+        OutputError, FormatError: a result of it is damaged.
     """
-    from ...engine.block.ledger import Ledger
-    from ...engine.block.trees import read_counts
-
-    ledger = Ledger(block)
-    trees = read_counts(ledger)
     own: dict[str, list[CountedTree]] = {}
     for tree in trees:
         own.setdefault(tree.folder, []).append(tree)

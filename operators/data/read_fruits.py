@@ -43,7 +43,7 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
     owners = _gaussian_attribute(bpy_scene, "fruit_id", np.int32)
     numbers = _numbers(bpy_scene, items)
     unit = metres_per_unit(bpy_scene) or 1.0
-    fruits = [_fruit(item, root, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
+    fruits = [read_fruit(item, root, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
     shown = bpy_scene.fruitlangs.result
     has_total = shown.total >= 0.0 and not is_reviewed(bpy_scene) and len(fruits) == shown.count
     return FruitCount(
@@ -64,7 +64,7 @@ def counted(bpy_scene: bpy.types.Scene) -> bool:
     return bpy_scene.fruitlangs.result.count >= 0 or owned_object(bpy_scene, "fruit") is not None
 
 
-def _fruit(
+def read_fruit(
     item: bpy.types.Object, root: bpy.types.Object, number: int, owners: NDArray[np.int32], metres_per_unit: float
 ) -> Fruit:
     """One fruit object. owners: (N,) the fruit id of each Gaussian."""

@@ -15,11 +15,12 @@ import pytest
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.publish import publish_block
+from fruitlangs.engine.block.trees import read_counts
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.fruitlangs_addon.panels.block_panel import cells
 from fruitlangs.operators.blender_data import get_attribute, owned_objects
 from fruitlangs.operators.block.block import OVERVIEW, TREE_OF
-from fruitlangs.operators.block.overview import read_overview
+from fruitlangs.operators.block.overview import ShownResult, read_overview
 from fruitlangs.operators.data.fruit_objects import REJECTED, standing
 
 
@@ -54,6 +55,11 @@ def opened(block: Path, tmp_path: Path, extension: Any) -> Path:
     shutil.copytree(block, copy)
     bpy.ops.fruitlangs.open_block(directory=str(copy))
     return copy
+
+
+def shown_of(block: Path) -> list[ShownResult]:
+    ledger = Ledger(block)
+    return read_overview(ledger, read_counts(ledger))
 
 
 def trees_of(scene: bpy.types.Scene) -> dict[str, Any]:
@@ -159,9 +165,9 @@ def test_a_folder_of_no_block_is_an_error(tmp_path: Path, extension: Any) -> Non
 def test_many_trees_share_the_points_that_are_shown(block: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from fruitlangs.operators.block import overview
 
-    whole = read_overview(block)
+    whole = shown_of(block)
     monkeypatch.setattr(overview, "MOST_POINTS", 400)
-    fewer = read_overview(block)
+    fewer = shown_of(block)
     assert [len(each.points) for each in fewer] == [100, 100, 100, 0]
     assert all(len(each.points) > 100 for each in whole[:3])
 
@@ -172,5 +178,5 @@ def test_trees_with_known_places_stand_there(block: Path, tmp_path: Path) -> Non
     ledger = Ledger(copy)
     trees = ledger.trees()
     ledger.write_trees([replace(tree, latitude=47.0, longitude=9.0 + 1e-4 * k) for k, tree in enumerate(trees)])
-    places = np.array([each.place for each in read_overview(copy)])
+    places = np.array([each.place for each in shown_of(copy)])
     assert len(np.unique(places.round(6), axis=0)) == len(places)
