@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Literal
 
 import bpy
@@ -16,13 +17,13 @@ from ..blender_data import (
     new_object,
     owned_collection,
     owned_objects,
-    point_mesh,
     remove_objects,
     rgba,
     set_attribute,
 )
+from ..data.write_fruits import matt_material
+from ..data.write_points import colored_points, show_points
 from ..viewport.fruit_colours import probability_colours, tree_colour
-from ..viewport.gaussian_nodes import point_node_group, set_input
 from .overview import ShownResult, ShownTree
 
 FloatArray = NDArray[np.float64]
@@ -110,17 +111,13 @@ def _color(item: bpy.types.Object, number: int, colors: Colors) -> None:
 
 
 def _write_points(result: ShownResult, root: bpy.types.Object) -> None:
-    mesh = point_mesh(f"{result.folder} Gaussians", result.points)
-    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(result.colors)))
-    mesh.update()
+    mesh = colored_points(f"{result.folder} Gaussians", result.points, result.colors)
     item = new_object(mesh.name, mesh, "block-points", root.users_collection[0], root)
     item.hide_select = True
-    modifier = item.modifiers.new("Points", "NODES")
-    modifier.node_group = point_node_group()
-    scale = float(np.linalg.norm(result.matrix[0, :3]))
-    set_input(modifier, "Radius", POINT_RADIUS * result.width / scale)
+    show_points(item, POINT_RADIUS * result.width / float(np.linalg.norm(result.matrix[0, :3])))
 
 
+@cache
 def _sphere() -> tuple[FloatArray, NDArray[np.int64]]:
     """(V, 3) vertices of a unit sphere and (T, 3) its triangles."""
     import trimesh
@@ -130,18 +127,11 @@ def _sphere() -> tuple[FloatArray, NDArray[np.int64]]:
 
 
 def _material() -> bpy.types.Material:
-    """A matt material in the colour attribute, one for all trees."""
-    for material in bpy.data.materials:
-        if material.get(OWNER) == "block-fruit":
-            return material
-    material = bpy.data.materials.new("Fruit of a block")
-    material[OWNER] = "block-fruit"
-    material.use_nodes = True
-    tree: Any = material.node_tree
-    skin = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-    skin.inputs["Roughness"].default_value = 0.4
-    color = tree.nodes.new("ShaderNodeVertexColor")
-    color.layer_name = COLORS
-    color.location = (skin.location.x - 200, skin.location.y)
-    tree.links.new(color.outputs["Color"], skin.inputs["Base Color"])
-    return material
+    """The material of fruit, in the colour attribute."""
+
+    def color(tree: bpy.types.NodeTree) -> Any:
+        node = tree.nodes.new("ShaderNodeVertexColor")
+        node.layer_name = COLORS
+        return node
+
+    return matt_material("Fruit of a block", "block-fruit", color)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import bmesh
 import bpy
@@ -162,17 +163,22 @@ def _unit_sphere(label: str) -> bpy.types.Mesh:
 
 
 def _fruit_material() -> bpy.types.Material:
-    """A matt material in the colour of the object, one for all fruit."""
+    """The material of fruit, in the colour of the object."""
+    return matt_material("Fruit", "fruit", lambda tree: tree.nodes.new("ShaderNodeObjectInfo"))
+
+
+def matt_material(name: str, role: str, color: Callable[[bpy.types.NodeTree], Any]) -> bpy.types.Material:
+    """Our matt material with that role, made if this file has none; color: adds the node whose Color it shows."""
     for material in bpy.data.materials:
-        if material.get(OWNER) == "fruit":
+        if material.get(OWNER) == role:
             return material
-    material = bpy.data.materials.new("Fruit")
-    material[OWNER] = "fruit"
+    material = bpy.data.materials.new(name)
+    material[OWNER] = role
     material.use_nodes = True
     tree = material.node_tree
     skin = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     skin.inputs["Roughness"].default_value = 0.4
-    info = tree.nodes.new("ShaderNodeObjectInfo")
-    info.location = (skin.location.x - 200, skin.location.y)
-    tree.links.new(info.outputs["Color"], skin.inputs["Base Color"])
+    source = color(tree)
+    source.location = (skin.location.x - 200, skin.location.y)
+    tree.links.new(source.outputs["Color"], skin.inputs["Base Color"])
     return material

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
+from numpy.typing import NDArray
 
 from ..blender_data import (
     linear_from_srgb,
@@ -29,14 +30,28 @@ RADIUS = 0.003
 def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> bpy.types.Object:
     """Replace this Blender scene's sparse cloud: a mesh of points with their linear colour in `radiance:base`."""
     remove_objects(owned_objects(bpy_scene, "points"))
-    mesh = point_mesh("Sparse points", scene.points)
-    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(scene.colors / 255.0)))
+    radius = RADIUS * scene.extent if len(scene.cameras) else RADIUS
+    collection = owned_collection(bpy_scene, "scene", "FruitLangs")
+    item = new_object(
+        "Sparse points", colored_points("Sparse points", scene.points, scene.colors / 255.0), "points", collection, root
+    )
+    show_points(item, radius)
+    return item
+
+
+def colored_points(name: str, positions: NDArray[Any], srgb: NDArray[Any]) -> bpy.types.Mesh:
+    """A mesh of points at positions (N, 3) with their linear colour in `radiance:base`; srgb: (N, 3), 0 to 1."""
+    mesh = point_mesh(name, positions)
+    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(srgb)))
     mesh.update()
-    item = new_object("Sparse points", mesh, "points", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
+    return mesh
+
+
+def show_points(item: bpy.types.Object, radius: float) -> None:
+    """Show the points of an object with this radius, in its own units."""
     modifier = item.modifiers.new("Points", "NODES")
     modifier.node_group = point_node_group()
-    set_input(modifier, "Radius", RADIUS * scene.extent if len(scene.cameras) else RADIUS)
-    return item
+    set_input(modifier, "Radius", radius)
 
 
 def hide_points(bpy_scene: bpy.types.Scene) -> None:
