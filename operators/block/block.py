@@ -151,8 +151,10 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         reviews = {}
         for bpy_scene in bpy.data.scenes:
             own = _tree_of(bpy_scene, context.scene)
-            if own is not None and is_reviewed(bpy_scene):
-                keep_corrections(bpy_scene)
+            if own is None:
+                continue
+            keep_corrections(bpy_scene)
+            if is_reviewed(bpy_scene) or len(bpy_scene.fruitlangs.review.log):  # also if all was undone by Reopen
                 reviews[own] = (str(bpy_scene.get(SET_ID, "")), read_review_of(bpy_scene))
         return lambda progress: update_block(folder, reviews, progress)
 

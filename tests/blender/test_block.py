@@ -147,6 +147,12 @@ def test_a_review_of_a_tree_goes_into_the_tables_and_is_there_when_the_tree_is_o
     again = open_tree("two")
     assert [item.get("review") for item in owned_objects(again, "fruit")].count(REJECTED) == 1
     assert [entry.reason for entry in again.fruitlangs.review.log] == ["a leaf"]
+    with bpy.context.temp_override(scene=again, view_layer=again.view_layers[0]):
+        again.view_layers[0].objects.active = next(o for o in owned_objects(again, "fruit") if o.get("review"))
+        bpy.ops.fruitlangs.reopen_fruit()
+    bpy.ops.fruitlangs.show_block()
+    bpy.ops.fruitlangs.update_block()
+    assert cells(trees_of(overview)["two"]) == [str(before), str(before)]
     bpy.data.scenes.remove(again)
 
 
