@@ -18,14 +18,14 @@ from .errors import OutputError
 from .language.features.features import Features
 from .reconstruction import PHOTOS, Reconstruction
 from .report.audit import audit_text
-from .report.framing import framing
 from .report.meshes import write_glb, write_points_ply
+from .report.overview import draw_count
 from .report.page import write_page
 from .report.pictures import write_strips
 from .report.provenance import run_stamp, versions
 from .report.results import BLEND, FRUITS_JSON, dump, fruits_document, set_id
 from .report.selection import SELECTION, write_selection
-from .report.still import draw_still, save_still
+from .report.still import save_still
 from .report.tables import fruits_csv
 from .report.words import headline
 from .result_folder import SOURCE, ResultFolder
@@ -155,8 +155,7 @@ def _write_page(folder: Path, result: Result) -> None:
     """
     fruit_count, metres_per_unit = result.fruit_count, result.scene.metres_per_unit
     title = headline(fruit_count, ", ".join(result.origin["prompts"]))
-    camera = framing(result.scene, result.gaussians, fruit_count.fruits)
-    still = draw_still(result.gaussians, fruit_count.fruits, camera, metres_per_unit=metres_per_unit, title=title)
+    still = draw_count(result.scene, result.gaussians, fruit_count, title=title)
     save_still(folder / STILL, still)
     origin = {name: value for name, value in result.origin.items() if name != "source"}
     made_with = {"notices": result.notices, **origin, "versions": versions()}

@@ -26,7 +26,7 @@ from .result_folder import SPOOL
 from .scene.alignment import Similarity
 from .scene.camera import Camera, Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
-from .scene.walk import Walk, cut
+from .scene.walk import SECTION_PHOTOS, Walk, cut
 from .splatting.gaussians import Gaussians, concatenated, moved_gaussians
 from .splatting.gpu.adapters import Adapter
 from .splatting.ply import read_ply, write_ply
@@ -37,9 +37,6 @@ from .storage.keys import stage_key
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
 RECORD = "training.json"
 QUALITIES = ("psnr", "ssim")
-SECTION_PHOTOS = 70
-"""Photos of a section of a long walk, without those that overlap: about as many as of a single tree, so that a row gets
-as many steps and Gaussians for each of its trees."""
 
 
 class RunLog:

@@ -34,6 +34,8 @@ _AROUND = 1.15
 """Radii of the subject within which Gaussians belong to the tree."""
 _STEEP = 0.97
 """Cosine to the upward direction beyond which a camera looks straight down, so that up does not define its roll."""
+_LEAST = 1e-3
+"""Least width of the picture at distance 1: a single point has none."""
 _EDGES = 0.002
 """Share of the tree's Gaussians that may lie beyond each edge, so that strays do not make the tree small."""
 
@@ -113,7 +115,8 @@ def _at_photo(photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatAr
         reach = (radii / points[:, 2])[:, None] * np.sqrt(1.0 + rays**2)
         low = [-_edge(-rays[:, axis] + reach[:, axis], radii) for axis in (0, 1)]
         high = [_edge(rays[:, axis] + reach[:, axis], radii) for axis in (0, 1)]
-        focal = (1.0 - MARGIN) * min(width / (high[0] - low[0]), height / (high[1] - low[1]))
+        across, upward = max(high[0] - low[0], _LEAST), max(high[1] - low[1], _LEAST)
+        focal = (1.0 - MARGIN) * min(width / across, height / upward)
         if 2.0 * math.degrees(math.atan(0.5 * max(width, height) / focal)) > WIDEST_ANGLE:
             continue
         cx, cy = 0.5 * (width - focal * (low[0] + high[0])), 0.5 * (height - focal * (low[1] + high[1]))

@@ -67,7 +67,7 @@ def draw_still(
     taken = overlay.scale_bar(camera, _middle_depth(outlines, fruits, camera), metres_per_unit)
     overlay.number(outlines, taken)
     progress(1.0, "drawn")
-    return _titled(overlay.over(picture), title)
+    return titled(overlay.over(picture), title)
 
 
 def save_still(path: Path, still: Image.Image) -> None:
@@ -95,12 +95,13 @@ def _middle_depth(outlines: Sequence[Ellipse], fruits: Sequence[Fruit], camera: 
     return float(np.median(depths)) if depths else None
 
 
-def _titled(picture: Image.Image, title: str) -> Image.Image:
+def titled(picture: Image.Image, title: str) -> Image.Image:
     """The picture below a white band with the title, as large as fits."""
     if not title:
         return picture
     title = title.replace("–", "-")  # Pillow's own font has no en dash
-    band, margin = round(0.075 * picture.height), round(0.02 * picture.height)
+    high = min(picture.height, round(0.75 * picture.width))  # a sheet of many pictures is higher
+    band, margin = round(0.075 * high), round(0.02 * high)
     size = 0.6 * band
     while size > 8 and ImageFont.load_default(size).getlength(title) > picture.width - 2 * margin:
         size *= 0.9

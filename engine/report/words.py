@@ -52,10 +52,10 @@ def count_text(fruit_count: FruitCount) -> str:
     return text
 
 
-def headline(fruit_count: FruitCount, prompt: str) -> str:
-    """The count as a title: 'apple: 123 (90 % interval 115–133)'."""
-    text = f"{prompt}: {fruit_count.count}"
-    return text if fruit_count.interval is None else f"{text} ({_interval(fruit_count.interval)})"
+def headline(counted: FruitCount | Tree, what: str) -> str:
+    """A count as a title: 'apple: 123 (90 % interval 115–133)'."""
+    text = f"{what}: {counted.count}"
+    return text if counted.interval is None else f"{text} ({_interval(counted.interval)})"
 
 
 def _interval(interval: tuple[int, int]) -> str:

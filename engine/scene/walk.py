@@ -16,6 +16,9 @@ from .camera import Camera, Scene
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+SECTION_PHOTOS = 70
+"""Photos of a section of a long walk, without those that overlap: about as many as of a single tree, so that a row gets
+as many steps and Gaussians for each of its trees."""
 NEAR = 30.0
 """Percentile of the depths of the points in a photo that is taken as the distance of what it looks at: behind the trees
 there are more points than before them."""

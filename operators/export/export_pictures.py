@@ -117,21 +117,15 @@ def draw(
 ) -> Image:
     """The still from a camera, or from an automatic viewpoint with this width if there is none."""
     progress(0.0, "reading the Gaussians")
-    from ...engine.report.framing import framing
+    from ...engine.report.overview import draw_count
     from ...engine.report.still import draw_still
     from ...engine.report.words import headline
 
-    gaussians, fruits = stored.gaussians(), fruit_count.fruits
+    gaussians, title, drawing = stored.gaussians(), headline(fruit_count, text), part(progress, 0.1, 1.0)
     if camera is None:
-        progress(0.1, "looking for the best view")
-        camera = framing(scene, gaussians, fruits, width=width, height=round(0.75 * width))
+        return draw_count(scene, gaussians, fruit_count, title=title, width=width, progress=drawing)
     return draw_still(
-        gaussians,
-        fruits,
-        camera,
-        metres_per_unit=scene.metres_per_unit,
-        title=headline(fruit_count, text),
-        progress=part(progress, 0.5, 1.0),
+        gaussians, fruit_count.fruits, camera, metres_per_unit=scene.metres_per_unit, title=title, progress=drawing
     )
 
 

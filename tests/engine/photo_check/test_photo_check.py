@@ -18,7 +18,7 @@ import pytest
 from PIL import ExifTags, Image, ImageFilter
 from scipy import ndimage
 
-from fruitlangs.engine.config import Config, SceneConfig, TrainConfig
+from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, OutputError, SceneError
 from fruitlangs.engine.photo_check.check import check_photos
 from fruitlangs.engine.photo_check.cost import expected_costs
@@ -284,6 +284,17 @@ def test_expected_time_follows_the_settings_of_training() -> None:
 
     assert training(Config(train=TrainConfig(steps=400))) == pytest.approx(training(Config()) / 3)
     assert training(Config(scene=SceneConfig(downscale=4))) < training(Config())
+
+
+@pytest.mark.parametrize("trees", [{"trees": 6}, {"tree_places": tuple(float(i) for i in range(18))}])
+def test_a_row_of_200_photos_is_expected_to_train_longer_and_not_at_once_or_of_one_tree(trees: dict) -> None:
+    def training(config: Config) -> float:
+        return expected_costs([(360, 270)] * 200, config, posed=True, cores=2)[0].seconds
+
+    at_once = training(Config())
+    assert training(Config(count=CountConfig(**trees))) == pytest.approx(1.5 * 200 / 70 * at_once)
+    assert training(Config(count=CountConfig(**trees), scene=SceneConfig(sections=1))) == at_once
+    assert training(Config(count=CountConfig(trees=1))) == at_once
 
 
 def test_too_little_memory_is_a_problem(tmp_path: Path) -> None:
