@@ -211,10 +211,10 @@ def test_counting_is_timed_from_the_size_to_the_description_of_the_fruit() -> No
         measure_counting([0])
 
 
-def test_of_six_thousand_fruit_the_size_is_that_of_one_crown() -> None:
+def test_of_two_thousand_fruit_the_size_is_that_of_one_crown() -> None:
     crown = one_crown()
     sizes = []
-    for stack in (crown, crown.repeated(8)):
+    for stack in (crown, crown.repeated(3)):
         size = fruit_size(stack.gaussians, stack.probability, stack.visibility, stack.seen, CountConfig())
         assert size is not None
         sizes.append(size.diameter)

@@ -17,6 +17,7 @@ from ..job import Job
 from ..matching import match_along_lines
 from ..pairs import LARGEST, Pair
 from ..placing import triangulated
+from .nearness import near_photos
 
 Limits = tuple[float, float]
 """Largest distance in pixels from an epipolar line, and then of a point from its features."""
@@ -25,8 +26,6 @@ _ALL = (2.5, 2.0)
 """The limits of the matches of all features."""
 _MOST_FEATURES = 650_000
 """Features of all photos together that points are made of in the end: training has room for a tenth as many."""
-_NEAREST = 12
-"""Photos that each one is matched with: those with the most similar direction of view and place."""
 _LARGEST_ANGLE = 45.0
 """Largest angle between the directions of view of a pair, in degrees: SIFT finds nothing beyond."""
 
@@ -108,9 +107,7 @@ def near_pairs(placed: Mapping[int, Any]) -> list[Pair]:
     cost = turns + np.degrees(1.0) * apart / extent
     cost[turns > _LARGEST_ANGLE] = np.inf
     np.fill_diagonal(cost, np.inf)
-    pairs = set()
-    for row, ranked in enumerate(np.argsort(cost, axis=1, kind="stable")[:, :_NEAREST]):
-        pairs |= {(min(row, int(k)), max(row, int(k))) for k in ranked if np.isfinite(cost[row, k])}
+    pairs = {(min(pair), max(pair)) for pair in zip(*(each.tolist() for each in near_photos(cost)), strict=True)}
     return [(order[i], order[j]) for i, j in sorted(pairs)]
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..job import Job
 from ..kernels.patches import find_patches
 from ..views import Observations, Pictures, Views
+from .nearness import near_photos
 
 _LEAST_VIEWS = 3
 """Photos that a track needs: chance matches two."""
@@ -22,8 +23,6 @@ _HALF = 6
 _LEAST_CORRELATION = 0.85
 _LEAST_CONTRAST = 2.0
 """Standard deviation of the grey levels of a patch."""
-_NEAREST = 12
-"""Photos in which a point is searched: those that see it from the most similar directions."""
 _LARGEST_ANGLE = 45.0
 """Largest angle in degrees between the rays of the photos that are compared."""
 _BLOCK = 4096
@@ -100,9 +99,7 @@ def _near(
     rows = np.arange(len(xyz))
     cosines = np.einsum("nvk,nk->nv", rays, rays[rows, reference])
     cosines[rows, reference] = -np.inf
-    nearest = np.argsort(-cosines, axis=1, kind="stable")[:, : min(_NEAREST, len(views.images) - 1)]
-    point, column = np.nonzero(np.take_along_axis(cosines, nearest, 1) > np.cos(np.radians(_LARGEST_ANGLE)))
-    return point, nearest[point, column]
+    return near_photos(np.where(cosines > np.cos(np.radians(_LARGEST_ANGLE)), -cosines, np.inf))
 
 
 def _affine(
