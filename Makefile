@@ -6,12 +6,14 @@ READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon orchard fitting benchmarks
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py)))
 
-.PHONY: demo test lint types pytest baseline guide extension clean
+.PHONY: demo test lint types kernels pytest baseline guide extension clean
 
 demo: $(READY)
 	$(BIN)/python scripts/count_fruit.py examples/orchard_tree --prompt apple --out results/demo
 
-test: lint types pytest
+test: $(READY)
+	$(MAKE) --jobs 2 lint types kernels
+	$(MAKE) pytest
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -22,6 +24,11 @@ types: $(READY)
 	mkdir -p .types && ln -sfn "$(CURDIR)" .types/fruitlangs
 	MYPYPATH=.types $(BIN)/mypy $(addprefix -p fruitlangs.,$(PACKAGES))
 	MYPYPATH=.types:scripts:scripts/developer $(BIN)/mypy -p guide $(addprefix -m ,$(SCRIPTS))
+
+# Otherwise each process of the tests compiles them.
+kernels: $(READY)
+	PYTHONPATH=scripts $(BIN)/python -c "import _checkout; from fruitlangs.engine import compile_ahead; \
+		compile_ahead.all_compiled() or compile_ahead.compile_all()" > /dev/null
 
 pytest: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile

@@ -101,8 +101,13 @@ def compiled_ahead(progress: Progress, fraction: float) -> Iterator[None]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """The child: count, lift and train a small synthetic scene. arguments: none."""
+    """The child. arguments: none."""
     end_with_parent()
+    compile_all()
+
+
+def compile_all() -> None:
+    """Compile all kernels: count, lift and train a small synthetic scene."""
     gaussians, probability, cameras = _scene()
     _compile_backward(cameras[0])
     maps = [PhotoMap(np.ones((HEIGHT, WIDTH), np.float32), np.zeros((HEIGHT, WIDTH, 2), np.float32)) for _ in cameras]

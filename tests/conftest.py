@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 import trimesh
@@ -22,6 +23,8 @@ import _checkout  # noqa: F401
 
 os.environ["FRUITLANGS_WORDS"] = tempfile.mkdtemp(prefix="fruitlangs-words-")
 """No word that the user taught takes part in tests."""
+hypothesis.settings.register_profile("same on any computer", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("same on any computer")
 STATUS = pytest.StashKey[int]()
 SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orchard_tree"
 

@@ -76,7 +76,7 @@ def is_counted(fruit: int, values: dict[str, Any]) -> bool:
     return True
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, suppress_health_check=list(HealthCheck))
 @given(fruit=st.sampled_from([0, 1, 2, 3]), values=SETTINGS)
 def test_any_settings_count_or_say_in_one_line_what_to_change(fruit: int, values: dict[str, Any]) -> None:
     is_counted(fruit, values)

@@ -25,8 +25,6 @@ CONFIG = CountConfig(sample_budget=4_000)
 SMALL = sim.Setting(fruit=8, clump=3, sheets=0, floaters=8, views=8)
 ONCE = settings(
     max_examples=3,
-    deadline=None,
-    derandomize=True,
     phases=[Phase.generate],  # shrinking takes minutes and says nothing more
     suppress_health_check=list(HealthCheck),
 )

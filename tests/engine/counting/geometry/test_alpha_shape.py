@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fruitlangs.engine.counting.geometry.alpha_shape import alpha_shape_volume
 from fruitlangs.engine.counting.geometry.sphere import unit_directions
 
-QUICK = settings(max_examples=25, deadline=None, derandomize=True)
+QUICK = settings(max_examples=25)
 seeds = st.integers(0, 10_000)
 
 

@@ -17,7 +17,7 @@ def cloud(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-3.0, 5.0, (count, 3))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 200), st.floats(0.1, 20.0), st.floats(0.05, 9.0), st.integers(0, 5))
 def test_as_many_points_are_near_as_brute_force_finds(count: int, size: float, reach: float, seed: int):
     points, centers = cloud(count, seed), 1.5 * cloud(30, seed + 1)
@@ -64,7 +64,7 @@ def test_the_middle_of_what_is_near_is_its_mean():
         assert middle == pytest.approx(near.mean(axis=0))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 200), st.floats(0.1, 5.0), st.floats(0.1, 2.0), st.integers(0, 5))
 def test_points_are_linked_as_brute_force_links_them(count: int, size: float, reach: float, seed: int):
     cells = Cells.of(cloud(count, seed), size)

@@ -20,7 +20,7 @@ def clumps(count: int, seed: int) -> np.ndarray:
     return places[random.integers(5, size=count)] + random.normal(0.0, 0.25, (count, 3))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(st.integers(1, 400), st.floats(0.02, 3.0), st.integers(1, 30), st.integers(0, 1000))
 def test_clusters_and_their_numbers_are_those_of_scikit_learn(count: int, reach: float, least: int, seed: int) -> None:
     points = clumps(count, seed)

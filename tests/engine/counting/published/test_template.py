@@ -27,9 +27,7 @@ from fruitlangs.engine.errors import Cancelled, FormatError
 
 METHODS = [split_by_template, cluster_as_fruitnerf]
 EVERY_METHOD = pytest.mark.parametrize("method", METHODS, ids=["template", "fruitnerf"])
-ONCE = settings(
-    max_examples=4, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
-)
+ONCE = settings(max_examples=4, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
 APART = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 3.0]])
 
 
