@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import bumpy_wall
@@ -30,7 +31,7 @@ from fruitlangs.benchmarks.training.pages import (
     stage_table,
     watched_table,
 )
-from fruitlangs.benchmarks.training.published_3dgs import compare_with_published
+from fruitlangs.benchmarks.training.published_3dgs import compare_with_published, train_published
 from fruitlangs.benchmarks.training.step_times import (
     FORWARD_AND_BACKWARD,
     STAGES,
@@ -132,15 +133,16 @@ def test_every_variant_is_a_setting_of_training() -> None:
 def test_3dgs_as_published_learns_a_tiny_scene_and_ours_takes_as_many_gaussians(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(published_3dgs, "DENSIFY_FROM", 100)
-    monkeypatch.setattr(published_3dgs, "DENSIFY_EVERY", 25)
-    barely, *_ = compare_with_published(SAMPLE, steps=1, gaussians=300, downscale=10)
+    monkeypatch.setattr(published_3dgs, "DENSIFY_FROM", 50)
+    monkeypatch.setattr(published_3dgs, "DENSIFY_EVERY", 20)
+    monkeypatch.setattr(published_3dgs, "TrainConfig", partial(TrainConfig, steps=60))
+    barely = train_published(read_scene(SAMPLE, SceneConfig(downscale=10)), steps=1, most=300)
     steps = published_3dgs.DENSIFY_FROM + 2 * published_3dgs.DENSIFY_EVERY
     theirs, standard, ours = compare_with_published(SAMPLE, steps=steps, gaussians=300, downscale=10)
     assert theirs.psnr > barely.psnr + 2.0
     assert 100 < theirs.gaussians <= 300
     assert max(standard.gaussians, ours.gaussians) <= theirs.gaussians
-    assert (theirs.steps, standard.steps, ours.steps) == (steps, TrainConfig().steps, steps)
+    assert (theirs.steps, standard.steps, ours.steps) == (steps, 60, steps)
     assert published_table([theirs, standard, ours]).count("| ours |") == 2
 
 
