@@ -22,6 +22,8 @@ from .words import headline
 
 COLUMNS = 2
 """Pictures of trees side by side."""
+MOST = 60
+"""Trees that have a picture, the first of a row: a sheet of these is 20,000 pixels high."""
 TRIED = 20
 """Photos among which the viewpoint of a tree is chosen: those that look at it most directly."""
 
@@ -40,7 +42,9 @@ def draw_count(
     title: of the picture; width: pixels. The same input gives the same picture.
     """
     if len(fruit_count.trees) > 1:
-        return titled(_sheet(_trees(scene, gaussians, fruit_count, width // COLUMNS, progress)), title)
+        pictures = _trees(scene, gaussians, fruit_count, width // COLUMNS, progress)
+        shown = f", trees 1–{MOST} of {len(fruit_count.trees)}" if len(fruit_count.trees) > MOST else ""
+        return titled(_sheet(pictures), title + shown)
     progress(0.0, "looking for the best view")
     camera = _framing(scene, gaussians, fruit_count.fruits, width)
     drawing = part(progress, 0.5, 1.0)
@@ -51,12 +55,13 @@ def draw_count(
 def _trees(
     scene: Scene, gaussians: Gaussians, fruit_count: FruitCount, width: int, progress: Progress
 ) -> list[Image.Image]:
-    """A picture of each tree of a row, this wide, with its count as title."""
+    """A picture of each tree of a row, up to `MOST`, this wide, with its count as title."""
     places = np.array([tree.position for tree in fruit_count.trees])
     owners = torch.from_numpy(nearest_tree(gaussians.means.detach().double().numpy(), places, scene.up))
     pictures = []
-    for index, tree in enumerate(fruit_count.trees):
-        progress(index / len(places), f"drawing tree {index + 1} of {len(places)}")
+    drawn = fruit_count.trees[:MOST]
+    for index, tree in enumerate(drawn):
+        progress(index / len(drawn), f"drawing tree {index + 1} of {len(drawn)}")
         fruits = [fruit for fruit in fruit_count.fruits if fruit.tree == tree.number]
         looking = dataclasses.replace(scene, cameras=_looking_at(tree.position, scene.cameras))
         own = gaussians.select(owners == index)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fruit_examples import count_of, fruit
 
 from fruitlangs.engine.counting.fruit import Fruit, FruitCount, Tree
+from fruitlangs.engine.report import overview
 from fruitlangs.engine.report.overview import draw_count
 from fruitlangs.engine.scene.camera import Camera, Scene, looking
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
@@ -75,6 +77,12 @@ def test_a_tree_of_which_nothing_was_reconstructed_has_a_picture_too() -> None:
     near = gaussians.select(gaussians.means[:, 0] < 1.2)
     counted = count_of(*FRUITS[:3], trees=[*TREES, far])
     assert draw_count(walk(), near, counted, title="apple", width=400).height > 300
+
+
+def test_a_long_row_has_pictures_of_its_first_trees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(overview, "MOST", 2)
+    assert drawn(count_of(*FRUITS, trees=TREES)).shape[0] < 200
+    assert drawn(count_of(*FRUITS, trees=TREES[:2])).shape[0] < 200
 
 
 def test_a_row_of_one_tree_is_drawn_as_a_tree() -> None:
