@@ -30,9 +30,8 @@ kernels: $(READY)
 	PYTHONPATH=scripts $(BIN)/python -c "import _checkout; from fruitlangs.engine import compile_ahead; \
 		compile_ahead.all_compiled() or compile_ahead.compile_all()" > /dev/null
 
-# Two processes with two threads each: threads that wait must not take the cores from the others.
 pytest: $(READY)
-	OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 # About an hour and a half on two cores; goes on where it stopped.
 baseline: $(READY)

@@ -21,6 +21,8 @@ sys.path[:0] = [str(folder) for folder in (SCRIPTS, SCRIPTS / "developer", TESTS
 
 import _checkout  # noqa: F401
 
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+"""Two processes of tests have two threads each: those that wait must not take the cores from the others."""
 os.environ["FRUITLANGS_WORDS"] = tempfile.mkdtemp(prefix="fruitlangs-words-")
 """No word that the user taught takes part in tests."""
 hypothesis.settings.register_profile("same on any computer", deadline=None, derandomize=True)

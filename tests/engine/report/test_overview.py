@@ -63,7 +63,8 @@ def test_a_row_has_a_picture_of_each_tree_two_side_by_side() -> None:
 
 
 def test_the_picture_of_a_tree_shows_its_own_fruit_only() -> None:
-    (top, left), (bottom, right) = changed_without(3).min(axis=0), changed_without(3).max(axis=0)
+    changed = changed_without(3)
+    (top, left), (bottom, right) = changed.min(axis=0), changed.max(axis=0)
     assert left >= 200
     assert top >= 20
     assert bottom < 190
