@@ -26,7 +26,7 @@ SUNKEN, DOUBT = 0.25, 1.5
 there. On the sample 5 of 8 false apples lay there, with log odds of .2 to 1; the fallen apple that is found lies .43
 above."""
 CLEAR, FEW = 0.9, 0.05
-"""Probability of a clear fruit, and the most of the clear fruit that may lie in a ground."""
+"""Probability of a clear fruit, and the largest share of the fruit that may lie in a ground."""
 NEARNESS = 0.5
 """Radius of the subject relative to the distance from which it was photographed."""
 AROUND = 0.15
@@ -42,10 +42,17 @@ def lying_on_ground(
     gaussians: Gaussians, cameras: Sequence[Camera], centers: FloatArray, diameters: FloatArray, up: FloatArray
 ) -> list[bool | None]:
     """Whether each of F fruit lies on the ground; None if no ground is visible there. Arguments as of
-    `heights_above_ground`; diameters: (F,) scene units."""
+    `heights_above_ground`; diameters: (F,) scene units.
+
+    None for all if centres lie below what seems to be the ground: then it is none, for example the lower side of a
+    crown.
+    """
     if len(centers) == 0:
         return []
-    lowest = heights_above_ground(gaussians, cameras, centers, np.median(centers, axis=0), up) - 0.5 * diameters
+    heights = heights_above_ground(gaussians, cameras, centers, np.median(centers, axis=0), up)
+    if (heights < 0.0).mean() > FEW:
+        return [None] * len(centers)
+    lowest = heights - 0.5 * diameters
     lying = (lowest < FALLEN * np.median(diameters)).tolist()
     return [None if lost else low for lost, low in zip(np.isnan(lowest).tolist(), lying, strict=True)]
 

@@ -110,6 +110,12 @@ def test_without_a_ground_nothing_is_reported() -> None:
     assert lying_on_ground(gaussians, [], np.zeros((0, 3)), np.zeros(0), UP) == []
 
 
+def test_a_surface_that_fruit_hang_below_is_no_ground() -> None:
+    below_a_crown = CROWN - 1.25 * UP
+    assert (below_a_crown[:, 2] < 0.0).any()
+    assert told(orchard(), np.vstack([CROWN, below_a_crown])) == [None] * 8
+
+
 def test_a_fruit_far_beyond_the_ground_that_is_seen_is_not_reported() -> None:
     assert told(orchard(), np.vstack([CROWN, fallen_on(), [[40.0, 0.0, 0.04]]])) == [*EXPECTED, None]
 
