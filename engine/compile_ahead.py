@@ -8,7 +8,7 @@ in the cache of `compiled.jit`, where training and the later stages find it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
@@ -98,6 +98,17 @@ def compiled_ahead(progress: Progress, fraction: float) -> Iterator[None]:
     except BaseException:
         compilation.stop()
         raise
+
+
+def compile_once() -> None:
+    """Compile all kernels in a child process now, so that several workers need not each do it at the same time.
+
+    Does nothing on a computer that has counted before, or that cannot keep machine code.
+    """
+    if all_compiled() or CACHE_FOLDER is None:
+        return
+    with TemporaryDirectory() as folder, suppress(ChildError, OSError):  # then each worker compiles
+        run_child("compile_ahead", [], Path(folder) / "log.txt")
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from _terminal import import_tyro
+from _terminal import call_of, import_tyro, program
 from fruitlangs.engine.setting import field_docs, level_of
 
 WIDTH, COLUMN = 110, 34
@@ -32,12 +32,15 @@ def asked_for_help(given: Sequence[str]) -> bool:
     return any(argument in ("-h", "--help", "--help-all") for argument in given)
 
 
-def parsed(kind: Any, default: Any, given: Sequence[str], program: str, example: str) -> Any:
-    """The arguments of a script (a dataclass, `kind`), or exit: 0 with a help page, 2 with a usage message."""
+def parsed(kind: Any, default: Any, given: Sequence[str], script: str, example: str) -> Any:
+    """The arguments of a script (a dataclass, `kind`), or exit: 0 with a help page, 2 with a usage message.
+
+    script: its file; example: the arguments of a usual call.
+    """
     if asked_for_help(given):
-        print(help_text(program, default, example, every="--help-all" in given))
+        print(help_text(program(script), default, f"{call_of(script)} {example}", every="--help-all" in given))
         sys.exit(0)
-    return import_tyro().cli(kind, args=given, default=default, prog=program, description=kind.__doc__)
+    return import_tyro().cli(kind, args=given, default=default, prog=program(script), description=kind.__doc__)
 
 
 def help_text(program: str, default: Any, example: str, *, every: bool) -> str:

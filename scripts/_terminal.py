@@ -16,6 +16,23 @@ from fruitlangs.engine.config import PRESETS, STAGES, Preset
 from fruitlangs.engine.errors import Cancelled, FruitLangsError
 from fruitlangs.engine.progress import Progress, silent
 
+_COMMAND: list[str] = []
+
+
+def run_as(command: str) -> None:
+    """From now on the script calls itself by this command, such as `fruitlangs count`."""
+    _COMMAND[:] = [command]
+
+
+def program(script: str) -> str:
+    """What the user typed to run a script: its file name, or the installed command."""
+    return _COMMAND[0] if _COMMAND else Path(script).name
+
+
+def call_of(script: str) -> str:
+    """The beginning of a command line that runs a script."""
+    return _COMMAND[0] if _COMMAND else f"python scripts/{Path(script).name}"
+
 
 def import_tyro() -> ModuleType:
     """tyro, or exit 1 with the command that installs it."""

@@ -3,7 +3,7 @@
     python scripts/check_gpu.py --out results/gpu
     python scripts/check_gpu.py --out results/gpu --device llvmpipe --quick
 
-Writes card.json and card.md, to attach to a report. Needs a checkout with its sample. Exits with 1 if the card's
+Writes card.json and card.md, to attach to a report. In a checkout the sample is trained too. Exits with 1 if the card's
 numbers are wrong or do not repeat.
 """
 
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
-from _terminal import arguments_of, run, terminal_progress
+from _terminal import arguments_of, program, run, terminal_progress
 from fruitlangs.benchmarks.training.card_check import COUNTS, SIZES, check_card, page
 from fruitlangs.engine.errors import GpuError
 from fruitlangs.engine.splatting.gpu.adapters import choose_adapter, find_adapters
@@ -30,7 +30,9 @@ def main(given: Sequence[str] | None = None) -> None:
     Raises:
         FruitLangsError: there is no such card, or it fails, is wrong or does not repeat.
     """
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=program(__file__), description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of card.json and card.md")
     parser.add_argument("--device", default="gpu", help="part of a card's name; software too (default: a real card)")
     parser.add_argument("--quick", action="store_true", help="the smallest steps only, and not the sample")
@@ -41,8 +43,8 @@ def main(given: Sequence[str] | None = None) -> None:
     if adapter is None:
         raise GpuError(f"--device {arguments.device} names no card. Give gpu, or a part of a name above")
     counts, sizes = (COUNTS[:1], SIZES[:1]) if arguments.quick else (COUNTS, SIZES)
-    progress = terminal_progress()
-    report = check_card(adapter, SAMPLE, counts=counts, sizes=sizes, sample=not arguments.quick, progress=progress)
+    sample, progress = SAMPLE.is_dir() and not arguments.quick, terminal_progress()
+    report = check_card(adapter, SAMPLE, counts=counts, sizes=sizes, sample=sample, progress=progress)
     progress(1.0, "Done")
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "card.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 else:
     tyro = import_tyro()
 
-EXAMPLE = "python scripts/check_photos.py photos/tree7 --out results/tree7-check"
+EXAMPLE = "photos/tree7 --out results/tree7-check"
 SHEET = "contact_sheet.jpg"
 WIDTH = 100
 """Characters of a printed line."""
@@ -88,7 +88,7 @@ def parse() -> Arguments:
     given = arguments_of(__file__)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, preset=preset_of(given), train=PRESETS[preset_of(given)])
-    arguments: Arguments = parsed(Arguments, default, given, "check_photos.py", EXAMPLE)
+    arguments: Arguments = parsed(Arguments, default, given, __file__, EXAMPLE)
     return arguments
 
 

@@ -20,7 +20,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 import numpy as np
 from numpy.typing import NDArray
 
-from _terminal import arguments_of, run, table
+from _terminal import arguments_of, program, run, table
 from fruitlangs.engine.counting.fruit import NO_TREE
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.metrics import count_metrics
@@ -48,7 +48,9 @@ def main(given: Sequence[str] | None = None) -> None:
     Raises:
         FruitLangsError: the result cannot be compared.
     """
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog=program(__file__), description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("result", type=Path, metavar="RESULT_DIR", help="folder with a fruits.json")
     parser.add_argument("--truth", type=Path, required=True, help="truth.json of the row that was counted")
     parser.add_argument("--trees", type=Path, help="text: number x y z a tree, or number and two corners of its box")

@@ -40,7 +40,7 @@ else:
     tyro = import_tyro()
 
 
-EXAMPLE = "python scripts/count_fruit.py photos/tree7 --prompt apple --out results/tree7"
+EXAMPLE = "photos/tree7 --prompt apple --out results/tree7"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +154,7 @@ def parse() -> tuple[Arguments, set[str]]:
     preset = preset_of(given)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])
-    return parsed(Arguments, default, given, "count_fruit.py", EXAMPLE), given_settings(given)
+    return parsed(Arguments, default, given, __file__, EXAMPLE), given_settings(given)
 
 
 if __name__ == "__main__":

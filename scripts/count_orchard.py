@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 else:
     tyro = import_tyro()
 
-EXAMPLE = "python scripts/count_orchard.py orchard.csv --out results/block"
+EXAMPLE = "orchard.csv --out results/block"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +73,7 @@ def main() -> None:
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.manifest import read_manifest
     from fruitlangs.engine.block.publish import publish_block
+    from fruitlangs.engine.compiled.jit import all_compiled
     from fruitlangs.engine.memory import available_bytes
 
     trees = read_manifest(arguments.manifest, prompt=arguments.prompt, settings=arguments.settings)
@@ -97,6 +98,11 @@ def main() -> None:
     def settled(own: str, state: TreeState) -> None:
         say(f"{own}: {state.reason}" if state.stage == "failed" else f"{own}: counted in {state.seconds:.0f} s")
 
+    if arguments.executor == "local" and not all_compiled():
+        from fruitlangs.engine.compile_ahead import compile_once
+
+        say("compiling for this computer (first run only, about a minute)")
+        compile_once()
     command = python_command(Path(__file__).resolve())
     states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
@@ -170,7 +176,7 @@ def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
     needed: Any = tyro.MISSING
     arguments: Arguments = parsed(
-        Arguments, Arguments(manifest=needed, out=needed), arguments_of(__file__), "count_orchard.py", EXAMPLE
+        Arguments, Arguments(manifest=needed, out=needed), arguments_of(__file__), __file__, EXAMPLE
     )
     return arguments
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 else:
     tyro = import_tyro()
 
-EXAMPLE = "python scripts/teach_word.py results/tree7 --word fig --positive IMG_12.jpg:1034,887"
+EXAMPLE = "results/tree7 --word fig --positive IMG_12.jpg:1034,887"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +142,7 @@ def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
     needed: Any = tyro.MISSING
     arguments: Arguments = parsed(
-        Arguments, Arguments(result=needed, word=needed), arguments_of(__file__), "teach_word.py", EXAMPLE
+        Arguments, Arguments(result=needed, word=needed), arguments_of(__file__), __file__, EXAMPLE
     )
     return arguments
 

@@ -18,7 +18,8 @@ _CARD = """\
 
 A small convolutional network that gives every pixel of a photo one of {concepts} words, with a calibrated
 probability. It ships with FruitLangs, needs no download and no GPU, and takes about half a second of two CPU cores
-for a 480×360 photo. Written by `scripts/train_encoder.py`; the figures are those of the weights next to this card.
+for a 480×360 photo. Written by `scripts/developer/train_encoder.py`; the figures are those of the weights next to this
+card.
 
 Words: {words_known}; colours, measured from the pixels and not learnt: {colours}.
 
@@ -70,7 +71,8 @@ those); {held_out} renders were held out from the last one, of scenes whose seed
 Two commands generate the renders, train on them, and calibrate on the whole trees among them:
 
     python scripts/make_orchard.py --scenes 1500:1604 --out RENDERS
-    python scripts/train_encoder.py --renders RENDERS --photos PHOTOS --steps 6000 --out NEW/embedded.safetensors
+    python scripts/developer/train_encoder.py --renders RENDERS --photos PHOTOS --steps 6000 \\
+        --out NEW/embedded.safetensors
 
 A second output says where on its fruit each pixel lies, in radii from the centre. It is a network of its own on the
 features of this one (`offsets.safetensors`), learnt afterwards from rendered scenes and the same photos:

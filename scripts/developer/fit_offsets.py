@@ -4,7 +4,7 @@
     python scripts/developer/fit_offsets.py --renders TREES --photos PHOTOS --start WEIGHTS
 
 Learns from the views of rendered scenes and from photos with boxes, on features of the package's encoder, which stays
-as it is. Train it again after scripts/train_encoder.py.
+as it is. Train it again after scripts/developer/train_encoder.py.
 """
 
 from __future__ import annotations

@@ -176,7 +176,9 @@ def test_every_module_has_a_layer() -> None:
 def test_an_installed_package_has_every_folder_and_its_files() -> None:
     tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     folders = {path.parent.relative_to(ROOT) for path in SOURCES}
-    assert set(tools["packages"]) == {"fruitlangs"} | {".".join(("fruitlangs", *folder.parts)) for folder in folders}
+    of_commands = {"fruitlangs.scripts", "fruitlangs.benchmarks", "fruitlangs.benchmarks.training"}
+    expected = {"fruitlangs"} | {".".join(("fruitlangs", *folder.parts)) for folder in folders}
+    assert set(tools["packages"]) == expected | of_commands
     for package, patterns in tools["package-data"].items():
         folder = ROOT.joinpath(*package.split(".")[1:])
         assert all(list(folder.glob(pattern)) for pattern in patterns), package

@@ -71,7 +71,7 @@ class EmbeddedEncoder:
         if stored.concepts != CONCEPTS:
             raise EncoderError(
                 f"The encoder's weights {path} were made for another vocabulary. Train them again with "
-                "scripts/train_encoder.py"
+                "scripts/developer/train_encoder.py"
             )
         network = stored.network()
         calibration = stored.calibration

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import subprocess
 import tomllib
 import zipfile
@@ -68,7 +69,11 @@ def test_manifest_agrees_with_the_package():
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert manifest()["version"] == fruitlangs.__version__ == project["version"]
-    assert manifest()["license"] == [f"SPDX:{project['license']}"]
+    licences = project["license"].split(" AND ")
+    assert manifest()["license"] == [f"SPDX:{licence}" for licence in licences]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {project['version']}\n" in citation
+    assert re.search(r"^license:\n((?:  - .*\n)+)", citation, re.M)[1].split()[1::2] == licences
 
 
 def test_zip_holds_the_code_and_none_of_the_rest(zip_path):
@@ -77,7 +82,7 @@ def test_zip_holds_the_code_and_none_of_the_rest(zip_path):
         assert needed in names
     tops = {name.split("/")[0] for name in names}
     assert tops <= {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "CHANGELOG.md"} | {
-        "engine", "operators", "fruitlangs_addon"
+        "engine", "operators", "fruitlangs_addon", "LICENSES"
     }  # fmt: skip
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
 

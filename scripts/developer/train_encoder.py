@@ -9,6 +9,10 @@ The same inputs, seed and number of steps give the same weights on the same mach
 from __future__ import annotations
 
 import os
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import _checkout  # noqa: F401
 
