@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon orchard fitting benchmarks
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py)))
 
-.PHONY: demo test lint types kernels pytest baseline guide extension clean
+.PHONY: demo test lint types kernels pytest tables stale guide extension clean
 
 demo: $(READY)
 	$(BIN)/python scripts/count_fruit.py examples/orchard_tree --prompt apple --out results/demo
@@ -33,10 +33,13 @@ kernels: $(READY)
 pytest: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-# About an hour and a half on two cores; goes on where it stopped.
-baseline: $(READY)
-	$(BIN)/python scripts/evaluate.py $(addsuffix -small:101,apple plum lemon pear peach mango cherry orange) \
-		--out results/baseline --publish benchmarks
+# The tables of README, docs/accuracy.md and benchmarks/RESULTS.md: many hours; goes on where it stopped.
+tables: $(READY)
+	$(BIN)/python scripts/developer/make_tables.py
+
+# Only says in the tables which rows were measured with earlier code.
+stale: $(READY)
+	$(BIN)/python scripts/developer/make_tables.py --measure-nothing
 
 # The pictures of docs/blender.md; BLENDER opens a window, its Python has the engine's packages.
 BLENDER ?= blender

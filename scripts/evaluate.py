@@ -27,7 +27,6 @@ import numpy as np
 from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
 from fruitlangs.benchmarks.ladder.pages import stage_rows, write_pages
-from fruitlangs.benchmarks.ladder.results import publish
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
@@ -66,8 +65,6 @@ class Arguments:
     """With --out: what to count; else the species that each scene says it has."""
     stages: Annotated[tuple[Stage, ...], tyro.conf.arg(aliases=("--rungs",))] = get_args(Stage)
     """With --out: the ablation stages to count. --rungs is the earlier name."""
-    publish: Path | None = None
-    """Folder that also gets results.csv and RESULTS.md, with the date and the commit."""
     preset: Preset = "standard"
     """Settings of training to start from."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -88,8 +85,8 @@ def main(given: Sequence[str] | None = None) -> None:
         raise ConfigError("Give --out DIR to count scenes, or --truth truth.json to measure results, and not both")
     if not arguments.given:
         raise ConfigError("Nothing is given to measure. Name scenes or results")
-    if arguments.truth is not None and (arguments.prompt or arguments.publish):
-        raise ConfigError("--prompt and --publish are for scenes that are counted with --out. Leave them out")
+    if arguments.truth is not None and arguments.prompt:
+        raise ConfigError("--prompt is for scenes that are counted with --out. Leave it out")
     if arguments.out is not None and arguments.label:
         raise ConfigError("--label is for results that are measured with --truth. With --out give --prompt")
     if arguments.truth is not None:
@@ -125,8 +122,6 @@ def ladder(arguments: Arguments) -> None:
     if rows:
         print(markdown(stage_rows(rows)))
         print(f"\nwritten: {out / 'index.html'}, ladder.csv, ladder.md, visibility.csv, times.csv")
-        if arguments.publish is not None and not broken and not any(row.failed for row in rows):
-            publish(rows, arguments.publish, command=" ".join(["scripts/evaluate.py", *arguments_of(__file__)]))
     broken += [f"{row.scene}, {row.stage}: {row.failed}" for row in rows if row.failed]
     if broken:
         raise ConfigError(f"{len(broken)} could not be measured. The first: {broken[0]}")

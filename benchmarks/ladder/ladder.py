@@ -41,9 +41,9 @@ class StageResult:
 
     counted: number of fruit, None if it failed; near, far: measured at half a diameter and at one, None without a
     truth; classes: errors by visible fraction at half a diameter; ece: calibration error of the fruit's probabilities;
-    interval: of the count, if there is one; psnr, ssim: of held-out photos, if a scene was trained; views: number of
-    views; cameras: errors of estimated cameras; seconds by stage; failed: why there is no count; mistakes: name of the
-    picture of the worst ones.
+    interval, total_interval: of visible and of all fruit, if there are any; psnr, ssim: of held-out photos, if a scene
+    was trained; views: number of views; cameras: errors of estimated cameras; seconds by stage; failed: why there is
+    no count; mistakes: name of the picture of the worst ones.
     """
 
     species: str
@@ -56,6 +56,7 @@ class StageResult:
     classes: Sequence[VisibilityClass] = ()
     ece: float = math.nan
     interval: tuple[float, float] | None = None
+    total_interval: tuple[float, float] | None = None
     psnr: float | None = None
     ssim: float | None = None
     views: int = 0
@@ -140,6 +141,7 @@ def _counted(row: StageResult, counted: Counted) -> StageResult:
         row,
         counted=len(counted.centers),
         interval=counted.interval,
+        total_interval=counted.total_interval,
         psnr=counted.psnr,
         ssim=counted.ssim,
         views=counted.views,
@@ -185,7 +187,8 @@ def _kept(path: Path, key: str) -> Counted | None:
         document["centers"] = np.array(document["centers"], np.float64).reshape(-1, 3)
         for name in ("diameters", "probabilities"):
             document[name] = np.array(document[name], np.float64)
-        document["interval"] = None if document["interval"] is None else tuple(document["interval"])
+        for name in ("interval", "total_interval"):
+            document[name] = None if document[name] is None else tuple(document[name])
         document["cameras"] = CameraErrors(**document["cameras"]) if document["cameras"] else None
         return Counted(**document)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

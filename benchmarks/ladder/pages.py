@@ -14,16 +14,9 @@ from ...engine.evaluation.summary import summarise
 from ...engine.storage.files import replacing, write_text
 from ..markdown import markdown
 from .ladder import StageResult
+from .rows import number_cell, rows_csv
 from .stages import COUNTING_ONLY, END_TO_END, STAGES, TRUE_MASKS, TRUE_POSES
 
-COLUMNS = (
-    "species", "seed", "ablation_stage", "scene", "predicted", "visible", "total", "matched", "ignored", "precision",
-    "recall", "f1", "f1_at_1", "doubles", "merges", "count_error", "relative_count_error", "relative_total_error",
-    "center_error", "diameter_error", "diameter_bias", "ece", "interval_low", "interval_high", "psnr", "ssim", "views",
-    "cameras_placed", "camera_center", "camera_center_90", "camera_rotation", "camera_rotation_90", "failed",
-)  # fmt: skip
-CAMERA_ERRORS = ("placed", "center", "center_90", "rotation", "rotation_90")
-"""Fields of `CameraErrors`, in the order of their columns."""
 LOSS_NAMES = ("counting", "Gaussians", "masks", "poses")
 """The parts of the pipeline that can lose fruit, in order."""
 
@@ -58,25 +51,6 @@ def losses(f1_by_stage: dict[str, float]) -> Loss:
     )
 
 
-def rows_csv(rows: Sequence[StageResult]) -> str:
-    """One line per stage; ratios unrounded, lengths in mean true diameters, PSNR in dB; empty if not measured."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row in rows:
-        low, high = row.interval or (None, None)
-        writer.writerow(
-            [row.species, _cell(row.seed), row.stage, row.scene, _cell(row.counted)]
-            + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[5:12]]
-            + [_cell(row.far.f1 if row.far else None)]
-            + [_cell(getattr(row.near, name) if row.near else None) for name in COLUMNS[13:21]]
-            + [_cell(value) for value in (row.ece, low, high, row.psnr, row.ssim, row.views)]
-            + [_cell(getattr(row.cameras, name) if row.cameras else None) for name in CAMERA_ERRORS]
-            + [row.failed]
-        )
-    return text.getvalue()
-
-
 def times_csv(rows: Sequence[StageResult]) -> str:
     """Seconds of every stage that trained; a separate table because they differ between runs."""
     text = io.StringIO()
@@ -84,7 +58,7 @@ def times_csv(rows: Sequence[StageResult]) -> str:
     writer.writerow(["species", "seed", "ablation_stage", "scene", "stage", "seconds"])
     for row in rows:
         for stage, seconds in row.seconds.items():
-            writer.writerow([row.species, _cell(row.seed), row.stage, row.scene, stage, f"{seconds:.2f}"])
+            writer.writerow([row.species, number_cell(row.seed), row.stage, row.scene, stage, f"{seconds:.2f}"])
     return text.getvalue()
 
 
@@ -98,8 +72,8 @@ def visibility_csv(rows: Sequence[StageResult]) -> str:
     )
     for row in rows:
         for part in row.classes:
-            cells = [_cell(getattr(part, name)) for name in names]
-            writer.writerow([row.species, _cell(row.seed), row.stage, row.scene, *cells])
+            cells = [number_cell(getattr(part, name)) for name in names]
+            writer.writerow([row.species, number_cell(row.seed), row.stage, row.scene, *cells])
     return text.getvalue()
 
 
@@ -242,12 +216,6 @@ def _number(value: float, *, sign: bool = False) -> str:
 
 def _percent(value: float, *, sign: bool = False) -> str:
     return "" if math.isnan(value) else f"{value:{'+' if sign else ''}.1%}"
-
-
-def _cell(value: float | int | None) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return f"{value:.4f}" if isinstance(value, float) else str(value)
 
 
 _PAGE = """<!doctype html>

@@ -60,15 +60,16 @@ STAGES: Mapping[str, str] = {
 class Counted:
     """The count of one stage, in the frame of the truth.
 
-    centers: (P, 3); diameters, probabilities: (P,); interval: of the count, None without one; psnr, ssim: of held-out
-    photos, None without training; views: number of views; cameras: errors of estimated cameras, None if the true ones
-    were used; seconds by stage.
+    centers: (P, 3); diameters, probabilities: (P,); interval, total_interval: of visible and of all fruit, None
+    without one; psnr, ssim: of held-out photos, None without training; views: number of views; cameras: errors of
+    estimated cameras, None if the true ones were used; seconds by stage.
     """
 
     centers: FloatArray
     diameters: FloatArray
     probabilities: FloatArray
     interval: tuple[float, float] | None = None
+    total_interval: tuple[float, float] | None = None
     psnr: float | None = None
     ssim: float | None = None
     views: int = 0
@@ -304,6 +305,7 @@ def _counted(found: FruitCount, views: int) -> Counted:
         diameters=found.diameters,
         probabilities=np.array([fruit.probability for fruit in found.fruits], dtype=np.float64),
         interval=found.interval,
+        total_interval=found.total_interval,
         views=views,
     )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ...engine.config import Config
+from ...engine.config import Config, CountConfig
 from ...engine.counting.count import count_fruit
 from ...engine.errors import FormatError, FruitLangsError
 from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
@@ -25,6 +25,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...engine.splatting.rendering.rasterize import render
 from ..orchards import TRUTH, read_origin
+from .fruit_field import fruit_field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +87,6 @@ class SceneTables:
     ablation: Mapping[str, Tally] = field(default_factory=dict)
 
 
-NOT_YET = Tally(note="not yet")
-
-
 def measure_tables(
     folder: Path,
     out: Path,
@@ -121,21 +119,43 @@ def measure_tables(
     imported = folder / IMPORTED if (folder / IMPORTED).is_file() else results["3DGS"].out / "gaussians.ply"
     note = "" if imported.name == IMPORTED else "our training without eq. 3 and 4"
     from_imported = _in_other(folder, imported, asked, out / "foreign", config, truth, note)
+    report(f"{folder.name}: FruitNeRF's field")
+    fruitnerf = replace(config.count, method="fruitnerf")
+    clustered, by_field = _in_field(ours, asked, config, [fruitnerf, config.count], truth)
     return SceneTables(
         name=folder.name,
         reconstruction={name: _quality(result) for name, result in results.items()},
         counts={
             "NeRF+Ours": _from_cloud(folder, scene, asked, out, config, truth),
             "3DGS+Ours": from_imported,
-            "FruitNeRF": NOT_YET,
+            "FruitNeRF": clustered,
             "Ours": _tally(ours, truth),
         },
         ablation={
             "with language": _tally(ours, truth),
             "without language": _without_language(ours, scene, config, truth, part(progress, 0.9, 1.0)),
-            "Fruit Field": NOT_YET,
+            "Fruit Field": by_field,
         },
     )
+
+
+def _in_field(
+    ours: Result, prompts: Sequence[str], config: Config, counts: Sequence[CountConfig], truth: Truth | None
+) -> list[Tally]:
+    """Counts of the Gaussians that FruitNeRF's field, learnt in ours, says are fruit."""
+    try:
+        probability = fruit_field(ours, prompts, config)
+    except FruitLangsError as error:
+        return [_not_measured(error)] * len(counts)
+    tallies = []
+    for each in counts:
+        try:
+            found = count_fruit(ours.gaussians, probability, ours.scene.cameras, each, label=prompts[0])
+            tally = replace(_tally(replace(ours, fruit_count=found), truth), note="its field learnt in our Gaussians")
+        except FruitLangsError as error:
+            tally = _not_measured(error)
+        tallies.append(tally)
+    return tallies
 
 
 def _quality(result: Result) -> Quality:

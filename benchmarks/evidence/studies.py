@@ -1,0 +1,85 @@
+"""What is measured for the documents: scenes, stages and methods."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from ..ladder.stages import END_TO_END, STAGES, TRUE_POSES
+from .records import Record, Trial
+
+SPECIES = ("apple", "plum", "lemon", "pear", "peach", "mango", "cherry", "orange")
+SEEDS = (101, 102, 103)
+CONDITIONS: Mapping[str, str] = {
+    "": "as usual: spindle, red, 60 photos",
+    "wall": "limbs in the plane of the row",
+    "vase": "open centre",
+    "bush": "several low stems",
+    "clumped": "fruit in clumps of five",
+    "mixed-sizes": "sizes vary by a third",
+    "heavy-load": "half as many fruit again",
+    "leafy": "twice the leaves",
+    "neighbours": "rows with fruit behind and in front",
+    "green": "green fruit",
+    "bicoloured": "green fruit with a red cheek",
+    "distractors": "tags, flowers, buckets, crates",
+    "fallen": "fruit on the ground",
+    "hard-light": "hard light",
+    "exposure": "exposure and colour drift",
+    "motion-blur": "photos blurred by 3 pixels",
+    "wind": "leaves turn by 15°",
+    "pose-noise": "cameras wrong by 0.25°",
+    "half-ring": "seen from one side",
+    "few-views": "15 photos",
+    "low-resolution": "fruit of 9 pixels",
+}
+"""{ending of a preset of apple-small: the condition in words}."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Trials that belong together: every scene (a preset with a seed) in every stage by every method."""
+
+    scenes: tuple[str, ...]
+    stages: tuple[str, ...]
+    methods: tuple[str, ...] = ("voting",)
+
+    @property
+    def trials(self) -> list[Trial]:
+        """In the order in which they are measured."""
+        return [
+            Trial(scene=scene.replace(":", "-"), stage=stage, method=method)
+            for scene in self.scenes
+            for method in self.methods
+            for stage in self.stages
+        ]
+
+
+STUDIES: Mapping[str, Study] = {
+    "known-cameras": Study(
+        scenes=tuple(f"{species}-small:{seed}" for seed in SEEDS[1:] for species in SPECIES), stages=(TRUE_POSES,)
+    ),
+    "ladder": Study(
+        scenes=tuple(f"{species}-small:{seed}" for seed in SEEDS for species in SPECIES), stages=tuple(STAGES)
+    ),
+    "phone": Study(
+        scenes=tuple(f"{species}-phone:101" for species in ("apple", "mango", "cherry")),
+        stages=(TRUE_POSES, END_TO_END),
+    ),
+    "conditions": Study(
+        scenes=tuple("-".join(filter(None, ("apple-small", name))) + ":101" for name in CONDITIONS),
+        stages=(TRUE_POSES,),
+    ),
+    "methods": Study(
+        scenes=tuple(f"{species}-small:101" for species in SPECIES),
+        stages=(TRUE_POSES,),
+        methods=("voting", "template", "fruitnerf"),
+    ),
+}
+"""{name: study}, the most important first."""
+
+
+def of_study(name: str, records: Iterable[Record]) -> dict[Trial, Record]:
+    """The records of a study, in its order."""
+    by_trial = {record.trial: record for record in records}
+    return {trial: by_trial[trial] for trial in STUDIES[name].trials if trial in by_trial}

@@ -1,0 +1,203 @@
+"""The tables of the documents, made from records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from statistics import mean
+
+from ...engine.evaluation.metrics import CountMetrics
+from ...engine.evaluation.summary import summarise
+from ..ladder.ladder import StageResult
+from ..ladder.pages import table_parts
+from ..ladder.stages import END_TO_END, TRUE_POSES
+from ..markdown import markdown
+from .records import Record, Trial
+from .studies import CONDITIONS, SEEDS, SPECIES, STUDIES, of_study
+
+METHODS = {"voting": "ours", "template": "the paper's template", "fruitnerf": "FruitNeRF's clustering"}
+
+
+def head(name: str, records: Sequence[Record]) -> str:
+    """Where a study comes from, and whether it is stale or not complete."""
+    own, wanted = of_study(name, records), STUDIES[name].trials
+    if not own:
+        return "Not measured yet: `make tables`."
+    cells = [record.cells for record in own.values()]
+    days = sorted({each["date"] for each in cells})
+    commits = sorted({each["commit"] for each in cells})
+    text = f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))} at commit {', '.join(commits)}, on "
+    text += f"{'; '.join(sorted({each['machine'] for each in cells}))}."
+    stale, lacking = sum(record.stale for record in own.values()), len(wanted) - len(own)
+    if stale:
+        text += f" **Stale**: {stale} of {len(own)} rows were measured with earlier code."
+    if lacking:
+        text += f" {lacking} of {len(wanted)} rows are not measured yet."
+    return text
+
+
+def known_cameras(records: Sequence[Record]) -> str:
+    """F1 by species and seed with known cameras, for the README."""
+    own = of_study("known-cameras", records)
+    lines = [["species"]]
+    for seed in SEEDS[1:]:
+        lines[0] += [f"{seed}: visible, counted", "F1"]
+    scores: dict[int, list[float]] = {seed: [] for seed in SEEDS[1:]}
+    for species in SPECIES:
+        line = [species]
+        for seed in SEEDS[1:]:
+            near = _near(own.get(Trial(scene=f"{species}-small-{seed}", stage=TRUE_POSES)))
+            line += [f"{near.visible}, {near.predicted}", _score(near.f1)] if near else ["", ""]
+            scores[seed] += [near.f1] if near else []
+        lines.append(line)
+    last = ["mean"]
+    for seed in SEEDS[1:]:
+        last += ["", _score(mean(scores[seed])) if scores[seed] else ""]
+    return markdown([*lines, last])
+
+
+def both_roads(records: Sequence[Record]) -> str:
+    """Known cameras and photos alone, by scene."""
+    return _both_roads([f"{species}-small-{seed}" for species in SPECIES for seed in SEEDS], records)
+
+
+def phone(records: Sequence[Record]) -> str:
+    """The same for photos of a phone's size."""
+    return _both_roads([scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
+
+
+def _both_roads(scenes: Sequence[str], records: Sequence[Record]) -> str:
+    by_trial = {record.trial: record for record in records}
+    lines = [["scene", "visible", "counted", "F1", "precision", "F1, photos alone", "placed"]]
+    lines[0] += ["centres / mm", "directions / °"]
+    known, alone = list[float](), list[float]()
+    for scene in scenes:
+        near = _near(by_trial.get(Trial(scene=scene, stage=TRUE_POSES)))
+        record = by_trial.get(Trial(scene=scene, stage=END_TO_END))
+        found, cameras = _near(record), record.result.cameras if record else None
+        if near is None and found is None:
+            continue
+        line = [scene]
+        line += [str(near.visible), str(near.predicted), _score(near.f1), _score(near.precision)] if near else [""] * 4
+        line.append(_score(found.f1) if found else "failed" if record else "")
+        if cameras:
+            line += [
+                f"{cameras.placed} of {cameras.photos}",
+                f"{1000 * cameras.center:.1f}, {1000 * cameras.center_90:.1f}",
+                f"{_short(cameras.rotation)}, {_short(cameras.rotation_90)}",
+            ]
+        else:
+            line += [""] * 3
+        lines.append(line)
+        known += [near.f1] if near else []
+        alone += [found.f1] if found else []
+    ends_of: Mapping[str, Callable[[list[float]], float]] = {"mean": mean, "worst": min}
+    for name, choose in ends_of.items():
+        ends = [_score(choose(values)) if values else "" for values in (known, alone)]
+        lines.append([name, "", "", ends[0], "", ends[1], "", "", ""])
+    return markdown(lines)
+
+
+def ladder(records: Sequence[Record]) -> str:
+    """The ablation ladder with all its tables."""
+    own = [record.result for record in of_study("ladder", records).values()]
+    return "\n\n".join(table_parts(own))
+
+
+def conditions(records: Sequence[Record]) -> str:
+    """One condition changed at a time."""
+    own = of_study("conditions", records)
+    lines = [["condition", "visible", "counted", "F1", "precision", "recall"]]
+    for words, result in condition_results(own):
+        near = result.near
+        if near is None:
+            lines.append([words, "", "", "failed", "", ""])
+        else:
+            scores = (near.f1, near.precision, near.recall)
+            lines.append([words, str(near.visible), str(near.predicted), *map(_score, scores)])
+    return markdown(lines)
+
+
+def condition_results(own: Mapping[Trial, Record]) -> list[tuple[str, StageResult]]:
+    """(condition in words, its result) of those that were measured."""
+    found = []
+    for name, words in CONDITIONS.items():
+        scene = "-".join(filter(None, ("apple-small", name, "101")))
+        record = own.get(Trial(scene=scene, stage=TRUE_POSES))
+        if record:
+            found.append((words, record.result))
+    return found
+
+
+def methods(records: Sequence[Record]) -> str:
+    """Other ways of counting in the same Gaussians with the same masks."""
+    own = of_study("methods", records)
+    lines = [["scene", *METHODS.values()]]
+    scores: dict[str, list[float]] = {name: [] for name in METHODS}
+    for scene in dict.fromkeys(trial.scene for trial in STUDIES["methods"].trials):
+        near = {name: _near(own.get(Trial(scene=scene, stage=TRUE_POSES, method=name))) for name in METHODS}
+        if all(near.values()):
+            for name, each in near.items():
+                scores[name] += [each.f1] if each else []
+            lines.append([scene, *(_score(each.f1) if each else "" for each in near.values())])
+    lines.append(["mean", *(_score(mean(values)) if values else "" for values in scores.values())])
+    return markdown(lines)
+
+
+def intervals(records: Sequence[Record]) -> str:
+    """How often the 90 % intervals hold, by species."""
+    results = [record.result for record in records if record.trial.method == "voting" and record.result.near]
+    lines = [["species", "scenes", "visible held", "width / number", "all held", "width / number"]]
+    for species in (*SPECIES, "all"):
+        own = [each for each in results if species in (each.species, "all") and each.stage in (TRUE_POSES, END_TO_END)]
+        of_visible = [(each.interval, each.near.visible) for each in own if each.interval and each.near]
+        of_all = [(each.total_interval, each.near.total) for each in own if each.total_interval and each.near]
+        if of_visible and of_all:
+            lines.append([species, str(len(own)), *_held(of_visible), *_held(of_all)])
+    return markdown(lines)
+
+
+def _held(pairs: Sequence[tuple[tuple[float, float], int]]) -> list[str]:
+    """How many numbers lie in their intervals, and the intervals' mean width."""
+    held = sum(low <= number <= high for (low, high), number in pairs)
+    width = mean((high - low) / max(number, 1) for (low, high), number in pairs)
+    return [f"{held} of {len(pairs)}", _score(width)]
+
+
+def summary_line(name: str, records: Sequence[Record]) -> str:
+    """Mean F1, precision and recall with known cameras of a study of all species, and its worst scene."""
+    own = [each.result for each in of_study(name, records).values() if each.trial.stage == TRUE_POSES]
+    near = [each.near for each in own if each.near]
+    if not near or name not in ("known-cameras", "ladder"):
+        return ""
+    whole = summarise(near)
+    worst = min((each for each in own if each.near), key=lambda each: each.near.f1 if each.near else math.inf)
+    assert worst.near is not None
+    return (
+        f"Mean F1 {_score(whole.f1)}, precision {_score(whole.precision)}, recall {_score(whole.recall)}; worst scene "
+        f"{worst.scene}, F1 {_score(worst.near.f1)}."
+    )
+
+
+def _near(record: Record | None) -> CountMetrics | None:
+    return record.result.near if record else None
+
+
+def _score(value: float) -> str:
+    return f"{value:.3f}".removeprefix("0") if not math.isnan(value) else ""
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}".removeprefix("0")
+
+
+TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
+    "known-cameras": known_cameras,
+    "ladder": ladder,
+    "both-roads": both_roads,
+    "phone": phone,
+    "conditions": conditions,
+    "methods": methods,
+    "intervals": intervals,
+}
+"""{name of a block of a document: its table}."""

@@ -1,0 +1,167 @@
+"""The records of measurements, and the tables of the documents made from them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fruitlangs.benchmarks.evidence import code_state
+from fruitlangs.benchmarks.evidence.documents import DOCUMENTS, draw_conditions, filled
+from fruitlangs.benchmarks.evidence.records import (
+    Record,
+    Trial,
+    merged,
+    read_records,
+    record_of,
+    write_records,
+)
+from fruitlangs.benchmarks.evidence.studies import CONDITIONS, STUDIES
+from fruitlangs.benchmarks.evidence.tables import TABLES
+from fruitlangs.benchmarks.ladder.ladder import StageResult
+from fruitlangs.benchmarks.ladder.rows import cells_of, row_of
+from fruitlangs.benchmarks.ladder.stages import END_TO_END, STAGES, TRUE_POSES
+from fruitlangs.benchmarks.orchards import PRESETS
+from fruitlangs.engine.errors import FormatError
+from fruitlangs.engine.evaluation.camera_errors import CameraErrors
+from fruitlangs.engine.evaluation.metrics import CountMetrics, VisibilityClass
+
+ROOT = Path(__file__).resolve().parents[2]
+METRICS = CountMetrics(
+    radius=0.5, predicted=90, visible=100, total=120, matched=85, ignored=2, precision=0.9659, recall=0.85, f1=0.9043,
+    doubles=1, merges=2, count_error=-10, relative_count_error=-0.1, relative_total_error=-0.25, center_error=0.08,
+    diameter_error=0.06, diameter_bias=-0.01,
+)  # fmt: skip
+RESULT = StageResult(
+    species="apple",
+    seed=102,
+    scene="apple-small-102",
+    stage=TRUE_POSES,
+    counted=90,
+    near=METRICS,
+    ece=0.02,
+    interval=(88, 101),
+    total_interval=(100, 130),
+    psnr=23.4,
+    ssim=0.7,
+    views=60,
+)
+
+
+def changed(record: Record, **cells: str) -> Record:
+    return Record({**record.cells, **cells})
+
+
+def test_the_committed_documents_say_what_the_committed_records_hold() -> None:
+    records = read_records()
+    assert records
+    for name in DOCUMENTS:
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert filled(text, records) == text, f"{name} is out of date: run make stale"
+
+
+def test_every_block_of_a_document_has_a_table_and_every_study_a_block() -> None:
+    blocks = {
+        block
+        for name in DOCUMENTS
+        for block in re.findall(r"<!-- table ([a-z-]+) -->", (ROOT / name).read_text(encoding="utf-8"))
+    }
+    assert blocks <= set(TABLES)
+    assert set(STUDIES) - blocks <= {"known-cameras"}
+
+
+def test_every_scene_of_a_study_is_a_preset() -> None:
+    for study in STUDIES.values():
+        for scene in study.scenes:
+            assert (PRESETS / f"{scene.partition(':')[0]}.toml").is_file(), scene
+        assert set(study.stages) <= set(STAGES)
+
+
+def test_every_preset_of_one_condition_is_measured_but_the_row() -> None:
+    presets = {path.stem.removeprefix("apple-small").removeprefix("-") for path in PRESETS.glob("apple-small*.toml")}
+    assert presets - set(CONDITIONS) == {"row", "sparse-leaves"}
+
+
+def test_a_line_holds_all_that_the_tables_need() -> None:
+    cameras = CameraErrors(placed=58, photos=60, center=0.0021, center_90=0.0053, rotation=0.08, rotation_90=0.14)
+    classes = [
+        VisibilityClass(low=0.5, high=0.75, visible=8, recall=0.75, center_error=float("nan"), diameter_error=0.1)
+    ]
+    given = replace(RESULT, cameras=cameras, classes=classes)
+    read = row_of(cells_of(given))
+    assert replace(read, classes=(), ece=0.02) == replace(given, classes=())
+    assert [(each.low, each.high, each.visible, each.recall) for each in read.classes] == [(0.5, 0.75, 8, 0.75)]
+
+
+def test_a_failed_stage_is_read_as_failed_and_has_no_count() -> None:
+    failed = StageResult(species="apple", seed=102, scene="s", stage=END_TO_END, counted=None, failed="no cameras")
+    read = row_of(cells_of(failed))
+    assert (read.counted, read.near, read.failed) == (None, None, "no cameras")
+
+
+def test_records_are_kept_in_a_file_and_later_ones_replace_earlier_ones(tmp_path: Path) -> None:
+    first = record_of(RESULT, "voting")
+    other = record_of(RESULT, "template")
+    again = record_of(replace(RESULT, counted=91), "voting")
+    write_records(merged([first, other], [again]), tmp_path / "results.csv")
+    read = read_records(tmp_path / "results.csv")
+    assert [(each.trial.method, each.result.counted) for each in read] == [("template", 90), ("voting", 91)]
+
+
+def test_a_file_without_a_column_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "results.csv").write_text("species,seed\napple,1\n")
+    with pytest.raises(FormatError, match="lacks the columns"):
+        read_records(tmp_path / "results.csv")
+
+
+def test_a_row_of_other_code_is_stale_and_the_head_of_its_table_says_so() -> None:
+    fresh = record_of(RESULT, "voting")
+    old = changed(record_of(replace(RESULT, scene="plum-small-102", species="plum"), "voting"), code="0123")
+    assert not fresh.stale
+    assert old.stale
+    text = filled("<!-- table known-cameras -->\nold\n<!-- end -->", [fresh, old])
+    assert "**Stale**: 1 of 2 rows" in text
+    assert "14 of 16 rows are not measured yet" in text
+    assert "| apple | 100, 90 | .904 |  |  |" in text
+    assert "\nold\n" not in text
+    assert "Stale" not in filled("<!-- table known-cameras -->\n\n<!-- end -->", [fresh])
+
+
+def test_code_is_the_same_with_other_comments_and_docstrings_and_differs_with_another_sign(tmp_path: Path) -> None:
+    texts = [
+        '"""A."""\nx = 1\ndef f():\n    """B."""\n    return +x\n',
+        'x = 1  # one\n\ndef f():\n    """C."""\n    return +x\n',
+        'x = 1\ndef f():\n    return -x\n',
+    ]  # fmt: skip
+    meanings = []
+    for number, text in enumerate(texts):
+        (tmp_path / f"{number}.py").write_text(text)
+        meanings.append(code_state._meaning(tmp_path / f"{number}.py"))
+    assert meanings[0] == meanings[1]
+    assert meanings[0] != meanings[2]
+
+
+def test_only_what_is_missing_or_stale_is_measured() -> None:
+    from make_tables import open_trials
+
+    trials = STUDIES["known-cameras"].trials
+    records = [record_of(replace(RESULT, scene=trial.scene), "voting") for trial in trials[:-1]]
+    records[0] = changed(records[0], code="0123")
+    opened = open_trials(["known-cameras"], records)
+    assert opened == {"apple-small:102": [trials[0]], "orange-small:103": [trials[-1]]}
+    assert trials[0] == Trial(scene="apple-small-102", stage=TRUE_POSES)
+
+
+def test_an_interval_that_misses_is_not_counted_as_held() -> None:
+    held = record_of(RESULT, "voting")
+    missed = record_of(replace(RESULT, scene="apple-small-103", seed=103, interval=(101, 110)), "voting")
+    assert "| apple | 2 | 1 of 2 | .110 | 2 of 2 | .250 |" in TABLES["intervals"]([held, missed])
+
+
+def test_the_picture_of_conditions_is_the_same_each_time(tmp_path: Path) -> None:
+    scores = [("as usual", 0.94), ("wind", 0.62), ("bush", 0.92)]
+    for name in ("a.png", "b.png"):
+        draw_conditions(scores, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
