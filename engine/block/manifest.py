@@ -101,7 +101,7 @@ def read_manifest(path: Path, *, prompt: Sequence[str] = (), settings: str = "")
         rows, base = _toml(path, common), path.parent
     else:
         rows, base = _table(path), path.parent
-    trees = [_entry(row, place, base, common, path) for row, place in rows]
+    trees = [_tree(row, place, base, common, path) for row, place in rows]
     if not trees:
         raise FormatError(f"{path} names no tree. Give a line for each, with the columns id, source and prompt")
     seen: dict[str, str] = {}
@@ -169,7 +169,7 @@ def _table(path: Path) -> list[tuple[dict[str, Any], str]]:
 def _decoded(content: bytes) -> str:
     """Text in UTF-8, in UTF-16 with its mark, or in Windows' western encoding."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return content.decode("utf-16")
+        return content.decode("utf-16", errors="replace")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -180,6 +180,14 @@ def _check_columns(row: Mapping[str, Any], path: Path, where: str) -> None:
     unknown = [name for name in row if name not in COLUMNS]
     if unknown:
         raise FormatError(f"{path} has an unknown column {where}: '{unknown[0]}'. Known are {', '.join(COLUMNS)}")
+
+
+def _tree(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, Any], path: Path) -> TreeEntry:
+    """A tree of the manifest; a value of a wrong type, such as a list for a number in TOML, is an error of its line."""
+    try:
+        return _entry(row, place, base, common, path)
+    except (AttributeError, IndexError, OSError, OverflowError, TypeError, ValueError) as error:
+        raise FormatError(f"{path}, {place}: a value has the wrong form ({error}). See docs/batch.md") from error
 
 
 def _entry(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, Any], path: Path) -> TreeEntry:

@@ -113,6 +113,7 @@ def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
         ("id,source,prompt,trees\n1,a,apple,2.5\n", "line 2: trees '2.5' is not a number of trees"),
         ("id,source,prompt,trees\n1,a,apple,0 0\n", "line 2: tree 1: --count.tree-places"),
         ("id,source,prompt,box\n1,a,apple,0 0 1\n", "line 2: box has 3 numbers, not six"),
+        ("id,source,prompt\n1,a\0,apple\n", "line 2: a value has the wrong form (embedded null byte)"),
     ],
 )
 def test_what_is_wrong_is_one_line_with_its_place(content: str, text: str, tmp_path: Path) -> None:
@@ -128,6 +129,9 @@ def test_what_is_wrong_is_one_line_with_its_place(content: str, text: str, tmp_p
         ("tree = 3", "[[tree]]"),
         ("[[tree", "cannot be read"),
         ("colour = 1\n[[tree]]\nid='1'", "unknown column for all trees"),
+        ("[[tree]]\nid='1'\nsource='a'\nprompt=3", "tree 1: a value has the wrong form"),
+        ("[[tree]]\nid='1'\nsource='a'\nprompt='apple'\ntrees=[]", "tree 1: a value has the wrong form"),
+        ("[[tree]]\nid='1'\nsource='a'\nprompt='apple'\nsettings={'train.steps'=[3]}", "tree 1: a value has"),
     ],
 )
 def test_a_wrong_toml_is_one_line(content: str, text: str, tmp_path: Path) -> None:
