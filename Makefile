@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon orchard fitting benchmarks
-SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py)))
+SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py scripts/checks/*.py)))
 
 .PHONY: demo test lint types kernels pytest tables stale guide extension clean
 
@@ -23,7 +23,7 @@ lint: $(READY)
 types: $(READY)
 	mkdir -p .types && ln -sfn "$(CURDIR)" .types/fruitlangs
 	MYPYPATH=.types $(BIN)/mypy $(addprefix -p fruitlangs.,$(PACKAGES))
-	MYPYPATH=.types:scripts:scripts/developer $(BIN)/mypy -p guide $(addprefix -m ,$(SCRIPTS))
+	MYPYPATH=.types:scripts:scripts/developer:scripts/checks $(BIN)/mypy -p guide $(addprefix -m ,$(SCRIPTS))
 
 # Otherwise each process of the tests compiles them.
 kernels: $(READY)

@@ -17,7 +17,7 @@ from PIL import Image
 
 TESTS = Path(__file__).resolve().parent
 SCRIPTS = TESTS.parent / "scripts"
-sys.path[:0] = [str(folder) for folder in (SCRIPTS, SCRIPTS / "developer", TESTS, TESTS / "engine")]
+sys.path[:0] = [str(folder) for folder in (SCRIPTS, SCRIPTS / "developer", SCRIPTS / "checks", TESTS, TESTS / "engine")]
 
 import _checkout  # noqa: F401
 

@@ -1,6 +1,6 @@
 """Compare the CPU rasteriser with its float64 reference and print the largest relative errors.
 
-    python scripts/developer/check_rasterizer.py
+    python scripts/checks/check_rasterizer.py
 
 Every row is one degree of spherical harmonics, the last (a) drawn antialiased; columns are the rendered values and the
 gradient of each parameter.

@@ -1,6 +1,6 @@
 """Damage every kind of file that FruitLangs reads, and check that each is read or refused with a sentence.
 
-    python scripts/developer/fuzz_readers.py --cases 2000 --seed 0 --out results/fuzz
+    python scripts/checks/fuzz_readers.py --cases 2000 --seed 0 --out results/fuzz
 
 Valid files are made first: a result of the sample after a short training, a video, manifests, a taught word and others.
 Each case damages one of them and reads it in another process, whose memory is limited. It fails if the reader raises

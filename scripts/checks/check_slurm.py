@@ -1,6 +1,6 @@
 """Count a block on a real Slurm of this computer, with jobs that are killed and requeued and a node that dies.
 
-    python scripts/developer/check_slurm.py
+    python scripts/checks/check_slurm.py
 
 Starts a cluster of one node in a temporary folder; needs root, and Debian's packages slurm-wlm and munge. It counts the
 sample eight times with a short training, and exits with 1 if a tree is lost, counted wrong or counted twice at a time.

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
     "FRUITLANGS_SLURM" not in os.environ, reason="set FRUITLANGS_SLURM=1 where Slurm is installed, as root"
 )
 def test_killed_and_requeued_jobs_and_a_dead_node_lose_no_tree() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "developer" / "check_slurm.py")]
+    command = [sys.executable, str(ROOT / "scripts" / "checks" / "check_slurm.py")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "8 equal trees, each done once" in done.stdout
