@@ -16,7 +16,7 @@ from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.page import write_page
 from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
-from fruitlangs.engine.block.totals import SHARED, Amount, of_all, summed
+from fruitlangs.engine.block.totals import Amount, of_all, summed
 from fruitlangs.engine.block.trees import CountedTree, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
 from fruitlangs.engine.errors import ConfigError, FormatError
@@ -27,7 +27,7 @@ TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
 def test_half_of_each_variance_adds_up_linearly_and_the_rest_as_independent_errors() -> None:
     whole = summed([TREE] * 100)
     assert (whole.count, whole.likely) == (1000, 1200.0)
-    assert whole.high - whole.likely == pytest.approx(4.0 * math.sqrt((1 - SHARED) * 100 + SHARED * 100**2))
+    assert whole.high - whole.likely == pytest.approx(4.0 * math.sqrt(0.5 * 100 + 0.5 * 100**2))
     assert whole.likely - whole.low == pytest.approx(0.5 * (whole.high - whole.likely))
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from fruitlangs.engine.counting.photos.search import FIRST, likely_places
+from fruitlangs.engine.counting.photos.search import FIRST, likely_places, search_photos
 
 
 def test_a_place_with_a_low_score_comes_before_the_many_around_a_clear_fruit() -> None:
@@ -22,3 +22,17 @@ def test_a_place_with_a_low_score_comes_before_the_many_around_a_clear_fruit() -
     assert len(found) == len(clear) + 1
     assert np.flatnonzero((found == faint).all(axis=1)) == [FIRST]
     assert np.array_equal(found[:FIRST], clear[:FIRST])
+
+
+def test_no_fruit_is_found_nearer_than_two_thirds_of_a_diameter_to_a_likelier_one() -> None:
+    """Of three places in a row the middle one is .6 diameters from the first, the likeliest; the last one .75."""
+    places = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.75, 0.0]])
+    odds = dict(zip(map(tuple, places), (4.0, 3.0, 2.0), strict=True))
+    views = SimpleNamespace(places=lambda *_: places, score=lambda places, *_: np.ones(len(places)))
+    verifier = SimpleNamespace(
+        views=views,
+        surroundings=SimpleNamespace(fruit=np.zeros((0, 3))),
+        verify=lambda places, *_: (np.array([odds[tuple(place)] for place in places]), np.zeros((len(places), 3))),
+    )
+    found = search_photos(verifier, 1.0, np.eye(3, 4))
+    assert sorted(map(tuple, found.centers)) == [tuple(places[0]), tuple(places[2])]
