@@ -54,6 +54,10 @@ class Workers:
             return max(min(trees, 16), 1)
         return max(min(trees, cores, free // WORKER_BYTES), 1)
 
+    def threads(self, jobs: int, cores: int) -> int:
+        """Threads of each of `jobs` workers: its part of the cores of this computer, or what Slurm reserves for it."""
+        return self.cores if self.executor == "slurm" else max(cores // jobs, 1)
+
 
 def drive(
     ledger: Ledger, workers: Workers, command: Sequence[str], *, free: int, settled: SettledTree = lambda *_: None
@@ -73,8 +77,7 @@ def drive(
     jobs = workers.fitting(sum(state.is_open(run) for state in ledger.states().values()), cores, free)
     executor = _executor(submitit, ledger.path / LOG, workers)
     line = [*command, str(ledger.path), run]
-    each = workers.cores if workers.executor == "slurm" else max(cores // jobs, 1)
-    threads = {name: str(each) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
+    threads = {name: str(workers.threads(jobs, cores)) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
     function = submitit.helpers.CommandFunction(line, verbose=False, env={**os.environ, **threads})
     running: list[Any] = []
     told: set[str] = set()

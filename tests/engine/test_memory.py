@@ -76,6 +76,13 @@ def test_photos_above_the_encoders_size_need_little_more_memory_for_features() -
     assert there["computing features"] < here["computing features"] + 150 * 2**20
 
 
+def test_later_stages_need_more_after_a_training_which_leaves_part_of_the_photos_in_memory() -> None:
+    views = cameras(100, 800, 600)
+    alone, after = (stage_bytes(1000, Config(), views, trained=trained) for trained in (False, True))
+    photos = 4 * 100 * 800 * 600
+    assert all(150 * 2**20 + 0.4 * photos < after[stage] - alone[stage] < 150 * 2**20 + photos for stage in alone)
+
+
 @pytest.mark.parametrize("encoder", ["embedded", "clip"])
 def test_more_gaussians_need_more_memory_in_every_stage(encoder: str) -> None:
     config = Config(embed=EmbedConfig(encoder=encoder), count=CountConfig())  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from fruitlangs.engine.block.driver import Workers
 from fruitlangs.engine.block.ledger import MOST_CRASHES, Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.trees import read_counts
@@ -188,3 +189,21 @@ def test_a_failed_tree_has_no_count_in_the_tables(ledger: Ledger) -> None:
 
     work(ledger, "one", count=fail)
     assert all(tree.visible is None and tree.state.reason == "no photos" for tree in read_counts(ledger))
+
+
+@pytest.mark.parametrize(
+    ("given", "trees", "cores", "free", "expected"),
+    [
+        (Workers(), 100, 8, 64 << 30, (8, 1)),
+        (Workers(), 3, 8, 64 << 30, (3, 2)),
+        (Workers(), 100, 8, 7 << 30, (2, 4)),
+        (Workers(jobs=4), 100, 2, 64 << 30, (4, 1)),
+        (Workers(executor="slurm", cores=6), 100, 2, 1 << 30, (16, 6)),
+    ],
+    ids=["a worker a core", "few trees", "little memory", "as asked", "Slurm"],
+)
+def test_workers_share_the_cores_and_have_memory_enough(
+    given: Workers, trees: int, cores: int, free: int, expected: tuple[int, int]
+) -> None:
+    jobs = given.fitting(trees, cores, free)
+    assert (jobs, given.threads(jobs, cores)) == expected
