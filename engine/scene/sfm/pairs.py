@@ -32,6 +32,10 @@ _TRIALS = 1500
 """Trials of RANSAC: pairs without common content need all of them."""
 _SIMILAR = 8
 """Photos of similar content that each photo is matched with, besides its neighbours."""
+_FEW = 100
+"""Photos of a capture up to which one that was not placed is matched with all others."""
+_RETRIED = 40
+"""Placed photos of the most similar content with which one that was not placed is matched again."""
 _ROUNDS = 3
 """Rounds in which the neighbours of matched photos are matched, to close the loop."""
 _BLOCK = 32
@@ -54,6 +58,21 @@ def first_pairs(similarity: NDArray[np.float32] | None, count: int, config: Phot
     return sorted(chosen)
 
 
+def retried_pairs(missing: frozenset[int], similarity: NDArray[np.float32] | None, count: int) -> list[Pair]:
+    """The pairs to match after an attempt that did not place the `missing` photos: those with each of the others, and
+    in captures that have `similarity` (count, count) only with the most similar placed ones. All pairs of 330 photos,
+    half of which were missing, took an hour.
+    """
+    if similarity is None:
+        return [pair for pair in itertools.combinations(range(count), 2) if not missing.isdisjoint(pair)]
+    placed = np.array([i for i in range(count) if i not in missing] or range(count), np.int64)
+    chosen = set()
+    for i in missing:
+        nearest = placed[np.argsort(-similarity[i, placed], kind="stable")[:_RETRIED]]
+        chosen |= {(min(i, int(j)), max(i, int(j))) for j in nearest if j != i}
+    return sorted(chosen)
+
+
 def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: int, config: PhotosConfig) -> list[Pair]:
     """Pairs next to verified ones that are not neighbours: where the camera path returns, all photos there meet."""
     steps = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
@@ -70,6 +89,15 @@ def planned_pairs(job: Job, features: Sequence[Features]) -> list[Pair]:
     count = len(features)
     similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
     return first_pairs(similarity, count, job.config)
+
+
+def pairs_of_missing(job: Job, features: Sequence[Features], missing: Collection[int]) -> list[Pair]:
+    """The pairs to match for photos that were not placed: see `retried_pairs`."""
+    from .retrieval import similarities
+
+    count = len(features)
+    similarity = similarities(features, job.config.seed) if count > _FEW else None
+    return retried_pairs(frozenset(missing), similarity, count)
 
 
 def match_photos(job: Job, features: Sequence[Features], report: Progress) -> None:

@@ -16,7 +16,7 @@ from ..pycolmap_import import colmap_library
 from .features import Features
 from .job import Job
 from .joining import joined, with_photos
-from .pairs import Pair, match_pairs, verified_images
+from .pairs import match_pairs, pairs_of_missing, verified_images
 from .views import without
 
 _LOST = 10.0
@@ -37,15 +37,15 @@ ENOUGH = 0.97
 def place_photos(job: Job, features: Sequence[Features], report: Progress) -> list[Any]:
     """The models of the photos, largest first, of the attempt that placed most.
 
-    If the first attempt placed less than `ENOUGH`, the photos that are not in its largest model are matched with all
-    others, and a second attempt needs fewer points per photo.
+    If the first attempt placed less than `ENOUGH`, the photos that are not in its largest model are matched with more
+    of the others, and a second attempt needs fewer points per photo.
     """
     best: list[Any] = []
     for attempt, least_inliers in enumerate(_LEAST_INLIERS):
         start = attempt / len(_LEAST_INLIERS)
         half = part(report, start, start + 1.0 / len(_LEAST_INLIERS))
         if attempt:
-            match_pairs(job, features, _pairs_of_unplaced(job, best), part(half, 0.0, 0.4))
+            match_pairs(job, features, pairs_of_missing(job, features, _missing(job, best)), part(half, 0.0, 0.4))
         models = _models(job, least_inliers, part(half, 0.4 if attempt else 0.0, 1.0))
         if not best or (models and models[0].num_reg_images() > best[0].num_reg_images()):
             best = models
@@ -54,12 +54,10 @@ def place_photos(job: Job, features: Sequence[Features], report: Progress) -> li
     return best
 
 
-def _pairs_of_unplaced(job: Job, models: Sequence[Any]) -> list[Pair]:
-    """All pairs with a photo that is not in the largest model."""
+def _missing(job: Job, models: Sequence[Any]) -> list[int]:
+    """The photos that are not in the largest model, by their places."""
     placed = {image.name for image in models[0].images.values() if image.has_pose} if models else set()
-    missing = {position for position, photo in enumerate(job.photos) if photo.copy not in placed}
-    pairs = itertools.combinations(range(len(job.photos)), 2)
-    return [pair for pair in pairs if missing & set(pair)]
+    return [position for position, photo in enumerate(job.photos) if photo.copy not in placed]
 
 
 def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:

@@ -8,7 +8,7 @@ import pytest
 from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.matching import MOST_ANGLE, MOST_RATIO, match, match_along_lines
-from fruitlangs.engine.scene.sfm.pairs import closing_pairs, first_pairs
+from fruitlangs.engine.scene.sfm.pairs import closing_pairs, first_pairs, retried_pairs
 from fruitlangs.engine.scene.sfm.retrieval import similarities
 
 ACROSS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -46,6 +46,19 @@ def by_definition(one: np.ndarray, other: np.ndarray) -> set[tuple[int, int]]:
         if mutual and ranked[i, 0] < MOST_ANGLE and ranked[i, 0] < MOST_RATIO * ranked[i, 1]:
             found.add((i, int(j)))
     return found
+
+
+def test_a_photo_that_was_not_placed_is_matched_with_all_others_of_a_small_capture() -> None:
+    assert retried_pairs(frozenset({2}), None, 4) == [(0, 2), (1, 2), (2, 3)]
+
+
+def test_in_a_long_walk_it_is_matched_with_the_most_similar_placed_photos_only() -> None:
+    count, missing = 330, frozenset(range(165, 330))
+    similarity = -np.abs(np.subtract.outer(np.arange(count), np.arange(count))).astype(np.float32)
+    pairs = retried_pairs(missing, similarity, count)
+    assert len(pairs) == 165 * 40
+    assert {i for i, j in pairs if j == 200} == set(range(125, 165))
+    assert len(retried_pairs(frozenset(range(count)), similarity, count)) < 40 * count
 
 
 def test_matches_are_those_of_the_definition() -> None:
