@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
-from ...engine.storage.files import text_hash
+from ...engine.storage.files import file_hash, text_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 MEASURED = ("engine/scene", "engine/splatting", "engine/language", "engine/counting", "engine/evaluation", "orchard")
@@ -29,7 +29,7 @@ def code_hash() -> str:
     code = sorted([path for folder in folders for path in folder.rglob("*.py")] + [ROOT / f for f in MEASURED_FILES])
     data = sorted(path for folder in folders for kind in DATA for path in folder.rglob(kind))
     names = [path.relative_to(ROOT).as_posix() for path in (*code, *data)]
-    return text_hash(*names, *map(_meaning, code), *(text_hash(path.read_bytes().hex()) for path in data))[:12]
+    return text_hash(*names, *map(_meaning, code), *map(file_hash, data))[:12]
 
 
 def _meaning(path: Path) -> str:
@@ -47,13 +47,17 @@ def _is_text(node: ast.expr) -> bool:
 
 
 def commit() -> str:
-    """The short name of the checkout's commit, marked if files differ from it; `unknown` outside a repository."""
-    line = ["git", "describe", "--always", "--dirty", "--abbrev=10"]
+    """The short name of the checkout's commit, marked if the code of `code_hash` differs from it; `unknown` outside a
+    repository. Tables that were written since are no difference."""
+
+    def git(*line: str) -> str:
+        return subprocess.run(["git", *line], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
     try:
-        described = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=True)
+        changed = git("status", "--porcelain", "--", *MEASURED, *MEASURED_FILES)
+        return git("rev-parse", "--short=10", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return described.stdout.strip()
 
 
 def day() -> str:

@@ -26,11 +26,11 @@ def filled(text: str, records: Sequence[Record]) -> str:
 
     def block(found: re.Match[str]) -> str:
         name = found[2]
-        parts = [TABLES[name](records)]
+        parts = [head(name, records)] if name in STUDIES else []
+        if name not in STUDIES or of_study(name, records):
+            parts.append(TABLES[name](records))
         if name in STUDIES:
-            parts = [head(name, records)]
-            if of_study(name, records):
-                parts += [TABLES[name](records), summary_line(name, records)]
+            parts.append(summary_line(name, records))
         return found[1] + "\n\n".join(filter(None, parts)) + found[3]
 
     return _BLOCK.sub(block, text)

@@ -84,20 +84,20 @@ def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: in
 
 def planned_pairs(job: Job, features: Sequence[Features]) -> list[Pair]:
     """The pairs to match first: see `first_pairs`."""
-    from .retrieval import similarities
-
-    count = len(features)
-    similarity = similarities(features, job.config.seed) if count > job.config.exhaustive_up_to else None
-    return first_pairs(similarity, count, job.config)
+    similarity = _similarity(job, features, job.config.exhaustive_up_to)
+    return first_pairs(similarity, len(features), job.config)
 
 
 def pairs_of_missing(job: Job, features: Sequence[Features], missing: Collection[int]) -> list[Pair]:
     """The pairs to match for photos that were not placed: see `retried_pairs`."""
+    return retried_pairs(frozenset(missing), _similarity(job, features, _FEW), len(features))
+
+
+def _similarity(job: Job, features: Sequence[Features], few: int) -> NDArray[np.float32] | None:
+    """How similar the photos' content is (see `similarities`); None for a capture of at most `few` photos."""
     from .retrieval import similarities
 
-    count = len(features)
-    similarity = similarities(features, job.config.seed) if count > _FEW else None
-    return retried_pairs(frozenset(missing), similarity, count)
+    return similarities(features, job.config.seed) if len(features) > few else None
 
 
 def match_photos(job: Job, features: Sequence[Features], report: Progress) -> None:
