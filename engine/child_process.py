@@ -29,6 +29,11 @@ importlib.import_module("fruitlangs.engine." + module).main(arguments)
 """
 
 
+def usable_cores() -> int:
+    """The cores that this process may use, which a batch system or container can limit."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class ChildError(FruitLangsError):
     """The child failed; the message is the last that it wrote."""
 

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Any
 
 import bpy
 
+from ..engine.child_process import usable_cores
 from ..operators.package_folder import EXTENSION, installs, packages_folder
 from ..operators.packages.caches import FRUITLANGS_OT_clear_caches
 from ..operators.settings.settings import online
@@ -53,7 +53,7 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
 def device_text() -> str:
     """The devices of computation. PyTorch is not imported for it: whether it supports a card is known after its first
     use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     text = f"Computes on the CPU with {cores} core{'s' if cores > 1 else ''}"
     torch: Any = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():

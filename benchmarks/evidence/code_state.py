@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ast
-import os
 import platform
 import subprocess
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
+from ...engine.child_process import usable_cores
 from ...engine.storage.files import file_hash, text_hash
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,8 +67,7 @@ def day() -> str:
 
 def machine() -> str:
     """This computer in words: processor and number of cores."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     names = Path("/proc/cpuinfo")
     lines = names.read_text(encoding="utf-8", errors="replace").splitlines() if names.is_file() else []
     model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-    return f"{model or platform.processor() or platform.machine()}, {cores} cores"
+    return f"{model or platform.processor() or platform.machine()}, {usable_cores()} cores"

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from ..child_process import usable_cores
 from ..errors import ConfigError
 from ..storage.files import write_text
 from .ledger import LOG, Ledger, TreeState, run_name
@@ -73,7 +74,7 @@ def drive(
     import submitit
 
     logging.getLogger("submitit").setLevel(logging.ERROR)
-    run, cores = run_name(), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    run, cores = run_name(), usable_cores()
     jobs = workers.fitting(sum(state.is_open(run) for state in ledger.states().values()), cores, free)
     executor = _executor(submitit, ledger.path / LOG, workers)
     line = [*command, str(ledger.path), run]
