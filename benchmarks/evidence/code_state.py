@@ -11,10 +11,13 @@ from pathlib import Path
 
 from ...engine.child_process import usable_cores
 from ...engine.storage.files import file_hash, text_hash
+from ..orchards import PRESETS
 
 ROOT = Path(__file__).resolve().parents[2]
 MEASURED = ("engine/scene", "engine/splatting", "engine/language", "engine/counting", "engine/evaluation", "orchard")
 """The packages that a count of a generated scene depends on, besides the files of `MEASURED_FILES`."""
+CAMERA_SEARCH = "engine/scene/sfm/"
+"""What only counts from photos alone depend on."""
 MEASURED_FILES = (
     "engine/pipeline.py", "engine/reconstruction.py", "engine/training.py", "benchmarks/ladder/stages.py",
     "benchmarks/ladder/frames.py",
@@ -23,13 +26,24 @@ DATA = ("*.wgsl", "*.json", "*.safetensors")
 
 
 @cache
-def code_hash() -> str:
-    """A short hash of the code and the weights that a count depends on. Comments and docstrings are not part of it."""
+def code_hash(preset: str, known_cameras: bool) -> str:
+    """A short hash of the code, the weights and the generator's preset that a count depends on. Comments and docstrings
+    are not part of it; nor is the search for cameras if they are known."""
+    files = _files()
+    if known_cameras:
+        files = {name: text for name, text in files.items() if not name.startswith(CAMERA_SEARCH)}
+    scene = PRESETS / f"{preset}.toml"
+    return text_hash(*files, *files.values(), file_hash(scene) if scene.is_file() else preset)[:12]
+
+
+@cache
+def _files() -> dict[str, str]:
+    """{path in the checkout: its meaning}, of code and weights."""
     folders = [ROOT / name for name in MEASURED]
     code = sorted([path for folder in folders for path in folder.rglob("*.py")] + [ROOT / f for f in MEASURED_FILES])
     data = sorted(path for folder in folders for kind in DATA for path in folder.rglob(kind))
-    names = [path.relative_to(ROOT).as_posix() for path in (*code, *data)]
-    return text_hash(*names, *map(_meaning, code), *map(file_hash, data))[:12]
+    meanings = {path: _meaning(path) for path in code} | {path: file_hash(path) for path in data}
+    return {path.relative_to(ROOT).as_posix(): text for path, text in meanings.items()}
 
 
 def _meaning(path: Path) -> str:
@@ -54,7 +68,8 @@ def commit() -> str:
         return subprocess.run(["git", *line], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--", *MEASURED, *MEASURED_FILES)
+        presets = PRESETS.relative_to(ROOT).as_posix()
+        changed = git("status", "--porcelain", "--", *MEASURED, *MEASURED_FILES, presets)
         return git("rev-parse", "--short=10", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

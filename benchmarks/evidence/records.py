@@ -12,6 +12,7 @@ from ...engine.errors import FormatError
 from ...engine.storage.files import write_text
 from ..ladder.ladder import StageResult
 from ..ladder.rows import COLUMNS, cells_of, row_of, table_csv
+from ..ladder.stages import END_TO_END
 from .code_state import code_hash, commit, day, machine
 
 PROVENANCE = ("method", "code", "commit", "date", "machine")
@@ -26,6 +27,11 @@ class Trial:
     scene: str
     stage: str
     method: str = "voting"
+
+    @property
+    def code(self) -> str:
+        """The hash of what it depends on, as it is now."""
+        return code_hash(self.scene.rpartition("-")[0], self.stage != END_TO_END)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +53,14 @@ class Record:
     @property
     def stale(self) -> bool:
         """Whether the code that it depends on has changed since."""
-        return self.cells["code"] != code_hash()
+        return self.cells["code"] != self.trial.code
 
 
 def record_of(result: StageResult, method: str) -> Record:
     """A result that was measured now, by this code on this computer."""
-    values = (method, code_hash(), commit(), day(), machine())
-    return Record({**cells_of(result), **dict(zip(PROVENANCE, values, strict=True))})
+    record = Record({**cells_of(result), "method": method})
+    record.cells.update(zip(PROVENANCE, (method, record.trial.code, commit(), day(), machine()), strict=True))
+    return record
 
 
 def read_records(path: Path = RESULTS) -> list[Record]:

@@ -143,6 +143,25 @@ def test_code_is_the_same_with_other_comments_and_docstrings_and_differs_with_an
     assert meanings[0] != meanings[2]
 
 
+def test_only_counts_from_photos_alone_depend_on_the_camera_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hashes() -> list[str]:
+        code_state.code_hash.cache_clear()
+        return [code_state.code_hash("apple-small", known_cameras) for known_cameras in (True, False)]
+
+    before, files = hashes(), code_state._files()
+    searched = next(name for name in files if name.startswith(code_state.CAMERA_SEARCH))
+    monkeypatch.setattr(code_state, "_files", lambda: {**files, searched: "another meaning"})
+    assert [old == new for old, new in zip(before, hashes(), strict=True)] == [True, False]
+    monkeypatch.setattr(code_state, "_files", lambda: {**files, "engine/pipeline.py": "another meaning"})
+    assert not set(before) & set(hashes())
+    code_state.code_hash.cache_clear()
+
+
+def test_a_row_depends_on_the_preset_of_its_scene() -> None:
+    presets = ("apple-small", "plum-small", "apple-small-wind")
+    assert len({Trial(scene=f"{preset}-101", stage=TRUE_POSES).code for preset in presets}) == 3
+
+
 def test_only_what_is_missing_or_stale_is_measured() -> None:
     from make_tables import open_trials
 
