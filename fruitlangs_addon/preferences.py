@@ -13,9 +13,16 @@ import bpy
 from ..engine.child_process import usable_cores
 from ..operators.package_folder import EXTENSION, installs, packages_folder
 from ..operators.packages.caches import FRUITLANGS_OT_clear_caches
+from ..operators.packages.dependencies import (
+    FRUITLANGS_OT_confirm_install,
+    FRUITLANGS_OT_install_dependencies,
+    missing_packages,
+    offers_cuda,
+)
 from ..operators.settings.settings import online
 from ..operators.steps.device import ON_CPU, trains_on
 from .panels.missing_packages import draw_missing_packages
+from .panels.panel_parts import draw_job
 
 
 class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
@@ -41,6 +48,7 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
             if installs(packages_folder()):
                 layout.label(text=f"Installed in {packages_folder()}", icon="BLANK1")
         layout.label(text=device_text(), icon="DESKTOP")
+        draw_cuda(layout, context)
         column = layout.column()
         column.prop(self, "clip")
         column.prop(self, "sam")
@@ -62,6 +70,17 @@ def device_text() -> str:
         text += "; CLIP and SAM on the Apple card"
     card = trains_on("auto")
     return text if card in ("", ON_CPU) else f"{text}. {card}"
+
+
+def draw_cuda(layout: Any, context: bpy.types.Context) -> None:
+    """The button that installs PyTorch for NVIDIA cards, where there is a card that it would serve."""
+    if missing_packages() or not offers_cuda() or draw_job(layout, FRUITLANGS_OT_install_dependencies.title, context):
+        return
+    row = layout.row()
+    row.alignment = "LEFT"
+    row.operator(
+        FRUITLANGS_OT_confirm_install.bl_idname, text="Install PyTorch for NVIDIA Cards…", icon="IMPORT"
+    ).cuda = True
 
 
 def draw_online(layout: Any) -> None:

@@ -15,11 +15,14 @@ extension."""
 UNFINISHED = ".part"
 """Suffix of a folder that is being filled, or that a killed install left; it is never used."""
 
+CUDA = "-cuda"
+"""In the name of an install that holds PyTorch for NVIDIA cards."""
+
 
 def packages_folder() -> Path:
     """The extension's own folder for packages, which survives its updates; it may not exist yet.
 
-    Each install is a folder in it, named after its Python version.
+    Each install is a folder in it, named after its Python version and, with PyTorch for NVIDIA cards, `CUDA`.
     """
     try:
         return Path(bpy.utils.extension_path_user(EXTENSION, path="packages"))
@@ -27,10 +30,10 @@ def packages_folder() -> Path:
         return Path(bpy.utils.user_resource("DATAFILES", path="fruitlangs")) / "packages"
 
 
-def new_install(folder: Path) -> Path:
-    """The name of the next install for this Python: 'cpython-311-1' for the first."""
+def new_install(folder: Path, *, cuda: bool = False) -> Path:
+    """The name of the next install for this Python: 'cpython-311-1' for the first; 'cpython-311-cuda-1'."""
     last = max(map(_number, installs(folder)), default=0)
-    return folder / f"{sys.implementation.cache_tag}-{last + 1}"
+    return folder / f"{sys.implementation.cache_tag}{CUDA if cuda else ''}-{last + 1}"
 
 
 def installs(folder: Path) -> list[Path]:
@@ -44,8 +47,11 @@ def _number(install: Path) -> int:
 
 
 def use_packages(folder: Path | None = None) -> None:
-    """Let Python import packages from `folder`, else from ours, after all that Blender has."""
-    sys.path += [str(path) for path in installs(folder or packages_folder()) if str(path) not in sys.path]
+    """Let Python import packages from `folder`, else from ours, after all that Blender has; PyTorch for NVIDIA cards
+    before it."""
+    for path in installs(folder or packages_folder()):
+        if str(path) not in sys.path:
+            sys.path.insert(0 if CUDA in path.name else len(sys.path), str(path))
     importlib.invalidate_caches()
 
 

@@ -2,6 +2,7 @@
 
     blender -b --online-mode --python-exit-code 1 -P scripts/install_dependencies.py -- --yes
     blender -b --python-exit-code 1 -P scripts/install_dependencies.py -- --yes --wheels FOLDER
+    blender -b --online-mode --python-exit-code 1 -P scripts/install_dependencies.py -- --yes --cuda
 
 Without --yes it says what it would install. Where the extension is enabled it is its own install that is completed;
 else the packages go where this checkout finds them when Blender runs its scripts. Exit code 0: all is there; 1: it
@@ -22,11 +23,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="install_dependencies.py", description="Install missing Python packages.")
     parser.add_argument("--yes", action="store_true", help="install, not only say what is missing")
     parser.add_argument("--wheels", type=Path, help="a folder of wheel files to install from, without going online")
+    parser.add_argument(
+        "--cuda", action="store_true", help="install PyTorch for NVIDIA cards (about 3 GB), for CLIP and SAM"
+    )
     given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     arguments = parser.parse_args(given)
     dependencies = extension_or_checkout()
-    missing = dependencies.missing_packages()
-    if not missing:
+    missing = ["PyTorch for NVIDIA cards"] if arguments.cuda else dependencies.missing_packages()
+    if not missing or (arguments.cuda and dependencies.cuda_torch()):
         print("All Python packages are installed")
         return 0
     print(f"Missing: {', '.join(missing)}; they go into {dependencies.packages_folder()}")
@@ -34,7 +38,7 @@ def main() -> int:
         print("Say --yes to install them", file=sys.stderr)
         return 2
     try:
-        dependencies.install_missing(arguments.wheels, dependencies.printed())
+        dependencies.installing(arguments.wheels, cuda=arguments.cuda)(dependencies.printed())
     except dependencies.InstallError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
 import sys
 from collections.abc import Callable
@@ -18,8 +19,9 @@ from ...engine.progress import Progress, silent
 from ..jobs.jobs import JobOperator, Work, busy, start
 from ..package_folder import packages_folder, use_packages
 from ..settings.settings import online
-from .package_install import InstallError, install_packages
-from .package_versions import CPU_INDEX, REQUIRED, UNPACKED, download_megabytes
+from ..steps.device import trains_on
+from .package_install import TORCH, InstallError, install_packages
+from .package_versions import CPU_INDEX, CUDA_GIGABYTES, CUDA_INDEX, REQUIRED, UNPACKED, download_megabytes
 
 OFFLINE = (
     "Blender may not go online: switch on Allow Online Access in Preferences > System > Network (or start Blender with "
@@ -52,31 +54,50 @@ def install_missing(wheels: Path | None = None, progress: Progress = silent) -> 
     return installing(wheels)(progress)
 
 
-def installing(wheels: Path | None = None) -> Callable[[Progress], list[str]]:
-    """The function that does the work of `install_missing`; it may run in any thread.
+def installing(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[Progress], list[str]]:
+    """The function that does the work of `install_missing`, or installs PyTorch for NVIDIA cards; it may run in any
+    thread.
 
     Raises:
-        InstallError: Blender may not go online and no folder is given.
+        InstallError: Blender may not go online and no folder is given, or this system has no such PyTorch.
     """
-    packages, folder = missing_packages(), packages_folder()
+    packages, folder = [TORCH] if cuda else missing_packages(), packages_folder()
+    if cuda and sys.platform not in CUDA_GIGABYTES:
+        raise InstallError("PyTorch supports NVIDIA cards only on Linux and Windows")
     if packages and wheels is None and not online():
         raise InstallError(OFFLINE)
 
     def install(progress: Progress) -> list[str]:
         if packages:
-            install_packages(packages, folder, wheels=wheels, progress=progress)
+            install_packages(packages, folder, wheels=wheels, cuda=cuda, progress=progress)
             use_packages(folder)
         return packages
 
     return install
 
 
-def source_text(packages: list[str], wheels: str) -> str:
+def cuda_torch() -> bool:
+    """Whether the installed PyTorch supports NVIDIA cards; it is not imported for it."""
+    try:
+        version = importlib.metadata.version(TORCH)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return "+cu" in version or (sys.platform == "linux" and "+" not in version)
+
+
+def offers_cuda() -> bool:
+    """Whether PyTorch for NVIDIA cards would help: there is such a card, and it is not installed."""
+    return sys.platform in CUDA_GIGABYTES and "NVIDIA" in trains_on("auto") and not cuda_torch()
+
+
+def source_text(packages: list[str], wheels: str, *, cuda: bool = False) -> str:
     """The source of these packages, for the dialog that asks for consent."""
     if wheels:
         return bpy.path.abspath(wheels)
-    extra = f"; PyTorch for the CPU from {CPU_INDEX}" if sys.platform == "linux" and "torch" in packages else ""
-    return f"pypi.org, or as pip is set up{extra}"
+    if cuda and sys.platform != "linux":
+        return CUDA_INDEX
+    extra = f"; PyTorch for the CPU from {CPU_INDEX}" if sys.platform == "linux" and TORCH in packages else ""
+    return f"pypi.org, or as pip is set up{'' if cuda else extra}"
 
 
 class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
@@ -94,18 +115,23 @@ class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
         description="Folder of wheel files to install from while offline",
     )
 
+    cuda: bpy.props.BoolProperty(
+        name="For NVIDIA Cards",
+        options={"SKIP_SAVE"},
+        description="Install PyTorch for NVIDIA cards, which CLIP and SAM use, instead of missing packages",
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return not busy(cls)
 
     def prepare(self, context: bpy.types.Context) -> Work:
-        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None)
+        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None, cuda=self.cuda)
         return (lambda progress: install(printed(progress))) if bpy.app.background else install
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
-        self.report(
-            {"INFO"}, f"Installed {', '.join(result)}" if result else "All Python packages are installed already"
-        )
+        text = f"Installed {', '.join(result)}" if result else "All Python packages are installed already"
+        self.report({"INFO"}, "PyTorch for NVIDIA cards is installed. Restart Blender" if self.cuda else text)
 
     def ticked(self, context: bpy.types.Context) -> None:
         redraw_preferences(context)
@@ -127,23 +153,30 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
         description="Folder of wheel files to install from while offline; empty to download",
     )
 
+    cuda: bpy.props.BoolProperty(
+        name="For NVIDIA Cards",
+        options={"SKIP_SAVE"},
+        description="Install PyTorch for NVIDIA cards, which CLIP and SAM use, instead of missing packages",
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls) and bool(missing_packages())
+        return not busy(cls)
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        if properties.cuda:
+            return "Show the size and origin of PyTorch for NVIDIA cards, and install it after you confirm"
+        return cls.bl_description
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return context.window_manager.invoke_props_dialog(self, width=520, confirm_text="Install")
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, packages = self.layout, missing_packages()
-        megabytes = download_megabytes(packages)
-        layout.label(text=f"{len(packages)} Python packages are missing:")
-        for first in range(0, len(packages), 6):
-            layout.label(text="    " + ", ".join(packages[first : first + 6]))
-        kept = f"about {(UNPACKED - 1) * megabytes:.0f} MB are kept"
-        size = kept.capitalize() if self.wheels else f"About {megabytes} MB are downloaded, {kept}"
-        layout.label(text=size)
-        layout.label(text=f"From: {source_text(packages, self.wheels)}")
+        for line in self._cuda_size() if self.cuda else self._sizes(packages):
+            layout.label(text=line)
+        layout.label(text=f"From: {source_text(packages, self.wheels, cuda=self.cuda)}")
         layout.label(text=f"Into: {packages_folder()}")
         layout.label(text="Blender's own packages are not changed.")
         layout.prop(self, "wheels")
@@ -153,8 +186,26 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
             box.label(text="Online access is disabled. Allow it in Preferences > System > Network,", icon="ERROR")
             box.label(text="or choose a folder with the wheel files.")
 
+    def _sizes(self, packages: list[str]) -> list[str]:
+        """What is missing, and what it needs."""
+        megabytes = download_megabytes(packages)
+        kept = f"about {(UNPACKED - 1) * megabytes:.0f} MB are kept"
+        return [
+            f"{len(packages)} Python packages are missing:",
+            *("    " + ", ".join(packages[first : first + 6]) for first in range(0, len(packages), 6)),
+            kept.capitalize() if self.wheels else f"About {megabytes} MB are downloaded, {kept}",
+        ]
+
+    def _cuda_size(self) -> list[str]:
+        """What PyTorch for NVIDIA cards needs."""
+        download, disk = CUDA_GIGABYTES[sys.platform]
+        return [
+            "PyTorch for NVIDIA cards makes CLIP and SAM faster; training uses the card without it.",
+            f"About {download:.1f} GB are downloaded, {disk:.0f} GB of disk space are needed meanwhile.",
+        ]
+
     def execute(self, context: bpy.types.Context) -> set[str]:
-        return start(self, "install_dependencies", wheels=self.wheels)
+        return start(self, "install_dependencies", wheels=self.wheels, cuda=self.cuda)
 
 
 class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):

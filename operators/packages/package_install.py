@@ -24,8 +24,18 @@ import numpy as np
 from ...engine.errors import FruitLangsError
 from ...engine.progress import Progress, silent
 from ..package_folder import UNFINISHED, installs, new_install
-from .package_versions import CPU_INDEX, NEVER, REQUIRED, unpacked_megabytes, versions_for
+from .package_versions import (
+    CPU_INDEX,
+    CUDA_GIGABYTES,
+    CUDA_INDEX,
+    CUDA_TORCH,
+    NEVER,
+    REQUIRED,
+    unpacked_megabytes,
+    versions_for,
+)
 
+TORCH = "torch"
 POLL_SECONDS = 0.25
 FORGOTTEN_SECONDS = 24 * 3600.0
 """An unfinished install that was not changed for this long was killed."""
@@ -36,26 +46,33 @@ class InstallError(FruitLangsError):
 
 
 def install_packages(
-    packages: Sequence[str], folder: Path, *, wheels: Path | None = None, progress: Progress = silent
+    packages: Sequence[str],
+    folder: Path,
+    *,
+    wheels: Path | None = None,
+    cuda: bool = False,
+    progress: Progress = silent,
 ) -> Path:
     """Install pip packages with their dependencies as a new install in `folder`; returns its folder.
 
-    wheels: a folder of wheel files; without it pip uses its own settings.
+    wheels: a folder of wheel files; without it pip uses its own settings. cuda: PyTorch for NVIDIA cards, which
+    replaces the PyTorch that is there when Blender starts again.
 
     Raises:
-        InstallError: pip cannot find, get or unpack one, one cannot be imported, or the folder cannot be written.
+        InstallError: pip cannot find, get or unpack one, one cannot be imported, the disk is too small, or the folder
+            cannot be written.
         Cancelled: by `progress`.
     """
     if wheels is not None and not wheels.is_dir():
         raise InstallError(f"{wheels} is not a folder. Choose the folder with the wheel files")
-    final = new_install(folder)
+    final = new_install(folder, cuda=cuda)
     stage = final.with_name(f"{final.name}-{os.getpid()}{UNFINISHED}")
     try:
         _remove_forgotten(folder)
         (stage / "temporary").mkdir(parents=True)
-        found = _resolve(packages, folder, stage, wheels, progress)
-        _unpack(found, folder, stage, wheels, progress)
-        _try_imports(packages, folder, stage, progress)
+        found = _resolve(packages, folder, stage, wheels, cuda, progress)
+        _unpack(found, folder, stage, wheels, cuda, progress)
+        _try_imports(packages, folder, stage, cuda, progress)
         os.replace(stage / "packages", final)
     except OSError as error:
         raise InstallError(f"{folder} cannot be written ({error.strerror or error}). Nothing was changed") from error
@@ -66,24 +83,25 @@ def install_packages(
 
 
 def _resolve(
-    packages: Sequence[str], folder: Path, stage: Path, wheels: Path | None, progress: Progress
+    packages: Sequence[str], folder: Path, stage: Path, wheels: Path | None, cuda: bool, progress: Progress
 ) -> dict[str, str]:
     """{package: version} of what has to be installed, resolved by pip without installing anything."""
-    carried = _carried()
+    carried, own = _carried(), {TORCH} if cuda else set()
     fixed = {"numpy": np.__version__}
     if wheels is None:
         tested = versions_for(np.__version__, sys.platform)
-        fixed |= {name: version for name, version in tested.items() if name not in carried}
+        fixed |= {name: version for name, version in tested.items() if name not in carried | own}
     constraints, report = stage / "constraints.txt", stage / "report.json"
     constraints.write_text("".join(f"{name}=={version}\n" for name, version in fixed.items()), encoding="utf-8")
     command = ["--dry-run", "--report", str(report), "--constraint", str(constraints)]
+    wanted = [CUDA_TORCH[sys.platform]] if cuda else packages
 
     def on_output(_: str) -> None:
         progress(0.02, "finding out what is needed")
 
     failure = ""
-    for source in _sources(packages, wheels):
-        failure = _pip([*command, *source, *packages], folder, stage, on_output)
+    for source in _sources(packages, wheels, cuda):
+        failure = _pip([*command, *source, *wanted], folder, stage, on_output)
         if not failure:
             break
     else:
@@ -91,19 +109,26 @@ def _resolve(
     document = json.loads(report.read_text(encoding="utf-8"))
     found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
     # A newer copy would only be shadowed by Blender's; the imports show whether an old one works.
-    return {name: version for name, version in found.items() if _normal(name) not in {*NEVER, *carried}}
+    kept = {*NEVER, *carried} - own
+    return {name: version for name, version in found.items() if _normal(name) not in kept}
 
 
-def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | None, progress: Progress) -> None:
+def _unpack(
+    found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | None, cuda: bool, progress: Progress
+) -> None:
     """Download and unpack exactly these packages into the stage."""
     target = stage / "packages"
     target.mkdir()
-    pins = [f"{name}=={version}" for name, version in found.items()]
+    pins = [f"{name}==={version}" for name, version in found.items()]
     if not pins:
         return
     command = ["--no-deps", "--no-compile", "--progress-bar", "off", "--target", str(target)]
-    expected = 1e6 * unpacked_megabytes(map(_normal, found))
-
+    expected = 1e9 * CUDA_GIGABYTES[sys.platform][1] if cuda else 1e6 * unpacked_megabytes(map(_normal, found))
+    free = shutil.disk_usage(stage).free
+    if free < expected:
+        raise InstallError(
+            f"{folder} has {free / 1e9:.1f} GB of free disk space; this needs about {expected / 1e9:.1f} GB. Make room"
+        )
     furthest = 0.0
 
     def on_output(output: str) -> None:
@@ -113,7 +138,7 @@ def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | 
         progress(0.05 + 0.8 * furthest, f"{_doing(output)}, {size / 1e6:.0f} MB so far")
 
     failure = ""
-    for source in _sources(found, wheels):
+    for source in _sources(found, wheels, cuda):
         failure = _pip([*command, *source, *pins], folder, stage, on_output)
         if not failure:
             break
@@ -124,16 +149,18 @@ def _unpack(found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | 
             raise InstallError(f"pip brought {path.name}, which Blender has its own of. Nothing was installed")
 
 
-def _try_imports(packages: Sequence[str], folder: Path, stage: Path, progress: Progress) -> None:
-    """Import the requested packages in a separate process, with Blender's own packages first."""
+def _try_imports(packages: Sequence[str], folder: Path, stage: Path, cuda: bool, progress: Progress) -> None:
+    """Import the requested packages in a separate process, as Blender will."""
     modules = [module for module, package in REQUIRED.items() if package in packages]
-    code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + ["print(numpy.__version__)"])
+    checks = ["torch.version.cuda or exit('this is the CPU build of PyTorch')"] if cuda else []
+    code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + checks + ["print(numpy.__version__)"])
 
     def on_output(_: str) -> None:
         progress(0.9, "trying what was installed")
 
     command = [sys.executable, "-s", "-c", code]
-    lines = _watch(command, _environment(folder, stage, stage / "packages"), stage / "imports.log", on_output)
+    environment = _environment(folder, stage, stage / "packages", first=cuda)
+    lines = _watch(command, environment, stage / "imports.log", on_output)
     if lines.code:
         raise InstallError(f"The packages were got but do not work here ({lines.last}). Nothing was installed")
     if lines.last != np.__version__:
@@ -190,14 +217,18 @@ def _text(log: Path) -> str:
     return log.read_text(encoding="utf-8", errors="replace")
 
 
-def _environment(folder: Path, stage: Path, *more: Path) -> dict[str, str]:
-    """The environment of a Python process that uses the same packages as Blender, and none of the user's."""
+def _environment(folder: Path, stage: Path, *more: Path, first: bool = False) -> dict[str, str]:
+    """The environment of a Python process that uses the same packages as Blender, and none of the user's.
+
+    more: further folders of packages, searched last, or `first`.
+    """
     own = [str(path) for path in installs(folder)]
     seen = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages") or path in own]
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PIP_TARGET")}
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(stage / "temporary"))
     settings = {"PIP_USER": "0", "PIP_REQUIRE_VIRTUALENV": "0", "PYTHONUTF8": "1"}
-    return {**kept, **temporary, **settings, "PYTHONPATH": os.pathsep.join([*seen, *map(str, more)])}
+    folders = [*map(str, more), *seen] if first else [*seen, *map(str, more)]
+    return {**kept, **temporary, **settings, "PYTHONPATH": os.pathsep.join(folders)}
 
 
 def _bundled_pip() -> str:
@@ -210,11 +241,13 @@ def _bundled_pip() -> str:
     return str(found[-1])
 
 
-def _sources(packages: Sequence[str] | Mapping[str, str], wheels: Path | None) -> list[list[str]]:
+def _sources(packages: Sequence[str] | Mapping[str, str], wheels: Path | None, cuda: bool) -> list[list[str]]:
     """The options for pip's sources, tried in order: its own settings first, so that a mirror in them is used."""
     if wheels is not None:
         return [["--no-index", "--find-links", str(wheels)]]
-    needs_index = sys.platform == "linux" and "torch" in map(_normal, packages)
+    if cuda:
+        return [[] if sys.platform == "linux" else ["--extra-index-url", CUDA_INDEX]]
+    needs_index = sys.platform == "linux" and TORCH in map(_normal, packages)
     return [[], ["--extra-index-url", CPU_INDEX]] if needs_index else [[]]
 
 

@@ -79,6 +79,16 @@ UNPACKED = 4.4
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """PyTorch's index of CPU builds. On Linux the build on PyPI includes gigabytes for NVIDIA cards."""
 
+CUDA_INDEX = "https://download.pytorch.org/whl/cu130"
+"""PyTorch's index of builds for NVIDIA cards, for Windows."""
+
+CUDA_TORCH = {"linux": f"torch==={VERSIONS['torch']}", "win32": f"torch==={VERSIONS['torch']}+cu130"}
+"""{sys.platform: the build for NVIDIA cards, in pip's words}; to pip, === is not satisfied by the CPU build."""
+
+CUDA_GIGABYTES = {"linux": (2.7, 8.0), "win32": (2.0, 6.0)}
+"""{sys.platform: (download, disk space while it is unpacked)} of PyTorch for NVIDIA cards with its libraries; Linux
+measured."""
+
 
 @dataclass(frozen=True)
 class BlenderSeries:

@@ -178,8 +178,63 @@ def test_the_operator_installs_from_a_folder_without_going_online(extension, hom
 def test_pip_is_never_asked_for_the_build_that_brings_gigabytes(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     assert package_versions.versions_for("1.26.4", "linux")["torch"].endswith("+cpu")
-    assert package_install._sources(["torch"], None) == [[], ["--extra-index-url", package_versions.CPU_INDEX]]
-    assert package_install._sources(["scipy"], None) == [[]]
+    sources = package_install._sources(["torch"], None, False)
+    assert sources == [[], ["--extra-index-url", package_versions.CPU_INDEX]]
+    assert package_install._sources(["scipy"], None, False) == [[]]
+
+
+def test_pytorch_for_nvidia_cards_comes_from_where_it_is_on_each_system(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert package_install._sources(["torch"], None, True) == [[]]
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert package_install._sources(["torch"], None, True) == [["--extra-index-url", package_versions.CUDA_INDEX]]
+    monkeypatch.setattr(sys, "platform", "darwin")
+    with pytest.raises(package_install.InstallError, match="only on Linux and Windows"):
+        dependencies.installing(cuda=True)
+
+
+@pytest.fixture
+def cuda_wheels(tmp_path, monkeypatch):
+    """A folder with wheels of a PyTorch for NVIDIA cards and one of its libraries."""
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setitem(package_versions.CUDA_GIGABYTES, "linux", (0.001, 0.001))
+    folder = tmp_path / "cuda"
+    code = "import cublas, types\nversion = types.SimpleNamespace(cuda='13.0')\n"
+    make_wheel(folder, "torch", version="2.13.0", code=code, needs=("cublas", "numpy", "safetensors"))
+    make_wheel(folder, "cublas")
+    return folder
+
+
+def test_pytorch_for_nvidia_cards_goes_before_the_one_that_is_there(home, cuda_wheels):
+    before = list(sys.path)
+    assert not dependencies.cuda_torch()
+    dependencies.installing(cuda_wheels, cuda=True)(dependencies.silent)
+    install = home / f"{sys.implementation.cache_tag}-cuda-1"
+    assert names(install) == [
+        "cublas-1.0.dist-info", "cublas.py", "torch-2.13.0.dist-info", "torch.py",
+    ]  # fmt: skip
+    assert sys.path == [str(install), *before]
+    assert dependencies.cuda_torch()
+    package_folder.forget_packages()
+    assert sys.path == before
+
+
+def test_a_cpu_build_is_not_taken_for_pytorch_for_nvidia_cards(home, cuda_wheels, tmp_path):
+    make_wheel(tmp_path / "cpu", "torch", version="2.13.0+cpu", needs=("numpy",))
+    with pytest.raises(package_install.InstallError, match="put the wheels that are missing into"):
+        dependencies.installing(tmp_path / "cpu", cuda=True)(dependencies.silent)
+    code = "class version:\n    cuda = None\n"
+    make_wheel(tmp_path / "other", "torch", version="2.13.0", code=code, needs=("numpy",))
+    with pytest.raises(package_install.InstallError, match="this is the CPU build of PyTorch"):
+        dependencies.installing(tmp_path / "other", cuda=True)(dependencies.silent)
+    assert names(home) == []
+
+
+def test_too_little_disk_space_is_told_before_anything_is_unpacked(home, cuda_wheels, monkeypatch):
+    monkeypatch.setitem(package_versions.CUDA_GIGABYTES, "linux", (1e6, 1e6))
+    with pytest.raises(package_install.InstallError, match=r"GB of free disk space; this needs about 1000000\.0 GB"):
+        dependencies.installing(cuda_wheels, cuda=True)(dependencies.silent)
+    assert names(home) == []
 
 
 def test_the_versions_are_those_that_are_tested():
@@ -276,6 +331,15 @@ def test_preferences_say_what_computes_and_whether_blender_may_go_online(extensi
     assert "Clear Caches…" in drawn
     monkeypatch.setattr(preferences, "online", lambda: True)
     assert "Online: downloads packages and checkpoints when you ask for them" in drawn_preferences()
+
+
+def test_preferences_offer_pytorch_for_nvidia_cards_where_there_is_one(extension, monkeypatch):
+    button = "Install PyTorch for NVIDIA Cards…"
+    assert button not in drawn_preferences()
+    monkeypatch.setattr(dependencies, "trains_on", lambda _: "Trains on NVIDIA GeForce RTX 3060 (Vulkan)")
+    assert button in drawn_preferences()
+    monkeypatch.setattr(dependencies, "cuda_torch", lambda: True)
+    assert button not in drawn_preferences()
 
 
 def test_preferred_checkpoints_stand_where_the_scene_left_the_default(extension, monkeypatch, tmp_path):
