@@ -26,10 +26,10 @@ DATA = ("*.wgsl", "*.json", "*.safetensors")
 
 
 @cache
-def code_hash(preset: str, known_cameras: bool) -> str:
+def code_hash(preset: str, known_cameras: bool, own: str = "") -> str:
     """A short hash of the code, the weights and the generator's preset that a count depends on. Comments and docstrings
-    are not part of it; nor is the search for cameras if they are known."""
-    files = _files()
+    are not part of it; nor is the search for cameras if they are known. own: a further file that it depends on."""
+    files = _files() | ({own: _meaning(ROOT / own)} if own else {})
     if known_cameras:
         files = {name: text for name, text in files.items() if not name.startswith(CAMERA_SEARCH)}
     scene = PRESETS / f"{preset}.toml"

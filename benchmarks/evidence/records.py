@@ -13,6 +13,7 @@ from ...engine.storage.files import write_text
 from ..ladder.ladder import StageResult
 from ..ladder.rows import COLUMNS, cells_of, row_of, table_csv
 from ..ladder.stages import END_TO_END
+from ..two_photos import TWO_PHOTOS
 from .code_state import code_hash, commit, day, machine
 
 PROVENANCE = ("method", "code", "commit", "date", "machine")
@@ -31,7 +32,8 @@ class Trial:
     @property
     def code(self) -> str:
         """The hash of what it depends on, as it is now."""
-        return code_hash(self.scene.rpartition("-")[0], self.stage != END_TO_END)
+        own = "benchmarks/two_photos.py" if self.method == TWO_PHOTOS else ""
+        return code_hash(self.scene.rpartition("-")[0], self.stage != END_TO_END, own)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from ..ladder.stages import END_TO_END, STAGES, TRUE_POSES
+from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
 
 SPECIES = ("apple", "plum", "lemon", "pear", "peach", "mango", "cherry", "orange")
@@ -74,6 +75,14 @@ STUDIES: Mapping[str, Study] = {
         scenes=tuple(f"{species}-small:101" for species in SPECIES),
         stages=(TRUE_POSES,),
         methods=("voting", "template", "fruitnerf"),
+    ),
+    "two-photos": Study(
+        scenes=(
+            *(f"{species}-small:{seed}" for seed in SEEDS for species in SPECIES),
+            *("-".join(("apple-small", name)) + ":101" for name in CONDITIONS if name),
+        ),
+        stages=(TRUE_POSES,),
+        methods=("voting", TWO_PHOTOS),
     ),
 }
 """{name: study}, the most important first."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from statistics import mean
 
 from ...engine.evaluation.metrics import CountMetrics
@@ -12,6 +13,7 @@ from ..ladder.ladder import StageResult
 from ..ladder.pages import table_parts
 from ..ladder.stages import END_TO_END, TRUE_POSES
 from ..markdown import markdown
+from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
 from .studies import CONDITIONS, SEEDS, SPECIES, STUDIES, of_study
 
@@ -144,6 +146,71 @@ def methods(records: Sequence[Record]) -> str:
     return markdown(lines)
 
 
+def two_photos(records: Sequence[Record]) -> str:
+    """Errors of numbers of all fruit on a tree, by species and for trees unlike those that the factor is from."""
+    usual = {(each.species, each.seed): each for each in _two_ways(records) if each.seed and not each.condition}
+    lines = [["trees", "factor from", "two photos × factor", "our count × factor", "our count alone"]]
+    whole = list[list[float]]()
+    for species in SPECIES:
+        own = [each for (name, _), each in usual.items() if name == species]
+        errors = [each.errors([other for other in own if other is not each]) for each in own if len(own) > 1]
+        whole += errors
+        if errors:
+            lines.append([f"{len(own)} {species}", "the others", *_mean_and_worst(errors)])
+    if whole:
+        lines.append([f"**all {len(whole)}**", "", *_mean_and_worst(whole)])
+    apples = [each for (name, _), each in usual.items() if name == "apple"]
+    unlike = [each.errors(apples) for each in _two_ways(records) if each.condition and apples]
+    if unlike:
+        name = f"{len(unlike)} apple trees or captures that differ"
+        lines.append([name, "usual apple trees", *_mean_and_worst(unlike)])
+    return markdown(lines)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TwoWays:
+    """A tree counted in two photos and by us. condition: what differs from the usual tree; total: all its fruit."""
+
+    species: str
+    seed: int | None
+    condition: str
+    seen: int
+    counted: int
+    total: int
+
+    def errors(self, trees: Sequence[_TwoWays]) -> list[float]:
+        """Relative errors of the total: by two photos and by us, with factors from other trees, and without one."""
+        total = sum(tree.total for tree in trees)
+        by_photos = self.seen * total / max(sum(tree.seen for tree in trees), 1)
+        by_count = self.counted * total / max(sum(tree.counted for tree in trees), 1)
+        return [abs(number / self.total - 1.0) for number in (by_photos, by_count, self.counted)]
+
+
+def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
+    """The trees that were counted in both ways."""
+    own = of_study(TWO_PHOTOS, records)
+    found = []
+    for trial, record in own.items():
+        near = _near(own.get(replace(trial, method="voting")))
+        if trial.method != TWO_PHOTOS or near is None or record.result.counted is None:
+            continue
+        tree = _TwoWays(
+            species=record.result.species,
+            seed=record.result.seed,
+            condition=trial.scene.rpartition("-")[0].partition("-small-")[2],
+            seen=record.result.counted,
+            counted=near.predicted,
+            total=near.total,
+        )
+        found.append(tree)
+    return found
+
+
+def _mean_and_worst(errors: Sequence[Sequence[float]]) -> list[str]:
+    """Mean and largest of each column of errors, in per cent."""
+    return [f"{100 * mean(column):.0f} %, {100 * max(column):.0f} %" for column in zip(*errors, strict=True)]
+
+
 def intervals(records: Sequence[Record]) -> str:
     """How often the 90 % intervals hold, by species."""
     results = [record.result for record in records if record.trial.method == "voting" and record.result.near]
@@ -198,6 +265,7 @@ TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "phone": phone,
     "conditions": conditions,
     "methods": methods,
+    TWO_PHOTOS: two_photos,
     "intervals": intervals,
 }
 """{name of a block of a document: its table}."""

@@ -25,8 +25,10 @@ from _terminal import import_tyro, report, run, terminal_progress
 from fruitlangs.benchmarks.evidence.documents import write_documents
 from fruitlangs.benchmarks.evidence.records import Record, Trial, merged, read_records, record_of, write_records
 from fruitlangs.benchmarks.evidence.studies import STUDIES
-from fruitlangs.benchmarks.ladder.ladder import climb
+from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
+from fruitlangs.benchmarks.ladder.stages import TRUE_POSES
 from fruitlangs.benchmarks.orchards import scene_folder
+from fruitlangs.benchmarks.two_photos import TWO_PHOTOS, count_in_two_photos
 from fruitlangs.engine.config import Config
 from fruitlangs.engine.errors import ConfigError, FruitLangsError
 
@@ -94,11 +96,23 @@ def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
         config: Any = Config()
         config = replace(config, count=replace(config.count, method=method))
         stages = [trial.stage for trial in trials if trial.method == method]
+        if method == TWO_PHOTOS:
+            records.append(record_of(seen_in_two_photos(folder, out / folder.name), method))
+            continue
         progress = terminal_progress()
         rows = climb(folder, out / folder.name, config=config, stages=stages, report=report, progress=progress)
         progress(1.0, "Done")
         records += [record_of(row, method) for row in rows]
     return records
+
+
+def seen_in_two_photos(folder: Path, out: Path) -> StageResult:
+    """Count fruit in two photos of a scene whose result is in `out`, or is made there."""
+    (row,) = climb(folder, out, config=Config(), stages=[TRUE_POSES])
+    counted = None if row.failed else count_in_two_photos(out / TRUE_POSES, [row.species])
+    return StageResult(
+        species=row.species, seed=row.seed, scene=row.scene, stage=TRUE_POSES, counted=counted, failed=row.failed
+    )
 
 
 if __name__ == "__main__":

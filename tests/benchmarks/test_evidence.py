@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from measurements import RESULT
 
 from fruitlangs.benchmarks.evidence import code_state
 from fruitlangs.benchmarks.evidence.documents import DOCUMENTS, draw_conditions, filled
@@ -26,28 +27,9 @@ from fruitlangs.benchmarks.ladder.stages import END_TO_END, STAGES, TRUE_POSES
 from fruitlangs.benchmarks.orchards import PRESETS
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.camera_errors import CameraErrors
-from fruitlangs.engine.evaluation.metrics import CountMetrics, VisibilityClass
+from fruitlangs.engine.evaluation.metrics import VisibilityClass
 
 ROOT = Path(__file__).resolve().parents[2]
-METRICS = CountMetrics(
-    radius=0.5, predicted=90, visible=100, total=120, matched=85, ignored=2, precision=0.9659, recall=0.85, f1=0.9043,
-    doubles=1, merges=2, count_error=-10, relative_count_error=-0.1, relative_total_error=-0.25, center_error=0.08,
-    diameter_error=0.06, diameter_bias=-0.01,
-)  # fmt: skip
-RESULT = StageResult(
-    species="apple",
-    seed=102,
-    scene="apple-small-102",
-    stage=TRUE_POSES,
-    counted=90,
-    near=METRICS,
-    ece=0.02,
-    interval=(88, 101),
-    total_interval=(100, 130),
-    psnr=23.4,
-    ssim=0.7,
-    views=60,
-)
 
 
 def changed(record: Record, **cells: str) -> Record:
