@@ -74,7 +74,11 @@ def device_text() -> str:
 
 def draw_cuda(layout: Any, context: bpy.types.Context) -> None:
     """The button that installs PyTorch for NVIDIA cards, where there is a card that it would serve."""
-    if missing_packages() or not offers_cuda() or draw_job(layout, FRUITLANGS_OT_install_dependencies.title, context):
+    if (
+        missing_packages()
+        or not offers_cuda(trains_on("auto"))
+        or draw_job(layout, FRUITLANGS_OT_install_dependencies.title, context)
+    ):
         return
     row = layout.row()
     row.alignment = "LEFT"

@@ -19,7 +19,6 @@ from ...engine.progress import Progress, silent
 from ..jobs.jobs import JobOperator, Work, busy, start
 from ..package_folder import packages_folder, use_packages
 from ..settings.settings import online
-from ..steps.device import trains_on
 from .package_install import TORCH, InstallError, install_packages
 from .package_versions import CPU_INDEX, CUDA_GIGABYTES, CUDA_INDEX, REQUIRED, UNPACKED, download_megabytes
 
@@ -85,9 +84,9 @@ def cuda_torch() -> bool:
     return "+cu" in version or (sys.platform == "linux" and "+" not in version)
 
 
-def offers_cuda() -> bool:
-    """Whether PyTorch for NVIDIA cards would help: there is such a card, and it is not installed."""
-    return sys.platform in CUDA_GIGABYTES and "NVIDIA" in trains_on("auto") and not cuda_torch()
+def offers_cuda(card: str) -> bool:
+    """Whether PyTorch for NVIDIA cards would help this card, and is not installed."""
+    return sys.platform in CUDA_GIGABYTES and "NVIDIA" in card and not cuda_torch()
 
 
 def source_text(packages: list[str], wheels: str, *, cuda: bool = False) -> str:
@@ -201,7 +200,7 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
         download, disk = CUDA_GIGABYTES[sys.platform]
         return [
             "PyTorch for NVIDIA cards makes CLIP and SAM faster; training uses the card without it.",
-            f"About {download:.1f} GB are downloaded, {disk:.0f} GB of disk space are needed meanwhile.",
+            f"About {download:.1f} GB are downloaded, {disk:.0f} GB of disk space are needed to unpack them.",
         ]
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -334,9 +334,11 @@ def test_preferences_say_what_computes_and_whether_blender_may_go_online(extensi
 
 
 def test_preferences_offer_pytorch_for_nvidia_cards_where_there_is_one(extension, monkeypatch):
+    from fruitlangs.fruitlangs_addon import preferences
+
     button = "Install PyTorch for NVIDIA Cards…"
     assert button not in drawn_preferences()
-    monkeypatch.setattr(dependencies, "trains_on", lambda _: "Trains on NVIDIA GeForce RTX 3060 (Vulkan)")
+    monkeypatch.setattr(preferences, "trains_on", lambda _: "Trains on NVIDIA GeForce RTX 3060 (Vulkan)")
     assert button in drawn_preferences()
     monkeypatch.setattr(dependencies, "cuda_torch", lambda: True)
     assert button not in drawn_preferences()
