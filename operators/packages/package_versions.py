@@ -73,6 +73,9 @@ VERSIONS = {
 SCIPY_FOR_NUMPY_1_24 = "1.15.3"
 """The last SciPy that works with the NumPy of Blender 4.2 to 4.4."""
 
+ON_MACOS = {"rubicon-objc": "0.5.7"}
+"""Needed on macOS only, by wgpu."""
+
 UNPACKED = 4.4
 """Approximate size of unpacked wheels, in sizes of wheels."""
 
@@ -119,6 +122,8 @@ def versions_for(numpy: str, platform: str) -> dict[str, str]:
     platform: as in `sys.platform`.
     """
     fitting = {"torch": VERSIONS["torch"] + ("+cpu" if platform == "linux" else "")}
+    if platform == "darwin":
+        fitting |= ON_MACOS
     if tuple(map(int, numpy.split(".")[:2])) < (1, 26):
         fitting["scipy"] = SCIPY_FOR_NUMPY_1_24
     return VERSIONS | fitting

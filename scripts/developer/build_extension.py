@@ -26,6 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import _checkout  # noqa: F401
 
+from _wheel_check import misfits
+
 from fruitlangs.operators.packages.package_versions import CPU_INDEX, NEVER, SERIES, BlenderSeries, versions_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -141,7 +143,7 @@ def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list
     """One wheel per package and version, sorted; missing ones are downloaded to `folder` by pip.
 
     Raises:
-        BuildError: pip cannot get one.
+        BuildError: pip cannot get one, or one does not fit this Blender or the others.
     """
     versions = versions_for(series.numpy, platform.python)
     absent = [name for name, version in versions.items() if _wheel(folder, name, version) is None]
@@ -154,7 +156,11 @@ def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list
         raise BuildError(f"pip cannot get all wheels for Blender {series.name} on {platform.name}. It says why above")
     wheels = [_wheel(folder, name, version) for name, version in versions.items()]
     assert not [wheel for wheel in wheels if wheel is None or _package(wheel) in NEVER]
-    return sorted(wheel for wheel in wheels if wheel is not None)
+    chosen = sorted(wheel for wheel in wheels if wheel is not None)
+    wrong = misfits(chosen, python=series.python, numpy=series.numpy, system=platform.python, platforms=platform.tags)
+    if wrong:
+        raise BuildError(f"The wheels for Blender {series.name} on {platform.name} do not fit: {'; '.join(wrong)}")
+    return chosen
 
 
 _CPU_SOURCE = ("--index-url", CPU_INDEX)
