@@ -41,11 +41,11 @@ tables: $(READY)
 stale: $(READY)
 	$(BIN)/python scripts/developer/make_tables.py --measure-nothing
 
-# The pictures of docs/blender.md; BLENDER opens a window, its Python has the engine's packages.
+# The pictures and the film of docs/blender.md; BLENDER opens a window, its Python has the engine's packages.
 BLENDER ?= blender
 guide:
 	$(BLENDER) --python-exit-code 1 --enable-event-simulate --no-window-focus --window-geometry 0 0 1600 900 \
-		-P scripts/developer/picture_guide.py -- --pictures docs/images/guide
+		-P scripts/developer/picture_guide.py -- --pictures docs/images/guide --film docs/images/guide/day.webp
 
 # With all Python packages inside: make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
 extension: $(READY)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import psutil
 
+from .child_process import usable_cores
 from .config import Config
 from .counting.evidence.visibility import at_drawing_size
 from .errors import ConfigError
@@ -120,7 +120,7 @@ def camera_search_threads(
     Raises:
         ConfigError: one thread needs more memory; says what would fit.
     """
-    available, cores = available_bytes() if free is None else free, cores or os.cpu_count() or 1
+    available, cores = available_bytes() if free is None else free, cores or usable_cores()
     largest = largest_copy(sizes, max_side)
     needed = camera_search_bytes(len(sizes), largest, 1)
     if needed > available:

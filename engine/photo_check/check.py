@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from ..child_process import usable_cores
 from ..config import Config
 from ..errors import SceneError
 from ..memory import available_bytes
@@ -96,7 +96,7 @@ def _require_colmap() -> None:
 def _examine_all(paths: Sequence[Path], progress: Progress) -> dict[Path, Examined | SceneError]:
     """Each photo, or why it cannot be read."""
     found: dict[Path, Examined | SceneError] = {}
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
+    with ThreadPoolExecutor(min(usable_cores(), MOST_THREADS)) as pool:
         try:
             for done, (path, each) in enumerate(zip(paths, pool.map(_examined, paths), strict=True), start=1):
                 progress(done / len(paths), f"reading photo {done} of {len(paths)}")

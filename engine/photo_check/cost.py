@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..child_process import usable_cores
 from ..config import Config
 from ..language.encoders.embedded import MAX_SIDE
 from ..memory import camera_search_bytes, largest_copy, stage_bytes
@@ -47,7 +47,7 @@ def expected_costs(
     """
     if not sizes:
         return []
-    cores = cores or os.cpu_count() or 1
+    cores = cores or usable_cores()
     cameras = [_camera(*size, config) for size in sizes]
     seconds = {
         "training": _training_seconds(cameras, config),

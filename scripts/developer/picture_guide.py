@@ -1,6 +1,7 @@
 """Take the pictures of the user guide: a day of work in Blender's window by clicks and keys; run it inside Blender.
 
     "$FRUITLANGS_BLENDER" --enable-event-simulate -P scripts/developer/picture_guide.py -- --pictures docs/images/guide
+    … --film docs/images/guide/day.webp      # also a film of 90 s
 
 It needs a display; a virtual one (xvfb-run) will do. A check that fails is printed, and the exit code is then 1.
 With --folder the copy of the scene and the results are kept there, and a second run reuses them.
@@ -20,6 +21,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).res
 import _checkout  # noqa: F401
 
 from guide.day import Day, live
+from guide.film import Film
 from guide.hand import Hand
 
 from _window import arguments_of, open_panel, play, viewport
@@ -35,6 +37,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--threshold", type=float, help="of the probability (default: the panel's)")
     parser.add_argument("--folder", type=Path, help="where to work (default: a temporary folder)")
     parser.add_argument("--pictures", type=Path, help="folder of the pictures (default: none are kept)")
+    parser.add_argument("--film", type=Path, help="an animated WebP file of the day (default: none)")
     return parser.parse_args(arguments_of())
 
 
@@ -62,7 +65,11 @@ def visit(arguments: argparse.Namespace) -> Generator[float, None, int]:
         pictures=arguments.pictures and arguments.pictures.resolve(),
         check=check,
     )
-    yield from live(Hand(*viewport()), day)
+    hand = Hand(*viewport())
+    film = Film(hand) if arguments.film else None
+    yield from live(hand, day, film)
+    if film is not None:
+        film.write(arguments.film.resolve())
     return 1 if untrue else 0
 
 

@@ -215,3 +215,9 @@ def test_no_file_of_the_package_unpickles_or_evaluates() -> None:
         assert "pickle" not in absolute_imports(path)
         calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         assert not [call for call in calls if isinstance(call, ast.Name) and call.id in ("eval", "exec")]
+
+
+def test_only_usable_cores_asks_how_many_cores_there_are() -> None:
+    """A batch system may allow fewer than the computer has."""
+    asking = [path for path in SOURCES if "cpu_count" in path.read_text()]
+    assert asking == [ROOT / "engine" / "child_process.py"]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from ...child_process import ChildError, run_child
+from ...child_process import ChildError, run_child, usable_cores
 from ...config import PhotosConfig
 from ...errors import OutputError, SceneError
 from ...progress import Progress, part, silent
@@ -83,7 +83,7 @@ def find_poses(
     reused = (model / FOUND).is_file()
     if not reused:
         try:
-            _make_model(files, work, config, threads or os.cpu_count() or 1, progress)
+            _make_model(files, work, config, threads or usable_cores(), progress)
             os.replace(work / _MODEL, model)
             shutil.rmtree(work, ignore_errors=True)
         except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
+from guide.film import Film
 from guide.hand import LEFT, MOMENT, Hand, Steps
 
 FRONT = 0.03
@@ -42,17 +43,14 @@ class Day:
     check: Callable[[str, bool], None]
 
 
-def live(hand: Hand, day: Day) -> Steps:
-    """Run the whole day."""
-    yield from import_scene(hand, day)
-    yield from measure(hand, day)
-    yield from reconstruct(hand, day)
-    yield from ask(hand, day)
-    yield from teach(hand, day)
-    yield from count(hand, day)
-    yield from review(hand, day)
-    yield from export(hand, day)
-    yield from orchard(hand, day)
+def live(hand: Hand, day: Day, film: Film | None = None) -> Steps:
+    """Run the whole day, and film it."""
+    for do, what in PARTS.items():
+        if film is None:
+            yield from do(hand, day)
+        else:
+            film.caption = what
+            yield from film.of(do(hand, day), lambda: running() is not None)
 
 
 def settings() -> Any:
@@ -376,3 +374,17 @@ def picture(hand: Hand, day: Day, name: str, *, rest: bool = True) -> Steps:
             yield from hand.rest()
         yield from hand.shot(day.pictures / f"{name}.jpg")
     yield MOMENT
+
+
+PARTS: Mapping[Callable[[Hand, Day], Steps], str] = {
+    import_scene: "Import: the photos with their cameras, and sparse points",
+    measure: "Measure: two clicks and a length give the scale",
+    reconstruct: "Reconstruct: 3D Gaussians are trained; Esc stops, and the next start goes on",
+    ask: "Ask: the Gaussians that match a word light up",
+    teach: "Teach: two clicks on fruit and one on a leaf teach a new word",
+    count: "Count: each fruit is an object with a size and a probability",
+    review: "Review: go to uncertain fruit, look at the photo, reject, split, merge, add",
+    export: "Export: a table of the reviewed fruit",
+    orchard: "Orchard: all trees of a block, their counts, and the review of one",
+}
+"""{a part of the day: its caption in the film}, in order."""

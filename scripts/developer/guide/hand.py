@@ -49,6 +49,7 @@ class Hand:
     def __init__(self, window: bpy.types.Window, area: bpy.types.Area) -> None:
         self.window, self.area = window, area
         self.mouse: tuple[float, float] = (0.0, 0.0)
+        self._black = False
 
     @property
     def aside(self) -> tuple[float, float]:
@@ -165,20 +166,25 @@ class Hand:
         yield 1.0
         path.parent.mkdir(parents=True, exist_ok=True)
         drawn = path.with_suffix(".part.png")
-        with bpy.context.temp_override(window=self.window):
-            bpy.ops.screen.screenshot(filepath=str(drawn), check_existing=False)
+        self.draw_window(drawn)
         image = bpy.data.images.load(str(drawn))
-        if is_black(image):
-            # Some drivers, software ones among them, do not return what they show; the display itself does.
-            bpy.data.images.remove(image)
-            subprocess.run(["import", "-window", "root", str(drawn)], check=True)
-            image = bpy.data.images.load(str(drawn))
         image.scale(WIDTH, round(WIDTH * image.size[1] / image.size[0]))
         image.file_format = "JPEG"
         image.save(filepath=str(path), quality=88)
         bpy.data.images.remove(image)
         drawn.unlink()
         yield MOMENT
+
+    def draw_window(self, path: Path) -> None:
+        """Save a picture of the whole window as PNG."""
+        if not self._black:
+            with bpy.context.temp_override(window=self.window):
+                bpy.ops.screen.screenshot(filepath=str(path), check_existing=False)
+            image = bpy.data.images.load(str(path))
+            self._black = is_black(image)
+            bpy.data.images.remove(image)
+        if self._black:  # some drivers, software ones among them, do not return what they show; the display does
+            subprocess.run(["import", "-window", "root", str(path)], check=True)
 
 
 def is_black(image: bpy.types.Image) -> bool:
