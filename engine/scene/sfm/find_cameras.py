@@ -154,6 +154,6 @@ def _notices(files: Sequence[Path], model: Path) -> list[str]:
     if len(found["models"]) > 1:
         notices.append(
             f"the photos fall into {len(found['models'])} parts that do not fit together. The largest, "
-            f"of {found['models'][0]} photos, was taken"
+            f"of {found['models'][0]} photos, was taken. Take photos that lead from one part to the other"
         )
     return notices
