@@ -119,7 +119,9 @@ def _unpack(
     """Download and unpack exactly these packages into the stage."""
     target = stage / "packages"
     target.mkdir()
-    pins = [f"{name}==={version}" for name, version in found.items()]
+    pins = [
+        CUDA_TORCH[sys.platform] if cuda and name == TORCH else f"{name}=={version}" for name, version in found.items()
+    ]
     if not pins:
         return
     command = ["--no-deps", "--no-compile", "--progress-bar", "off", "--target", str(target)]
