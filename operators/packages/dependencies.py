@@ -169,7 +169,8 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
         return cls.bl_description
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return context.window_manager.invoke_props_dialog(self, width=520, confirm_text="Install")
+        title = "Install PyTorch for NVIDIA Cards" if self.cuda else self.bl_label
+        return context.window_manager.invoke_props_dialog(self, width=520, title=title, confirm_text="Install")
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, packages = self.layout, missing_packages()
