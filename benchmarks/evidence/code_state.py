@@ -85,4 +85,5 @@ def machine() -> str:
     names = Path("/proc/cpuinfo")
     lines = names.read_text(encoding="utf-8", errors="replace").splitlines() if names.is_file() else []
     model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-    return f"{model or platform.processor() or platform.machine()}, {usable_cores()} cores"
+    cores = usable_cores()
+    return f"{model or platform.processor() or platform.machine()}, {cores} core{'s' if cores > 1 else ''}"

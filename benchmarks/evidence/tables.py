@@ -212,8 +212,9 @@ def _mean_and_worst(errors: Sequence[Sequence[float]]) -> list[str]:
 
 
 def intervals(records: Sequence[Record]) -> str:
-    """How often the 90 % intervals hold, by species."""
-    results = [record.result for record in records if record.trial.method == "voting" and record.result.near]
+    """How often the 90 % intervals of current rows hold, by species."""
+    current = [record for record in records if record.trial.method == "voting" and not record.stale]
+    results = [record.result for record in current if record.result.near]
     lines = [["species", "scenes", "visible held", "width / number", "all held", "width / number"]]
     for species in (*SPECIES, "all"):
         own = [each for each in results if species in (each.species, "all") and each.stage in (TRUE_POSES, END_TO_END)]
