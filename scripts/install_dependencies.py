@@ -29,8 +29,11 @@ def main() -> int:
     given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     arguments = parser.parse_args(given)
     dependencies = extension_or_checkout()
-    missing = ["PyTorch for NVIDIA cards"] if arguments.cuda else dependencies.missing_packages()
-    if not missing or (arguments.cuda and dependencies.cuda_torch()):
+    if arguments.cuda:
+        missing = [] if dependencies.cuda_torch() else ["PyTorch for NVIDIA cards"]
+    else:
+        missing = dependencies.missing_packages()
+    if not missing:
         print("All Python packages are installed")
         return 0
     print(f"Missing: {', '.join(missing)}; they go into {dependencies.packages_folder()}")
@@ -38,7 +41,7 @@ def main() -> int:
         print("Say --yes to install them", file=sys.stderr)
         return 2
     try:
-        dependencies.installing(arguments.wheels, cuda=arguments.cuda)(dependencies.printed())
+        dependencies.install_missing(arguments.wheels, dependencies.printed(), cuda=arguments.cuda)
     except dependencies.InstallError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -148,19 +148,20 @@ def methods(records: Sequence[Record]) -> str:
 
 def two_photos(records: Sequence[Record]) -> str:
     """Errors of numbers of all fruit on a tree, by species and for trees unlike those that the factor is from."""
-    usual = {(each.species, each.seed): each for each in _two_ways(records) if each.seed and not each.condition}
+    trees = _two_ways(records)
+    usual = [tree for tree in trees if not tree.condition]
     lines = [["trees", "factor from", "two photos × factor", "our count × factor", "our count alone"]]
     whole = list[list[float]]()
     for species in SPECIES:
-        own = [each for (name, _), each in usual.items() if name == species]
-        errors = [each.errors([other for other in own if other is not each]) for each in own if len(own) > 1]
+        own = [tree for tree in usual if tree.species == species]
+        errors = [tree.errors([other for other in own if other is not tree]) for tree in own if len(own) > 1]
         whole += errors
         if errors:
             lines.append([f"{len(own)} {species}", "the others", *_mean_and_worst(errors)])
     if whole:
         lines.append([f"**all {len(whole)}**", "", *_mean_and_worst(whole)])
-    apples = [each for (name, _), each in usual.items() if name == "apple"]
-    unlike = [each.errors(apples) for each in _two_ways(records) if each.condition and apples]
+    apples = [tree for tree in usual if tree.species == "apple"]
+    unlike = [tree.errors(apples) for tree in trees if tree.condition and apples]
     if unlike:
         name = f"{len(unlike)} apple trees or captures that differ"
         lines.append([name, "usual apple trees", *_mean_and_worst(unlike)])
@@ -172,7 +173,6 @@ class _TwoWays:
     """A tree counted in two photos and by us. condition: what differs from the usual tree; total: all its fruit."""
 
     species: str
-    seed: int | None
     condition: str
     seen: int
     counted: int
@@ -196,7 +196,6 @@ def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
             continue
         tree = _TwoWays(
             species=record.result.species,
-            seed=record.result.seed,
             condition=trial.scene.rpartition("-")[0].partition("-small-")[2],
             seen=record.result.counted,
             counted=near.predicted,

@@ -41,21 +41,22 @@ def install_command(packages: list[str]) -> str:
     return f'"{sys.executable}" -m pip install {" ".join(packages)} numpy=={np.__version__}'
 
 
-def install_missing(wheels: Path | None = None, progress: Progress = silent) -> list[str]:
+def install_missing(wheels: Path | None = None, progress: Progress = silent, *, cuda: bool = False) -> list[str]:
     """Install missing packages into the extension's own folder, usable at once; returns the packages.
 
-    wheels: a folder of wheel files to install from instead of going online.
+    wheels: a folder of wheel files to install from instead of going online. cuda: install PyTorch for NVIDIA cards
+    instead, which is used after Blender was started again.
 
     Raises:
-        InstallError: Blender may not go online and no folder is given, or it failed; nothing was changed.
+        InstallError: Blender may not go online and no folder is given, this system has no such PyTorch, or it failed;
+            nothing was changed.
         Cancelled: by `progress`.
     """
-    return installing(wheels)(progress)
+    return installing(wheels, cuda=cuda)(progress)
 
 
 def installing(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[Progress], list[str]]:
-    """The function that does the work of `install_missing`, or installs PyTorch for NVIDIA cards; it may run in any
-    thread.
+    """The function that does the work of `install_missing`; it may run in any thread.
 
     Raises:
         InstallError: Blender may not go online and no folder is given, or this system has no such PyTorch.

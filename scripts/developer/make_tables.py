@@ -93,12 +93,12 @@ def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
     folder = scene_folder(scene, out / "scenes", report=report)
     records = []
     for method in dict.fromkeys(trial.method for trial in trials):
-        config: Any = Config()
-        config = replace(config, count=replace(config.count, method=method))
-        stages = [trial.stage for trial in trials if trial.method == method]
         if method == TWO_PHOTOS:
             records.append(record_of(seen_in_two_photos(folder, out / folder.name), method))
             continue
+        config: Any = Config()
+        config = replace(config, count=replace(config.count, method=method))
+        stages = [trial.stage for trial in trials if trial.method == method]
         progress = terminal_progress()
         rows = climb(folder, out / folder.name, config=config, stages=stages, report=report, progress=progress)
         progress(1.0, "Done")

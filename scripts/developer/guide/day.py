@@ -46,11 +46,11 @@ class Day:
 def live(hand: Hand, day: Day, film: Film | None = None) -> Steps:
     """Run the whole day, and film it."""
     for do, what in PARTS.items():
-        if film is None:
-            yield from do(hand, day)
-        else:
+        steps = do(hand, day)
+        if film is not None:
             film.caption = what
-            yield from film.of(do(hand, day), lambda: running() is not None)
+            steps = film.of(steps, lambda: running() is not None)
+        yield from steps
 
 
 def settings() -> Any:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Generator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from PIL import Image, ImageChops, ImageDraw, ImageFont, ImageStat
 
-from guide.hand import Hand
+from guide.hand import Hand, Steps
 
 WIDTH, BAR = 1000, 36
 """Pixels: of a picture across, and of the bar below it that holds the caption."""
@@ -32,26 +31,22 @@ class Film:
         self._hand = hand
         self.caption = ""
         self._pictures: list[Image.Image] = []
-        self._folder = Path(tempfile.mkdtemp())
         self._looked = 0.0
 
-    def of(self, steps: Generator[float, None, Any], working: Any) -> Generator[float, None, Any]:
+    def of(self, steps: Steps, working: Callable[[], bool]) -> Steps:
         """The same steps, with a picture now and then. working: whether a job runs."""
-        while True:
-            try:
-                pause = next(steps)
-            except StopIteration as end:
-                return end.value
+        for pause in steps:
             yield pause
             if time.monotonic() - self._looked > (EVERY_AT_WORK if working() else EVERY):
                 self._look()
                 self._looked = time.monotonic()
 
     def _look(self) -> None:
-        path = self._folder / "window.png"
-        self._hand.draw_window(path)
-        with Image.open(path) as drawn:
-            window = drawn.convert("RGB")
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "window.png"
+            self._hand.draw_window(path)
+            with Image.open(path) as drawn:
+                window = drawn.convert("RGB")
         share = WIDTH / window.width
         picture = Image.new("RGB", (WIDTH, round(share * window.height) + BAR), "#1d1d1d")
         picture.paste(window.resize((WIDTH, picture.height - BAR), Image.Resampling.LANCZOS))
