@@ -66,7 +66,7 @@ def location_text(fruit_count: FruitCount) -> list[str]:
     """Locations of the counted fruit, one sentence each: hanging or on the ground, and on which tree of the row."""
     hanging, fallen = fruit_count.hanging, fruit_count.fallen
     if hanging is None or fallen is None:
-        lines = ["hanging or fallen: unknown, because no ground is visible"]
+        lines = ["hanging or fallen: unknown, because no ground was found"]
     else:
         unknown = fruit_count.count - hanging - fallen
         lines = [f"{hanging} hanging, {fallen} on the ground" + (f", {unknown} unknown" if unknown else "")]

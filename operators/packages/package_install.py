@@ -16,7 +16,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -67,13 +68,13 @@ def install_packages(
         raise InstallError(f"{wheels} is not a folder. Choose the folder with the wheel files")
     final = new_install(folder, cuda=cuda)
     stage = final.with_name(f"{final.name}-{os.getpid()}{UNFINISHED}")
+    install = _Install(packages=packages, folder=folder, stage=stage, wheels=wheels, cuda=cuda, progress=progress)
     try:
         _remove_forgotten(folder)
         (stage / "temporary").mkdir(parents=True)
-        found = _resolve(packages, folder, stage, wheels, cuda, progress)
-        _unpack(found, folder, stage, wheels, cuda, progress)
-        _try_imports(packages, folder, stage, cuda, progress)
-        os.replace(stage / "packages", final)
+        install.unpack(install.resolve())
+        install.try_imports()
+        os.replace(install.target, final)
     except OSError as error:
         raise InstallError(f"{folder} cannot be written ({error.strerror or error}). Nothing was changed") from error
     finally:
@@ -82,91 +83,128 @@ def install_packages(
     return final
 
 
-def _resolve(
-    packages: Sequence[str], folder: Path, stage: Path, wheels: Path | None, cuda: bool, progress: Progress
-) -> dict[str, str]:
-    """{package: version} of what has to be installed, resolved by pip without installing anything."""
-    carried, own = _carried(), {TORCH} if cuda else set()
-    fixed = {"numpy": np.__version__}
-    if wheels is None:
-        tested = versions_for(np.__version__, sys.platform)
-        fixed |= {name: version for name, version in tested.items() if name not in carried | own}
-    constraints, report = stage / "constraints.txt", stage / "report.json"
-    constraints.write_text("".join(f"{name}=={version}\n" for name, version in fixed.items()), encoding="utf-8")
-    command = ["--dry-run", "--report", str(report), "--constraint", str(constraints)]
-    wanted = [CUDA_TORCH[sys.platform]] if cuda else packages
+@dataclass(frozen=True, kw_only=True)
+class _Install:
+    """One install: what `install_packages` was asked for, and the stage, a folder in which it is made."""
 
-    def on_output(_: str) -> None:
-        progress(0.02, "finding out what is needed")
+    packages: Sequence[str]
+    folder: Path
+    stage: Path
+    wheels: Path | None
+    cuda: bool
+    progress: Progress
 
-    failure = ""
-    for source in _sources(packages, wheels, cuda):
-        failure = _pip([*command, *source, *wanted], folder, stage, on_output)
-        if not failure:
-            break
-    else:
-        raise InstallError(f"pip cannot find what is needed ({failure}); {_advice(wheels)}")
-    document = json.loads(report.read_text(encoding="utf-8"))
-    found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
-    # A newer copy would only be shadowed by Blender's; the imports show whether an old one works.
-    kept = {*NEVER, *carried} - own
-    return {name: version for name, version in found.items() if _normal(name) not in kept}
+    @property
+    def target(self) -> Path:
+        """The folder of the unpacked packages."""
+        return self.stage / "packages"
 
+    def resolve(self) -> dict[str, str]:
+        """{package: version} of what has to be installed, resolved by pip without installing anything."""
+        carried, own = _carried(), {TORCH} if self.cuda else set()
+        fixed = {"numpy": np.__version__}
+        if self.wheels is None:
+            tested = versions_for(np.__version__, sys.platform)
+            fixed |= {name: version for name, version in tested.items() if name not in carried | own}
+        constraints, report = self.stage / "constraints.txt", self.stage / "report.json"
+        constraints.write_text("".join(f"{name}=={version}\n" for name, version in fixed.items()), encoding="utf-8")
+        command = ["--dry-run", "--report", str(report), "--constraint", str(constraints)]
+        wanted = [CUDA_TORCH[sys.platform]] if self.cuda else self.packages
 
-def _unpack(
-    found: Mapping[str, str], folder: Path, stage: Path, wheels: Path | None, cuda: bool, progress: Progress
-) -> None:
-    """Download and unpack exactly these packages into the stage."""
-    target = stage / "packages"
-    target.mkdir()
-    pins = [
-        CUDA_TORCH[sys.platform] if cuda and name == TORCH else f"{name}=={version}" for name, version in found.items()
-    ]
-    if not pins:
-        return
-    command = ["--no-deps", "--no-compile", "--progress-bar", "off", "--target", str(target)]
-    expected = 1e9 * CUDA_GIGABYTES[sys.platform][1] if cuda else 1e6 * unpacked_megabytes(map(_normal, found))
-    free = shutil.disk_usage(stage).free
-    if free < expected:
-        raise InstallError(
-            f"{folder} has {free / 1e9:.1f} GB of free disk space; this needs about {expected / 1e9:.1f} GB. Make room"
-        )
-    furthest = 0.0
+        def on_output(_: str) -> None:
+            self.progress(0.02, "finding out what is needed")
 
-    def on_output(output: str) -> None:
-        nonlocal furthest
-        size = _size(stage)
-        furthest = max(furthest, min(size / expected, 1.0))  # pip deletes what it has unpacked
-        progress(0.05 + 0.8 * furthest, f"{_doing(output)}, {size / 1e6:.0f} MB so far")
+        failure = self._pip([*command, *wanted], self.packages, on_output)
+        if failure:
+            raise InstallError(f"pip cannot find what is needed ({failure}); {self._advice}")
+        document = json.loads(report.read_text(encoding="utf-8"))
+        found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
+        # A newer copy would only be shadowed by Blender's; the imports show whether an old one works.
+        kept = {*NEVER, *carried} - own
+        return {name: version for name, version in found.items() if _normal(name) not in kept}
 
-    failure = ""
-    for source in _sources(found, wheels, cuda):
-        failure = _pip([*command, *source, *pins], folder, stage, on_output)
-        if not failure:
-            break
-    else:
-        raise InstallError(f"pip cannot install ({failure}); {_advice(wheels)}")
-    for path in target.iterdir():
-        if re.split(r"[-.]", path.name)[0].lower() in NEVER:
-            raise InstallError(f"pip brought {path.name}, which Blender has its own of. Nothing was installed")
+    def unpack(self, found: Mapping[str, str]) -> None:
+        """Download and unpack exactly these packages into `target`."""
+        self.target.mkdir()
+        if not found:
+            return
+        exact = {name: f"{name}=={version}" for name, version in found.items()}
+        if self.cuda and TORCH in exact:
+            exact[TORCH] = CUDA_TORCH[sys.platform]
+        command = ["--no-deps", "--no-compile", "--progress-bar", "off", "--target", str(self.target)]
+        expected = 1e9 * CUDA_GIGABYTES[sys.platform][1] if self.cuda else 1e6 * unpacked_megabytes(map(_normal, found))
+        free = shutil.disk_usage(self.stage).free
+        if free < expected:
+            raise InstallError(
+                f"{self.folder} has {free / 1e9:.1f} GB of free disk space; this needs about {expected / 1e9:.1f} GB. "
+                "Make room"
+            )
+        furthest = 0.0
 
+        def on_output(output: str) -> None:
+            nonlocal furthest
+            size = _size(self.stage)
+            furthest = max(furthest, min(size / expected, 1.0))  # pip deletes what it has unpacked
+            self.progress(0.05 + 0.8 * furthest, f"{_doing(output)}, {size / 1e6:.0f} MB so far")
 
-def _try_imports(packages: Sequence[str], folder: Path, stage: Path, cuda: bool, progress: Progress) -> None:
-    """Import the requested packages in a separate process, as Blender will."""
-    modules = [module for module, package in REQUIRED.items() if package in packages]
-    checks = ["torch.version.cuda or exit('this is the CPU build of PyTorch')"] if cuda else []
-    code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + checks + ["print(numpy.__version__)"])
+        failure = self._pip([*command, *exact.values()], found, on_output)
+        if failure:
+            raise InstallError(f"pip cannot install ({failure}); {self._advice}")
+        for path in self.target.iterdir():
+            if re.split(r"[-.]", path.name)[0].lower() in NEVER:
+                raise InstallError(f"pip brought {path.name}, which Blender has its own of. Nothing was installed")
 
-    def on_output(_: str) -> None:
-        progress(0.9, "trying what was installed")
+    def try_imports(self) -> None:
+        """Import the requested packages in a separate process, as Blender will."""
+        modules = [module for module, package in REQUIRED.items() if package in self.packages]
+        checks = ["torch.version.cuda or exit('this is the CPU build of PyTorch')"] if self.cuda else []
+        code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + checks + ["print(numpy.__version__)"])
 
-    command = [sys.executable, "-s", "-c", code]
-    environment = _environment(folder, stage, stage / "packages", first=cuda)
-    lines = _watch(command, environment, stage / "imports.log", on_output)
-    if lines.code:
-        raise InstallError(f"The packages were got but do not work here ({lines.last}). Nothing was installed")
-    if lines.last != np.__version__:
-        raise InstallError(f"The packages came with another NumPy ({lines.last}). Nothing was installed")
+        def on_output(_: str) -> None:
+            self.progress(0.9, "trying what was installed")
+
+        command = [sys.executable, "-s", "-c", code]
+        environment = self._environment(self.target, first=self.cuda)
+        lines = _watch(command, environment, self.stage / "imports.log", on_output)
+        if lines.code:
+            raise InstallError(f"The packages were got but do not work here ({lines.last}). Nothing was installed")
+        if lines.last != np.__version__:
+            raise InstallError(f"The packages came with another NumPy ({lines.last}). Nothing was installed")
+
+    def _pip(self, arguments: Sequence[str], packages: Iterable[str], on_output: Callable[[str], None]) -> str:
+        """Run `pip install` of Blender's Python with one source after the other; returns why it failed, '' if it did
+        not. packages: the names of what is asked for."""
+        environment = self._environment()
+        if importlib.util.find_spec("pip") is None:
+            environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], _bundled_pip()])
+        options = ["--only-binary=:all:", "--no-input", "--disable-pip-version-check", "--no-warn-conflicts"]
+        failure = ""
+        for source in _sources(packages, self.wheels, self.cuda):
+            command = [sys.executable, "-s", "-m", "pip", "install", *options, *source, *arguments]
+            done = _watch(command, environment, self.stage / "pip.log", on_output)
+            failure = done.last if done.code else ""
+            if not failure:
+                break
+        return failure
+
+    def _environment(self, *more: Path, first: bool = False) -> dict[str, str]:
+        """The environment of a Python process that uses the same packages as Blender, and none of the user's.
+
+        more: further folders of packages, searched last, or `first`.
+        """
+        own = [str(path) for path in installs(self.folder)]
+        seen = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages") or path in own]
+        kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PIP_TARGET")}
+        temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.stage / "temporary"))
+        settings = {"PIP_USER": "0", "PIP_REQUIRE_VIRTUALENV": "0", "PYTHONUTF8": "1"}
+        folders = [*map(str, more), *seen] if first else [*seen, *map(str, more)]
+        return {**kept, **temporary, **settings, "PYTHONPATH": os.pathsep.join(folders)}
+
+    @property
+    def _advice(self) -> str:
+        if self.wheels is not None:
+            return f"put the wheels that are missing into {self.wheels}"
+        return "look at the network, or install from a folder of wheels"
 
 
 class _Lines:
@@ -177,17 +215,6 @@ class _Lines:
         errors = [line.removeprefix("ERROR: ") for line in lines if line.startswith("ERROR: ")]
         self.code = code
         self.last = (errors or lines or [f"it ended with code {code}"])[0 if errors else -1]
-
-
-def _pip(arguments: Sequence[str], folder: Path, stage: Path, on_output: Callable[[str], None]) -> str:
-    """Run `pip install` of Blender's Python; returns why it failed, '' if it did not."""
-    environment = _environment(folder, stage)
-    if importlib.util.find_spec("pip") is None:
-        environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], _bundled_pip()])
-    options = ["--only-binary=:all:", "--no-input", "--disable-pip-version-check", "--no-warn-conflicts"]
-    command = [sys.executable, "-s", "-m", "pip", "install", *options, *arguments]
-    done = _watch(command, environment, stage / "pip.log", on_output)
-    return done.last if done.code else ""
 
 
 def _watch(
@@ -219,20 +246,6 @@ def _text(log: Path) -> str:
     return log.read_text(encoding="utf-8", errors="replace")
 
 
-def _environment(folder: Path, stage: Path, *more: Path, first: bool = False) -> dict[str, str]:
-    """The environment of a Python process that uses the same packages as Blender, and none of the user's.
-
-    more: further folders of packages, searched last, or `first`.
-    """
-    own = [str(path) for path in installs(folder)]
-    seen = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages") or path in own]
-    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PIP_TARGET")}
-    temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(stage / "temporary"))
-    settings = {"PIP_USER": "0", "PIP_REQUIRE_VIRTUALENV": "0", "PYTHONUTF8": "1"}
-    folders = [*map(str, more), *seen] if first else [*seen, *map(str, more)]
-    return {**kept, **temporary, **settings, "PYTHONPATH": os.pathsep.join(folders)}
-
-
 def _bundled_pip() -> str:
     """The wheel of pip that is part of Python, for a Python without pip."""
     spec = importlib.util.find_spec("ensurepip")
@@ -243,7 +256,7 @@ def _bundled_pip() -> str:
     return str(found[-1])
 
 
-def _sources(packages: Sequence[str] | Mapping[str, str], wheels: Path | None, cuda: bool) -> list[list[str]]:
+def _sources(packages: Iterable[str], wheels: Path | None, cuda: bool) -> list[list[str]]:
     """The options for pip's sources, tried in order: its own settings first, so that a mirror in them is used."""
     if wheels is not None:
         return [["--no-index", "--find-links", str(wheels)]]
@@ -251,12 +264,6 @@ def _sources(packages: Sequence[str] | Mapping[str, str], wheels: Path | None, c
         return [[] if sys.platform == "linux" else ["--extra-index-url", CUDA_INDEX]]
     needs_index = sys.platform == "linux" and TORCH in map(_normal, packages)
     return [[], ["--extra-index-url", CPU_INDEX]] if needs_index else [[]]
-
-
-def _advice(wheels: Path | None) -> str:
-    if wheels is not None:
-        return f"put the wheels that are missing into {wheels}"
-    return "look at the network, or install from a folder of wheels"
 
 
 def _carried() -> set[str]:

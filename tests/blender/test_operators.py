@@ -153,7 +153,7 @@ def test_count_passes_the_panels_settings_and_shows_the_result(engine, settings,
     result = settings.result
     assert (result.count, result.label, result.unit) == (3, "apple", "scene units")
     assert result.mean_diameter == pytest.approx(0.2)
-    assert result.whereabouts == "hanging or fallen: unknown, because no ground is visible"
+    assert result.whereabouts == "hanging or fallen: unknown, because no ground was found"
     assert result.notices == "no pictures"
     assert bpy.context.scene["fruitlangs_set_id"] == "f00"
     assert options["keep"] is None

@@ -402,6 +402,6 @@ def test_nothing_is_cleared_while_a_job_that_began_meanwhile_is_at_work(extensio
 
 def test_the_tested_numpy_is_the_one_that_runs(home, wheels, monkeypatch):
     monkeypatch.setattr(np, "__version__", "1.0")
-    monkeypatch.setattr(package_install, "_resolve", lambda *_: {"grafting": "1.0", "rootstock": "1.0"})
+    monkeypatch.setattr(package_install._Install, "resolve", lambda _: {"grafting": "1.0", "rootstock": "1.0"})
     with pytest.raises(package_install.InstallError, match="another NumPy"):
         dependencies.install_missing(wheels)

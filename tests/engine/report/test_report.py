@@ -126,7 +126,7 @@ def test_what_is_not_known_of_a_fruits_place_is_empty_in_every_table(tmp_path: P
 
 def test_people_read_where_fruit_are() -> None:
     assert location_text(placed()) == ["1 hanging, 1 on the ground", "1 on tree 1, 0 on tree 2, 1 on none of them"]
-    assert location_text(two_fruit()) == ["hanging or fallen: unknown, because no ground is visible"]
+    assert location_text(two_fruit()) == ["hanging or fallen: unknown, because no ground was found"]
     half = dataclasses.replace(placed(), trees=(), fruits=[placed().fruits[0], two_fruit().fruits[1]])
     assert location_text(half) == ["1 hanging, 0 on the ground, 1 unknown"]
 
