@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -38,6 +39,31 @@ class ChildError(FruitLangsError):
     """The child failed; the message is the last that it wrote."""
 
 
+def start_child(module: str, arguments: Sequence[str], *, errors: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Start `main(arguments)` of an engine module ("scene.sfm.mapping") in a new process, with pipes to its standard
+    input and output. errors: the file to which it writes everything else.
+
+    Raises:
+        ChildError: it could not be started.
+    """
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        "PYTHONIOENCODING": "utf-8:backslashreplace",
+    }
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-c", _BOOT, str(ROOT), module, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            env=environment,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError as error:
+        raise ChildError(f"{sys.executable} cannot be started ({error.strerror or error})") from error
+
+
 def run_child(module: str, arguments: Sequence[str], log: Path, progress: Progress = silent) -> None:
     """Run `main(arguments)` of an engine module ("scene.sfm.mapping") in a new process until it ends.
 
@@ -47,25 +73,11 @@ def run_child(module: str, arguments: Sequence[str], log: Path, progress: Progre
     Raises:
         ChildError: it gave up, crashed, or could not be started.
     """
-    command = [sys.executable, "-c", _BOOT, str(ROOT), module, *arguments]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        "PYTHONIOENCODING": "utf-8:backslashreplace",
-    }
     try:
         with log.open("wb") as errors:
-            child = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                env=environment,
-                encoding="utf-8",
-                errors="replace",  # libraries and Windows print in other encodings
-            )
+            child = start_child(module, arguments, errors=errors)
     except OSError as error:
-        raise ChildError(f"{sys.executable} cannot be started ({error.strerror or error})") from error
+        raise ChildError(f"{log} cannot be written ({error.strerror or error})") from error
     try:
         last_words = _relay(child, progress)
     finally:
@@ -84,11 +96,13 @@ def _last_line(log: Path) -> str:
     return f". The last line of {log} is: {written[-1].strip()}" if written else f". Its log {log} is empty"
 
 
-def _relay(child: subprocess.Popen[str], progress: Progress) -> str:
+def _relay(child: subprocess.Popen[bytes], progress: Progress) -> str:
     """Report the child's progress until it ends; returns its error message, or an empty text."""
     lines: SimpleQueue[str | None] = SimpleQueue()
     assert child.stdout is not None
-    Thread(target=_collect, args=(child.stdout, lines), daemon=True).start()
+    # Libraries and Windows print in other encodings.
+    stream = io.TextIOWrapper(child.stdout, encoding="utf-8", errors="replace")
+    Thread(target=_collect, args=(stream, lines), daemon=True).start()
     fraction, message, last_words = 0.0, "starting", ""
     while True:
         progress(fraction, message)

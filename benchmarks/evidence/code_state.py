@@ -18,6 +18,8 @@ MEASURED = ("engine/scene", "engine/splatting", "engine/language", "engine/count
 """The packages that a count of a generated scene depends on, besides the files of `MEASURED_FILES`."""
 CAMERA_SEARCH = "engine/scene/sfm/"
 """What only counts from photos alone depend on."""
+ONLY_ON_CARDS = ("engine/splatting/gpu/", "engine/splatting/training/card_step.py")
+"""What runs only on a graphics card; everything is measured on the CPU."""
 MEASURED_FILES = (
     "engine/pipeline.py", "engine/reconstruction.py", "engine/training.py", "benchmarks/ladder/stages.py",
     "benchmarks/ladder/frames.py",
@@ -28,10 +30,11 @@ DATA = ("*.wgsl", "*.json", "*.safetensors")
 @cache
 def code_hash(preset: str, known_cameras: bool, own: str = "") -> str:
     """A short hash of the code, the weights and the generator's preset that a count depends on. Comments and docstrings
-    are not part of it; nor is the search for cameras if they are known. own: a further file that it depends on."""
+    are not part of it, nor is what runs only on a graphics card, nor the search for cameras if they are known. own: a
+    further file that it depends on."""
     files = _files() | ({own: _meaning(ROOT / own)} if own else {})
-    if known_cameras:
-        files = {name: text for name, text in files.items() if not name.startswith(CAMERA_SEARCH)}
+    unused = (*ONLY_ON_CARDS, *([CAMERA_SEARCH] if known_cameras else []))
+    files = {name: text for name, text in files.items() if not name.startswith(unused)}
     scene = PRESETS / f"{preset}.toml"
     return text_hash(*files, *files.values(), file_hash(scene) if scene.is_file() else preset)[:12]
 

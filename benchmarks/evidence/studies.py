@@ -89,6 +89,8 @@ STUDIES: Mapping[str, Study] = {
 
 
 def of_study(name: str, records: Iterable[Record]) -> dict[Trial, Record]:
-    """The records of a study, in its order."""
+    """The records of a study, in its order: those of the present code or, if there are none, those of earlier code.
+    A table never compares rows of different code."""
     by_trial = {record.trial: record for record in records}
-    return {trial: by_trial[trial] for trial in STUDIES[name].trials if trial in by_trial}
+    own = {trial: by_trial[trial] for trial in STUDIES[name].trials if trial in by_trial}
+    return {trial: record for trial, record in own.items() if not record.stale} or own

@@ -30,20 +30,19 @@ def head(name: str, records: Sequence[Record]) -> str:
     commits = sorted({each["commit"] for each in cells})
     text = f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))} at commit {', '.join(commits)}, on "
     text += f"{'; '.join(sorted({each['machine'] for each in cells}))}."
-    stale, lacking = sum(record.stale for record in own.values()), len(wanted) - len(own)
-    if stale:
-        text += f" **Stale**: {stale} of {len(own)} rows were measured with earlier code."
-    if lacking:
-        text += f" {lacking} of {len(wanted)} rows are not measured yet."
+    if any(record.stale for record in own.values()):
+        text += " **Stale**: measured with earlier code."
+    if len(own) < len(wanted):
+        text += f" {len(wanted) - len(own)} of {len(wanted)} rows are not measured yet with this code."
     return text
 
 
 def known_cameras(records: Sequence[Record]) -> str:
-    """F1 by species and seed with known cameras, for the README."""
+    """F1 by species and seed with true cameras, for the README."""
     own = of_study("known-cameras", records)
     lines = [["species"]]
     for seed in SEEDS[1:]:
-        lines[0] += [f"{seed}: visible, counted", "F1"]
+        lines[0] += [f"seed {seed}: visible, counted", "F1"]
     scores: dict[int, list[float]] = {seed: [] for seed in SEEDS[1:]}
     for species in SPECIES:
         line = [species]
@@ -58,17 +57,17 @@ def known_cameras(records: Sequence[Record]) -> str:
     return markdown([*lines, last])
 
 
-def both_roads(records: Sequence[Record]) -> str:
-    """Known cameras and photos alone, by scene."""
-    return _both_roads([f"{species}-small-{seed}" for species in SPECIES for seed in SEEDS], records)
+def photos_alone(records: Sequence[Record]) -> str:
+    """True cameras and photos alone, by scene."""
+    return _photos_alone([f"{species}-small-{seed}" for species in SPECIES for seed in SEEDS], records)
 
 
 def phone(records: Sequence[Record]) -> str:
     """The same for photos of a phone's size."""
-    return _both_roads([scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
+    return _photos_alone([scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
 
 
-def _both_roads(scenes: Sequence[str], records: Sequence[Record]) -> str:
+def _photos_alone(scenes: Sequence[str], records: Sequence[Record]) -> str:
     by_trial = {record.trial: record for record in records}
     lines = [["scene", "visible", "counted", "F1", "precision", "F1, photos alone", "placed"]]
     lines[0] += ["centres / mm", "directions / °"]
@@ -214,7 +213,7 @@ def intervals(records: Sequence[Record]) -> str:
     """How often the 90 % intervals of current rows hold, by species."""
     current = [record for record in records if record.trial.method == "voting" and not record.stale]
     results = [record.result for record in current if record.result.near]
-    lines = [["species", "scenes", "visible held", "width / number", "all held", "width / number"]]
+    lines = [["species", "scenes", "visible covered", "width / number", "all covered", "width / number"]]
     for species in (*SPECIES, "all"):
         own = [each for each in results if species in (each.species, "all") and each.stage in (TRUE_POSES, END_TO_END)]
         of_visible = [(each.interval, each.near.visible) for each in own if each.interval and each.near]
@@ -232,7 +231,7 @@ def _held(pairs: Sequence[tuple[tuple[float, float], int]]) -> list[str]:
 
 
 def summary_line(name: str, records: Sequence[Record]) -> str:
-    """Mean F1, precision and recall with known cameras of a study of all species, and its worst scene."""
+    """Mean F1, precision and recall with true cameras of a study of all species, and its worst scene."""
     own = [each.result for each in of_study(name, records).values() if each.trial.stage == TRUE_POSES]
     near = [each.near for each in own if each.near]
     if not near or name not in ("known-cameras", "ladder"):
@@ -251,17 +250,17 @@ def _near(record: Record | None) -> CountMetrics | None:
 
 
 def _score(value: float) -> str:
-    return f"{value:.3f}".removeprefix("0") if not math.isnan(value) else ""
+    return f"{value:.3f}" if not math.isnan(value) else ""
 
 
 def _short(value: float) -> str:
-    return f"{value:.2f}".removeprefix("0")
+    return f"{value:.2f}"
 
 
 TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "known-cameras": known_cameras,
     "ladder": ladder,
-    "both-roads": both_roads,
+    "photos-alone": photos_alone,
     "phone": phone,
     "conditions": conditions,
     "methods": methods,

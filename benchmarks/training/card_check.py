@@ -91,7 +91,7 @@ def check_card(
     errors = _errors(card)
     progress(0.1, "Comparing bytes")
     bytes_equal = _repeats(adapter, read_scene(scene_folder, SceneConfig()))
-    times = _times(card, counts, sizes, part(progress, 0.3, 0.6))
+    times = _times(adapter, counts, sizes, part(progress, 0.3, 0.6))
     counted = _sample(adapter, scene_folder, part(progress, 0.6, 1.0)) if sample else []
     return {
         "adapter": {
@@ -153,20 +153,23 @@ def _hash(gaussians: Gaussians) -> str:
     return digest.hexdigest()[:16]
 
 
-def _times(card: Card, counts: Sequence[int], sizes: Sequence[tuple[int, int]], progress: Progress) -> list[StepTime]:
+def _times(
+    adapter: Adapter, counts: Sequence[int], sizes: Sequence[tuple[int, int]], progress: Progress
+) -> list[StepTime]:
     found = []
     settings = [(count, *size) for count in counts for size in sizes]
     for k, (count, width, height) in enumerate(settings):
         progress(k / len(settings), f"{count:,} Gaussians at {width}×{height}")
         try:
-            found.append(_time(card, count, width, height))
+            found.append(_time(adapter, count, width, height))
         except GpuError as error:
             found.append(StepTime(count, width, height, None, {}, 0, str(error)))
     return found
 
 
-def _time(card: Card, count: int, width: int, height: int) -> StepTime:
-    """The mean of `REPEATS` steps, without the time of uploads."""
+def _time(adapter: Adapter, count: int, width: int, height: int) -> StepTime:
+    """The mean of `REPEATS` steps, without the time of uploads, on a card that holds nothing else."""
+    card = Card.open(adapter, timed=True)
     canvas, values = Canvas(card), arrays_of(orchard_like(count))
     columns = 11 + 3 * (SH_DEGREE + 1) ** 2
     zeros = {name: np.zeros_like(value) for name, value in values.items()}
@@ -185,7 +188,9 @@ def _time(card: Card, count: int, width: int, height: int) -> StepTime:
         work = canvas.learn(view, buffer, columns=columns)
     card.download("plan", np.uint32, 1)
     seconds = (time.perf_counter() - begun) / REPEATS
-    return StepTime(count, width, height, seconds, work.shares(), card.bytes)
+    found = StepTime(count, width, height, seconds, work.shares(), card.bytes)
+    card.close()
+    return found
 
 
 def _sample(adapter: Adapter, scene_folder: Path, progress: Progress) -> list[Counted]:
@@ -210,13 +215,13 @@ def page(report: Mapping[str, Any]) -> str:
     kind = "played by the CPU" if adapter["software"] else "a real card"
     errors = [["", *report["errors"]["card"]]]
     errors += [[name, *(f"{error:.1e}" for error in found.values())] for name, found in report["errors"].items()]
-    steps = [["Gaussians", "pixels", "ms", "of it", "MiB on the card"]]
+    steps = [["Gaussians", "pixels", "ms a step", "ms a stage", "MiB on the card"]]
     steps += [
         [
             f"{each['gaussians']:,}",
             f"{each['width']}×{each['height']}",
             each["reason"] if each["seconds"] is None else f"{1e3 * each['seconds']:.2f}",
-            ", ".join(f"{name} {share:.0%}" for name, share in each["shares"].items()),
+            ", ".join(f"{name} {1e3 * share * each['seconds']:.2f}" for name, share in each["shares"].items()),
             f"{math.ceil(each['bytes'] / 2**20)}",
         ]
         for each in report["steps"]

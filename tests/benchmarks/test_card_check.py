@@ -57,8 +57,7 @@ def test_a_wrong_card_is_wrong(small: None, adapter: Adapter, monkeypatch: pytes
 
 def test_a_step_that_does_not_fit_is_a_row_with_its_reason(adapter: Adapter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Adapter, "largest_buffer", 1000)
-    card = Card.open(adapter)
-    [row] = card_check._times(card, [500], [(64, 48)], lambda *_: None)
+    [row] = card_check._times(adapter, [500], [(64, 48)], lambda *_: None)
     assert row.seconds is None
     assert "holds buffers of at most" in row.reason
 

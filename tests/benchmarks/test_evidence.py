@@ -103,12 +103,21 @@ def test_a_row_of_other_code_is_stale_and_the_head_of_its_table_says_so() -> Non
     old = changed(record_of(replace(RESULT, scene="plum-small-102", species="plum"), "voting"), code="0123")
     assert not fresh.stale
     assert old.stale
-    text = filled("<!-- table known-cameras -->\nold\n<!-- end -->", [fresh, old])
-    assert "**Stale**: 1 of 2 rows" in text
-    assert "14 of 16 rows are not measured yet" in text
-    assert "| apple | 100, 90 | .904 |  |  |" in text
+    text = filled("<!-- table known-cameras -->\nold\n<!-- end -->", [old])
+    assert "**Stale**: measured with earlier code." in text
+    assert "15 of 16 rows are not measured yet" in text
+    assert "| plum | 100, 90 | 0.904 |  |  |" in text
     assert "\nold\n" not in text
-    assert "Stale" not in filled("<!-- table known-cameras -->\n\n<!-- end -->", [fresh])
+
+
+def test_a_table_of_current_rows_leaves_out_stale_ones() -> None:
+    fresh = record_of(RESULT, "voting")
+    old = changed(record_of(replace(RESULT, scene="plum-small-102", species="plum"), "voting"), code="0123")
+    text = filled("<!-- table known-cameras -->\n\n<!-- end -->", [fresh, old])
+    assert "Stale" not in text
+    assert "15 of 16 rows are not measured yet" in text
+    assert "| apple | 100, 90 | 0.904 |  |  |" in text
+    assert "| plum |  |  |  |  |" in text
 
 
 def test_code_is_the_same_with_other_comments_and_docstrings_and_differs_with_another_sign(tmp_path: Path) -> None:
@@ -158,7 +167,7 @@ def test_only_what_is_missing_or_stale_is_measured() -> None:
 def test_an_interval_that_misses_is_not_counted_as_held() -> None:
     held = record_of(RESULT, "voting")
     missed = record_of(replace(RESULT, scene="apple-small-103", seed=103, interval=(101, 110)), "voting")
-    assert "| apple | 2 | 1 of 2 | .110 | 2 of 2 | .250 |" in TABLES["intervals"]([held, missed])
+    assert "| apple | 2 | 1 of 2 | 0.110 | 2 of 2 | 0.250 |" in TABLES["intervals"]([held, missed])
 
 
 def test_the_picture_of_conditions_is_the_same_each_time(tmp_path: Path) -> None:

@@ -52,14 +52,18 @@ class Adapter:
         """Card, backend and driver: equal identities compute equal bytes."""
         return f"{self.name} ({self.backend}, {self.driver})"
 
+    def require_limits(self) -> None:
+        """Raises GpuError if it lacks what the kernels need."""
+        if self.missing:
+            raise GpuError(f"{self.name} cannot be used: {self.missing[0]}. Train with --train.device cpu")
+
     def request(self, features: Sequence[str] = ()) -> Any:
         """Open the device. features: further features of WebGPU that it shall have.
 
         Raises:
             GpuError: it lacks what the kernels need, or its driver refuses.
         """
-        if self.missing:
-            raise GpuError(f"{self.name} cannot be used: {self.missing[0]}. Train with --train.device cpu")
+        self.require_limits()
         wanted = {**LIMITS, **{name: int(self.handle.limits[name]) for name in GREEDY}}
         try:
             return self.handle.request_device_sync(required_limits=wanted, required_features=list(features))
@@ -123,6 +127,7 @@ def choose_adapter(wanted: str) -> Adapter | None:
     else:
         fit = [each for each in found if wanted.casefold() in each.name.casefold()]
     if fit:
+        fit[0].require_limits()
         return fit[0]
     if wanted == "auto":
         return None
@@ -131,4 +136,9 @@ def choose_adapter(wanted: str) -> Adapter | None:
         for each in found
     )
     asked = "No graphics card is found" if wanted == "gpu" else f"No graphics card is named '{wanted}'"
-    raise GpuError(f"{asked}. Found: {listed or 'none'}. Train with --train.device cpu")
+    advice = (
+        "Train with --train.device cpu"
+        if listed
+        else "Install the driver of the card, or train with --train.device cpu"
+    )
+    raise GpuError(f"{asked}. Found: {listed or 'none'}. {advice}")

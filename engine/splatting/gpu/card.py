@@ -1,80 +1,94 @@
 """An opened graphics card: buffers, programs of WGSL shaders, and what is recorded for it to do.
 
-The card is reached through wgpu (Vulkan, Metal, DirectX 12), which is installed only where it is wanted.
+A process of its own drives the card (`card_process`), so that nothing that a driver does ends this one. What is handed
+over is not waited for; an error of the driver is raised when results are fetched.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cache, cached_property
+import subprocess
+import tempfile
+import time
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from threading import Event, Thread
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...child_process import ChildError, start_child
 from ...errors import GpuError
 from .adapters import Adapter
+from .card_process import CLEAR, RUN, RUN_PLANNED, STAGE, read_message, write_message
+
+T = TypeVar("T")
 
 SHADERS = Path(__file__).with_name("wgsl")
 WORKGROUP = 256
-CLOCK = "timestamp-query"
-MOST_STAGES = 64
-"""Parts of a recording that a clock can time."""
 ACROSS = 32768
 """Workgroups in a row of a dispatch; more go into further rows, since a dimension has at most 65,535."""
+MOST_SECONDS, MOST_SECONDS_SOFTWARE = 60.0, 3600.0
+"""For which a card may be silent, and a driver that computes on the CPU."""
 _BINDING = re.compile(r"@binding\((\d+)\)\s+var<storage,\s*(read|read_write)>\s+(\w+)")
 _ENTRY = re.compile(r"@compute.*?\nfn (\w+)", re.DOTALL)
+_KINDS = {"read": "read-only-storage", "read_write": "storage"}
+
+
+@dataclass(frozen=True, eq=False)
+class Buffer:
+    """A piece of the card's memory. size: bytes."""
+
+    number: int
+    size: int
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A compiled module. places: of each buffer's name its binding; pipelines: by entry point."""
+    """A compiled module. places: of each buffer's name its binding."""
 
+    number: int
     places: Mapping[str, int]
-    layout: Any
-    pipelines: Mapping[str, Any]
 
 
-@dataclass(eq=False)
 class Card:
     """The device of an adapter. Buffers have names and are reused, or replaced when more is needed."""
 
-    adapter: Adapter
-    device: Any
-    timed: bool = False
-    buffers: dict[str, Any] = field(default_factory=dict)
-    _programs: dict[tuple[str, ...], Program] = field(default_factory=dict)
-    _bound: dict[tuple[int, ...], Any] = field(default_factory=dict)
+    def __init__(self, adapter: Adapter, line: _Line, *, timed: bool) -> None:
+        """See `open`."""
+        self.adapter, self.timed = adapter, timed
+        self.buffers: dict[str, Buffer] = {}
+        self._line = line
+        self._made = 0
+        self._programs: dict[tuple[str, ...], Program] = {}
+        self._bound: dict[tuple[int, ...], int] = {}
 
     @classmethod
     def open(cls, adapter: Adapter, *, timed: bool = False) -> Card:
         """Open an adapter's device. timed: with a clock for the stages of what is recorded, if the card has one.
 
         Raises:
-            GpuError: it lacks what the kernels need, or its driver refuses.
+            GpuError: it lacks what the kernels need, or its driver refuses, crashes or does not answer.
         """
-        timed = timed and CLOCK in adapter.handle.features
-        return cls(adapter, adapter.request([CLOCK] if timed else []), timed)
+        adapter.require_limits()
+        line = _Line(adapter, [adapter.identity, *(["timed"] if timed else [])])
+        (has_clock, *_), _ = line.answer()
+        return cls(adapter, line, timed=has_clock)
 
     @property
     def bytes(self) -> int:
         """Of all buffers."""
         return sum(held.size for held in self.buffers.values())
 
-    @cached_property
-    def _wgpu(self) -> Any:
-        import wgpu
-
-        return wgpu
-
-    def buffer(self, name: str, values: int) -> Any:
+    def buffer(self, name: str, values: int) -> Buffer:
         """The buffer of a name with room for at least this many 32-bit values; its contents are lost if it grows.
 
         Raises:
-            GpuError: the card's memory, or the largest buffer that it allows, does not suffice.
+            GpuError: it is larger than the largest buffer that the card allows.
         """
         held, size = self.buffers.get(name), 4 * max(values, 4)
         if held is not None and held.size >= size:
@@ -86,179 +100,215 @@ class Card:
                 "--train.device cpu"
             )
         if held is not None:
-            self._bound.clear()
-            held.destroy()
-        usage = self._wgpu.BufferUsage
-        kinds = usage.STORAGE | usage.COPY_SRC | usage.COPY_DST | usage.INDIRECT
-        self.buffers[name] = self._checked(lambda: self.device.create_buffer(size=size, usage=kinds))
-        return self.buffers[name]
+            self.drop(name)
+        found = self.buffers[name] = Buffer(self._number(), size)
+        self._line.tell("create", found.number, size)
+        return found
 
-    def upload(self, name: str, values: NDArray[Any]) -> Any:
+    def upload(self, name: str, values: NDArray[Any]) -> Buffer:
         """A buffer of 32-bit values with this content."""
         found = self.buffer(name, values.size)
-        self._checked(lambda: self.device.queue.write_buffer(found, 0, np.ascontiguousarray(values)))
+        self._line.tell("write", found.number, data=np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
         return found
 
     def download(self, name: str, kind: type, values: int, offset: int = 0) -> NDArray[Any]:
         """The first 32-bit values of a buffer, after all work that was submitted.
 
         Raises:
-            GpuError: the card was lost.
+            GpuError: the card failed since the last download, or it has no more memory.
         """
-        found = self.buffers[name]
-        read = self._checked(lambda: self.device.queue.read_buffer(found, 4 * offset, 4 * values))
+        self._line.tell("read", self.buffers[name].number, 4 * offset, 4 * values)
+        _, read = self._line.answer()
         return np.frombuffer(read, kind, values)
 
     def drop(self, name: str) -> None:
         """Free the memory of a buffer."""
-        self._bound.clear()
-        self.buffers.pop(name).destroy()
+        number = self.buffers.pop(name).number
+        self._bound = {key: group for key, group in self._bound.items() if number not in key[1:]}
+        self._line.tell("destroy", number)
 
     def program(self, *files: str, **constants: float) -> Program:
         """The module of these files of `wgsl`, one after another, with constants of type f32."""
         lines = tuple(f"const {name}: f32 = {float(value)!r};" for name, value in constants.items())
         if (key := (*lines, *files)) not in self._programs:
             code = "\n".join([*lines, *map(_source, files)])
-            self._programs[key] = self._checked(lambda: self._compiled(code))
+            found = _BINDING.findall(code)
+            program = Program(self._number(), {name: int(place) for place, _, name in found})
+            kinds = {place: _KINDS[access] for place, access, _ in found}
+            self._line.tell("program", program.number, code, kinds, _ENTRY.findall(code))
+            self._programs[key] = program
         return self._programs[key]
 
-    def _compiled(self, code: str) -> Program:
-        found = [(int(place), access, name) for place, access, name in _BINDING.findall(code)]
-        kinds = {"read": "read-only-storage", "read_write": "storage"}
-        visible = self._wgpu.ShaderStage.COMPUTE
-        layout = self.device.create_bind_group_layout(
-            entries=[
-                {"binding": place, "visibility": visible, "buffer": {"type": kinds[access]}}
-                for place, access, _ in found
-            ]
-        )
-        whole = self.device.create_pipeline_layout(bind_group_layouts=[layout])
-        module = self.device.create_shader_module(code=code)
-        pipelines = {
-            entry: self.device.create_compute_pipeline(layout=whole, compute={"module": module, "entry_point": entry})
-            for entry in _ENTRY.findall(code)
-        }
-        return Program({name: place for place, _, name in found}, layout, pipelines)
-
-    def bind(self, program: Program, buffers: Mapping[str, Any]) -> Any:
-        """The bind group of a program with its buffers by name."""
-        own = {name: buffers[name] for name in program.places}
-        key = (id(program), *(id(each) for each in own.values()))
+    def bind(self, program: Program, buffers: Mapping[str, Buffer]) -> int:
+        """The number of the bind group of a program with its buffers by name."""
+        numbers = {place: buffers[name].number for name, place in program.places.items()}
+        key = (program.number, *numbers.values())
         if key not in self._bound:
-            entries = [
-                {"binding": program.places[name], "resource": {"buffer": held, "offset": 0, "size": held.size}}
-                for name, held in own.items()
-            ]
-            self._bound[key] = self.device.create_bind_group(layout=program.layout, entries=entries)
+            self._bound[key] = self._number()
+            self._line.tell("bind", self._bound[key], program.number, numbers)
         return self._bound[key]
 
     def record(self) -> Recording:
         """Begin what the card shall do next."""
-        return Recording(self, self.device.create_command_encoder())
+        return Recording(self)
 
-    @cached_property
-    def clock(self) -> tuple[Any, Any]:
-        """Where a card with a clock stores times, and the buffer that they are read from."""
-        usage = self._wgpu.BufferUsage
-        times = self.device.create_query_set(type="timestamp", count=2 * MOST_STAGES)
-        kinds = usage.QUERY_RESOLVE | usage.COPY_SRC
-        return times, self.device.create_buffer(size=16 * MOST_STAGES, usage=kinds)
+    def submit(self, commands: Sequence[Sequence[Any]]) -> None:
+        """Hand over what was recorded."""
+        self._line.tell("submit", commands)
 
-    def submit(self, encoder: Any) -> None:
-        """Hand over what was recorded.
+    def times(self, passes: int) -> NDArray[np.float64]:
+        """(passes, 2) when the passes of the last recording began and ended, in ticks."""
+        self._line.tell("times", passes)
+        return np.frombuffer(self._line.answer()[1], np.uint64).reshape(-1, 2).astype(np.float64)
 
-        Raises:
-            GpuError: the card was lost.
-        """
-        self._checked(lambda: self.device.queue.submit([encoder.finish()]))
+    def close(self) -> None:
+        """End the card's process."""
+        self._line.close()
 
-    def _checked(self, work: Any) -> Any:
-        """The result of a call of the driver.
-
-        Raises:
-            GpuError: the driver failed.
-        """
-        try:
-            return work()
-        except (self._wgpu.GPUError, RuntimeError, MemoryError) as error:
-            reason = str(error).strip().splitlines()
-            raise GpuError(f"{self.adapter.name} failed: {reason[-1] if reason else type(error).__name__}") from error
+    def _number(self) -> int:
+        """A number that nothing has yet."""
+        self._made += 1
+        return self._made
 
 
 class Recording:
     """A list of dispatches, handed to the card together."""
 
-    def __init__(self, card: Card, encoder: Any) -> None:
-        self._card, self._encoder = card, encoder
-        self._stages: list[str] = []
-        self._pass: Any = None
-        self.stage("")
+    def __init__(self, card: Card) -> None:
+        self._card = card
+        self._stages = [""]
+        self._commands: list[list[Any]] = [[STAGE]]
 
     def stage(self, name: str) -> None:
         """What follows belongs to the stage of this name; only a card with a clock takes note."""
-        if self._pass is not None and not self._card.timed:
-            return
-        if self._pass is not None:
-            self._pass.end()
-        self._stages.append(name)
-        self._pass = self._begun()
+        if self._card.timed:
+            self._stages.append(name)
+            self._commands.append([STAGE])
 
-    def _begun(self) -> Any:
-        if not self._card.timed:
-            return self._encoder.begin_compute_pass()
-        place = 2 * (len(self._stages) - 1)
-        written = {
-            "query_set": self._card.clock[0],
-            "beginning_of_pass_write_index": place,
-            "end_of_pass_write_index": place + 1,
-        }
-        return self._encoder.begin_compute_pass(timestamp_writes=written)
-
-    def run(self, program: Program, entry: str, buffers: Mapping[str, Any], *groups: int) -> None:
+    def run(self, program: Program, entry: str, buffers: Mapping[str, Buffer], *groups: int) -> None:
         """Dispatch an entry point with this many workgroups (x, y, z)."""
-        self._set(program, entry, buffers)
-        self._pass.dispatch_workgroups(*groups)
+        self._commands.append([RUN, program.number, entry, self._card.bind(program, buffers), *groups])
 
-    def run_for(self, program: Program, entry: str, buffers: Mapping[str, Any], invocations: int) -> None:
+    def run_for(self, program: Program, entry: str, buffers: Mapping[str, Buffer], invocations: int) -> None:
         """Dispatch an entry point with at least this many invocations, in rows of `ACROSS` workgroups."""
         groups = -(-max(invocations, 1) // WORKGROUP)
         across = min(groups, ACROSS)
         self.run(program, entry, buffers, across, -(-groups // across), 1)
 
-    def run_planned(self, program: Program, entry: str, buffers: Mapping[str, Any], plan: Any, place: int) -> None:
+    def run_planned(
+        self, program: Program, entry: str, buffers: Mapping[str, Buffer], plan: Buffer, place: int
+    ) -> None:
         """Dispatch an entry point with the numbers of workgroups that lie at a 32-bit place of `plan`."""
-        self._set(program, entry, buffers)
-        self._pass.dispatch_workgroups_indirect(plan, 4 * place)
+        group = self._card.bind(program, buffers)
+        self._commands.append([RUN_PLANNED, program.number, entry, group, plan.number, 4 * place])
 
-    def clear(self, buffer: Any) -> None:
+    def clear(self, buffer: Buffer) -> None:
         """Fill a buffer with 0."""
-        self._pass.end()
-        self._encoder.clear_buffer(buffer)
+        self._commands.append([CLEAR, buffer.number])
         self._stages.append(self._stages[-1])
-        self._pass = self._begun()
 
     def submit(self) -> None:
-        self._pass.end()
-        if self._card.timed:
-            times, buffer = self._card.clock
-            self._encoder.resolve_query_set(times, 0, 2 * len(self._stages), buffer, 0)
-        self._card.submit(self._encoder)
+        """Hand it to the card."""
+        self._card.submit(self._commands)
 
     def shares(self) -> dict[str, float]:
         """Of the card's time for what was submitted: the share of each stage; empty without a clock."""
         if not self._card.timed:
             return {}
-        read = self._card.device.queue.read_buffer(self._card.clock[1], 0, 16 * len(self._stages))
-        spans = np.frombuffer(read, np.uint64).reshape(-1, 2).astype(np.float64)
         taken: dict[str, float] = {}
-        for name, (begin, end) in zip(self._stages, spans, strict=True):
+        for name, (begin, end) in zip(self._stages, self._card.times(len(self._stages)), strict=True):
             taken[name] = taken.get(name, 0.0) + max(end - begin, 0.0)
         whole = sum(taken.values())
         return {name: each / whole for name, each in taken.items() if name} if whole > 0.0 else {}
 
-    def _set(self, program: Program, entry: str, buffers: Mapping[str, Any]) -> None:
-        self._pass.set_pipeline(program.pipelines[entry])
-        self._pass.set_bind_group(0, self._card.bind(program, buffers))
+
+class _Line:
+    """The connection to the process of a card. One that is silent for too long is ended."""
+
+    def __init__(self, adapter: Adapter, arguments: Sequence[str]) -> None:
+        self._name = adapter.name
+        self._most_seconds = MOST_SECONDS_SOFTWARE if adapter.software else MOST_SECONDS
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
+        try:
+            self._child = start_child("splatting.gpu.card_process", arguments, errors=self._log)
+        except ChildError as error:
+            raise GpuError(f"{adapter.name} cannot be opened: {error}") from error
+        self._watch = _Watch(self._child)
+        self.close = weakref.finalize(self, _end, self._child, self._watch, self._log)
+
+    def tell(self, *words: Any, data: bytes | memoryview = b"") -> None:
+        """Send a message.
+
+        Raises:
+            GpuError: the process has ended, or takes nothing any more.
+        """
+        stream = self._child.stdin
+        assert stream is not None
+        self._within_time(lambda: write_message(stream, words, data))
+
+    def answer(self) -> tuple[list[Any], bytearray]:
+        """The answer to the last message that asks for something, without its error.
+
+        Raises:
+            GpuError: the card failed since the last answer, or its process has ended.
+        """
+        stream = self._child.stdout
+        assert stream is not None
+        (failure, *rest), data = self._within_time(lambda: read_message(stream))
+        if failure:
+            raise GpuError(f"{self._name} failed: {failure}")
+        return rest, data
+
+    def _within_time(self, work: Callable[[], T]) -> T:
+        self._watch.until = time.monotonic() + self._most_seconds
+        try:
+            return work()
+        except (OSError, EOFError, ValueError) as error:  # ValueError: the stream was closed
+            if self._watch.ended:
+                raise GpuError(f"{self._name} failed: it did not answer in {self._most_seconds:.0f} s") from error
+            code = self._child.wait()
+            raise GpuError(f"{self._name} failed: its process ended with code {code}{self._last_line()}") from error
+        finally:
+            self._watch.until = None
+
+    def _last_line(self) -> str:
+        """What the process wrote last, in brackets."""
+        if self._log.closed:
+            return ""
+        self._log.seek(0)
+        written = self._log.read().decode("utf-8", "replace").strip().splitlines()
+        return f" ({written[-1].strip()})" if written else ""
+
+
+class _Watch:
+    """Ends a process at `until`, if that comes. ended: whether it did."""
+
+    def __init__(self, child: subprocess.Popen[bytes]) -> None:
+        self.until: float | None = None
+        self.ended = False
+        self.stop = Event()
+        Thread(target=self._look, args=(child,), daemon=True).start()
+
+    def _look(self, child: subprocess.Popen[bytes]) -> None:
+        while not self.stop.wait(0.5):
+            until = self.until
+            if until is not None and time.monotonic() > until:
+                self.ended = True
+                child.kill()
+                return
+
+
+def _end(child: subprocess.Popen[bytes], watch: _Watch, log: IO[bytes]) -> None:
+    """End a card's process, whatever it is doing."""
+    watch.stop.set()
+    child.kill()
+    child.wait()
+    for stream in (child.stdin, child.stdout, log):
+        try:
+            if stream is not None:
+                stream.close()
+        except OSError:  # what was not sent yet
+            continue
 
 
 @cache

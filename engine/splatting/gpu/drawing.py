@@ -94,7 +94,6 @@ VIEW = np.dtype(
         ("load_share", np.float32),
         ("exposure", np.float32, 12),
         ("channels", np.uint32),
-        ("first_channel", np.uint32),
     ]
 )
 """The kernels' `View`: what a view and its step are given."""

@@ -43,17 +43,21 @@ class CardViews:
         Raises:
             GpuError: the card failed, or draws something else than the CPU.
         """
-        view = self._view(gaussians, camera, rules, features.shape[1])
+        view = view_of(camera, rules, len(gaussians))
         planes = self._drawn(gaussians, camera, rules, view)
-        size, channels = size_of(view), int(view["channels"][0])
-        if channels == 0:
-            return planes, np.zeros((0, size.height, size.width), np.float32)
-        card = self.canvas.card
-        card.upload("features", features)
-        card.buffer("blended", channels * size.width * size.height)
-        self._run("blend_features", size, -(-channels // TOGETHER))
-        blended = card.download("blended", np.float32, channels * size.width * size.height)
-        return planes, blended.reshape(channels, size.height, size.width)
+        size, card = size_of(view), self.canvas.card
+        blended = np.zeros((features.shape[1], size.height, size.width), np.float32)
+        fit = card.adapter.largest_buffer // (4 * TOGETHER * max(size.width * size.height, len(gaussians), 1))
+        at_once = TOGETHER * max(fit, 1)
+        for first in range(0, len(blended), at_once):
+            part = blended[first : first + at_once]
+            view["channels"] = len(part)
+            card.upload("view", view.view(np.uint32))
+            card.upload("features", features[:, first : first + at_once])
+            card.buffer("blended", part.size)
+            self._run("blend_features", size, -(-len(part) // TOGETHER))
+            part[:] = card.download("blended", np.float32, part.size).reshape(part.shape)
+        return planes, blended
 
     def surface(self, camera: Camera) -> FloatArray:
         """(H, W) depth of the front surface in the view that was drawn last, as `kernels.surface` measures it."""
@@ -70,24 +74,26 @@ class CardViews:
         Raises:
             GpuError: as `draw`.
         """
-        channels = target.shape[2]
-        whole = np.zeros((camera.height, camera.width, -(-(channels + 1) // CHUNK) * CHUNK), np.float32)
-        whole[..., :channels], whole[..., channels] = target, 1.0
-        view = self._view(gaussians, camera, rules, whole.shape[2])
+        view = view_of(camera, rules, len(gaussians))
         self._drawn(gaussians, camera, rules, view)
-        canvas, count = self.canvas, len(gaussians)
-        canvas.card.upload("target_values", whole)
-        canvas.card.buffer("pair_sums", CHUNK * canvas.capacity)
-        canvas.card.buffer("lifted", count * whole.shape[2])
-        size, held = size_of(view), canvas.listed(size_of(view))
-        for first in range(0, whole.shape[2], CHUNK):
-            view["first_channel"] = first
-            canvas.card.upload("view", view.view(np.uint32))
-            work = canvas.card.record()
+        canvas, count, channels, size = self.canvas, len(gaussians), target.shape[2], size_of(view)
+        card = canvas.card
+        card.buffer("pair_sums", CHUNK * canvas.capacity)
+        card.buffer("lifted", CHUNK * count)
+        lifted = np.zeros((count, channels + 1), np.float32)
+        values = np.zeros((size.height, size.width, CHUNK), np.float32)
+        for first in range(0, channels + 1, CHUNK):
+            part = lifted[:, first : first + CHUNK]
+            own = target[..., first : first + CHUNK]
+            values[..., : own.shape[2]] = own
+            values[..., own.shape[2] :] = 1.0  # the first of these sums the weights
+            card.upload("target_values", values)
+            held = canvas.listed(size)
+            work = card.record()
             work.run(canvas.program("accumulate"), "accumulate", held, size.columns, size.rows)
             work.run_for(canvas.program("accumulate"), "gather", held, count * CHUNK)
             work.submit()
-        lifted = canvas.card.download("lifted", np.float32, count * whole.shape[2]).reshape(count, -1)
+            part[:] = card.download("lifted", np.float32, count * CHUNK).reshape(count, CHUNK)[:, : part.shape[1]]
         return lifted[:, :channels].copy(), lifted[:, channels].copy()
 
     def _run(self, entry: str, size: Size, layers: int) -> None:
@@ -99,11 +105,6 @@ class CardViews:
         work = card.record()
         work.run(self.canvas.program("blended"), entry, self.canvas.listed(size), size.columns, size.rows, layers)
         work.submit()
-
-    def _view(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, channels: int) -> NDArray[Any]:
-        view = view_of(camera, rules, len(gaussians))
-        view["channels"] = channels
-        return view
 
     def _drawn(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, view: NDArray[Any]) -> FloatArray:
         """The planes of a view."""

@@ -30,9 +30,9 @@ from ..gpu.drawing import (
     Canvas,
     Learnt,
     packed,
+    size_of,
     view_of,
 )
-from ..gpu.trial import refusal
 from .checkpoint import TrainingState
 from .densify import GradientStats
 from .exposure import Exposures
@@ -68,8 +68,7 @@ def adapter_for(config: TrainConfig, *, joint: bool) -> tuple[Adapter | None, st
     for name, used in missing.items():
         if used:
             return None, f"{name} cannot be computed on a graphics card yet, so the CPU trains"
-    reason = refusal(adapter)
-    return (None, f"{adapter.name} is not used: {reason}") if reason else (adapter, "")
+    return adapter, ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,26 +86,41 @@ class CardStep:
     look_every = 100
 
     def __init__(self, schedule: Schedule, adapter: Adapter) -> None:
-        """Open the card.
+        """Open the card and take the memory that the whole training needs.
 
         Raises:
-            GpuError: it cannot be opened.
+            GpuError: it cannot be opened, or has less memory.
         """
         self.schedule = schedule
-        largest = 4 * self._columns * schedule.config.max_gaussians
-        if largest > adapter.largest_buffer:
-            raise GpuError(
-                f"{adapter.name} holds at most {adapter.largest_buffer / 2**20:.0f} MiB in one piece, and "
-                f"{schedule.config.max_gaussians:,} Gaussians need {largest / 2**20:.0f} MiB"
-            )
         self.card = Card.open(adapter)
         self.canvas = Canvas(self.card)
+        self._reserve()
         self._usual = Step(schedule)
         self._held: torch.Tensor | None = None  # the means that the card's Gaussians were uploaded from
         self._kept = _Kept(0, None, None)
         self._pending: list[tuple[int, Picture]] = []
         self._loss = 0.0
         self._photos: dict[str, int] = {}
+
+    def _reserve(self) -> None:
+        """Make room for the most Gaussians in the largest photo, so that too little memory is known before training.
+
+        Raises:
+            GpuError: the card's memory does not suffice.
+        """
+        count, cameras = self.schedule.config.max_gaussians, self.schedule.scene.cameras
+        camera = max(cameras, key=lambda each: each.width * each.height)
+        view = view_of(camera, self.schedule.rules(0), count)
+        self.canvas.reserve(count, size_of(view))
+        self.canvas.reserve_backward(count, self._columns, view)
+        needed = self.card.bytes
+        try:
+            self.card.download("plan", np.uint32, PLAN)
+        except GpuError as error:
+            raise GpuError(
+                f"{error}. {count:,} Gaussians in photos of {camera.width}×{camera.height} need {needed / 2**20:.0f} "
+                "MiB on the card, and its photos more. Lower --train.max-gaussians or --scene.max-side"
+            ) from error
 
     def take(self, state: TrainingState, picture: Picture) -> float:
         """As `Stepper`. The loss is that of an earlier step."""

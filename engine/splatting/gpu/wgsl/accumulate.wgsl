@@ -11,9 +11,9 @@
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 @group(0) @binding(6) var<storage, read> starts: array<u32>;
 @group(0) @binding(7) var<storage, read> planes: array<f32>;
-@group(0) @binding(8) var<storage, read> target_values: array<f32>;  // (H, W, view.channels), a multiple of CHUNK
+@group(0) @binding(8) var<storage, read> target_values: array<f32>;  // (H, W, CHUNK)
 @group(0) @binding(9) var<storage, read_write> pair_sums: array<f32>;  // (pairs, CHUNK)
-@group(0) @binding(10) var<storage, read_write> lifted: array<f32>;  // (N, view.channels)
+@group(0) @binding(10) var<storage, read_write> lifted: array<f32>;  // (N, CHUNK)
 
 const CHUNK: u32 = 16u;
 const BATCH: u32 = 16u;
@@ -79,7 +79,7 @@ fn accumulate(@builtin(local_invocation_index) own: u32, @builtin(workgroup_id) 
                 let weight = weights[256u * g + q];
                 if (weight > 0.0) {
                     let at = (group.y * TILE + q / TILE) * view.width + group.x * TILE + q % TILE;
-                    sum += weight * target_values[at * view.channels + view.first_channel + channel];
+                    sum += weight * target_values[at * CHUNK + channel];
                 }
             }
             pair_sums[pair_of[begin + done + g] * CHUNK + channel] = sum;
@@ -99,5 +99,5 @@ fn gather(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups)
     for (var pair = starts[i]; pair < starts[i] + counts[i]; pair += 1u) {
         sum += pair_sums[pair * CHUNK + k % CHUNK];
     }
-    lifted[i * view.channels + view.first_channel + k % CHUNK] = sum;
+    lifted[k] = sum;
 }

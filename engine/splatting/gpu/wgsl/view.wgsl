@@ -32,7 +32,6 @@ struct View {
     load_share: f32,  // weight of the unevenness of loads beside the photometric loss, 0 for none
     exposure: array<f32, 12>,  // 3 × 4
     channels: u32,
-    first_channel: u32,
 }
 
 // Counts that the card computes and that later kernels of the same view need.

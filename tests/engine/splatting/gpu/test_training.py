@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import os
+import re
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -128,39 +132,75 @@ def test_a_card_is_checked_again_and_again_without_another_byte(
     assert checks == [0, 0, 25, 50]
 
 
-def test_a_card_whose_memory_is_full_leaves_the_training_to_the_cpu(
+def test_a_card_with_too_little_memory_is_refused_before_training(
     scene: Scene, adapter: Adapter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    buffer = Card.buffer
+    resource = pytest.importorskip("resource")
+    if not adapter.software:
+        pytest.skip("only the memory of a card that the CPU plays can be limited")
+    usual = Card.open
 
-    def full(card: Card, name: str, values: int) -> Any:
-        if name == "second":
-            raise GpuError("Small Card failed: not enough memory left")
-        return buffer(card, name, values)
+    def with_64_megabytes(adapter: Adapter) -> Card:
+        card = usual(adapter)
+        process = card._line._child.pid
+        used = 4096 * int(Path(f"/proc/{process}/statm").read_text().split()[0])
+        resource.prlimit(process, resource.RLIMIT_AS, (used + (64 << 20), used + (64 << 20)))
+        return card
 
-    monkeypatch.setattr(Card, "buffer", full)
-    found = train(scene, QUICK, adapter=adapter)
-    assert found.device == "CPU from step 0 on: Small Card failed: not enough memory left"
-    assert bytes_of(found.gaussians) == bytes_of(train(scene, QUICK).gaussians)
+    monkeypatch.setattr(Card, "open", with_64_megabytes)
+    config = replace(QUICK, max_gaussians=400_000)
+    found = train(scene, config, adapter=adapter)
+    assert found.device.startswith(f"{CPU}: {adapter.name} failed: ")
+    assert "400,000 Gaussians in photos of" in found.device
+    assert "Lower --train.max-gaussians" in found.device
+    assert found.steps == 60
 
 
-def test_when_the_card_is_lost_the_cpu_goes_on_from_the_last_sound_state(
-    scene: Scene, trained: Training, adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("sign", "reason"), [(signal.SIGABRT, "its process ended with code -6"), (signal.SIGSTOP, "it did not answer in")]
+)
+def test_when_the_driver_crashes_or_hangs_the_cpu_goes_on_from_the_last_sound_state(
+    sign: signal.Signals,
+    reason: str,
+    scene: Scene,
+    trained: Training,
+    adapter: Adapter,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     submit, done = Card.submit, [0]
 
-    def lose(card: Card, encoder: Any) -> None:
+    def lose(card: Card, commands: Any) -> None:
         done[0] += 1
-        if done[0] > 34:
-            raise GpuError(f"{card.adapter.name} failed: the device is lost")
-        submit(card, encoder)
+        if done[0] == 34:
+            monkeypatch.setattr(card._line, "_most_seconds", 1.0)
+            os.kill(card._line._child.pid, sign)
+        submit(card, commands)
 
     monkeypatch.setattr(Card, "submit", lose)
     found = train(scene, QUICK, adapter=adapter)
-    assert found.device.startswith("CPU from step 20 on: ")
-    assert found.device.endswith("the device is lost")
+    assert found.device.startswith(f"CPU from step 20 on: {adapter.name} failed: {reason}")
     assert found.steps == 60
     assert found.psnr == pytest.approx(trained.psnr, abs=1.0)
+
+
+def test_an_error_of_the_driver_is_raised_when_results_are_fetched(adapter: Adapter) -> None:
+    card = Card.open(adapter)
+    card.upload("plan", np.zeros(4, np.uint32))
+    card._line.tell("write", 1234)
+    with pytest.raises(GpuError, match=f"{re.escape(adapter.name)} failed: 1234"):
+        card.download("plan", np.uint32, 4)
+    card.close()
+    with pytest.raises(GpuError, match="failed"):
+        card.upload("plan", np.zeros(4, np.uint32))
+
+
+def test_the_process_of_a_card_ends_with_it(adapter: Adapter) -> None:
+    card = Card.open(adapter)
+    process = card._line._child
+    assert process.poll() is None
+    del card
+    gc.collect()
+    assert process.poll() is not None
 
 
 def test_a_card_that_cannot_be_opened_leaves_the_training_to_the_cpu(scene: Scene, adapter: Adapter) -> None:

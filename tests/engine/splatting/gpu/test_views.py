@@ -36,7 +36,7 @@ def drawn(adapter: Adapter, views: CardViews) -> Any:
         assert not card.problem
 
 
-@pytest.mark.parametrize("channels", [0, 1, 8, 19])
+@pytest.mark.parametrize("channels", [0, 1, 8, 512])
 def test_a_view_with_further_channels_is_that_of_the_cpu(channels: int, drawn: Any) -> None:
     gaussians, camera = random_gaussians(300, 2, seed=1), ring_camera()
     features = torch.randn(300, channels, generator=torch.Generator().manual_seed(2))
@@ -48,7 +48,7 @@ def test_a_view_with_further_channels_is_that_of_the_cpu(channels: int, drawn: A
         torch.testing.assert_close(getattr(ours, name), getattr(theirs, name), rtol=0, atol=2e-4)
 
 
-@pytest.mark.parametrize("channels", [0, 15, 16, 70])
+@pytest.mark.parametrize("channels", [0, 15, 16, 512])
 def test_sums_by_blending_weight_are_those_of_the_cpu(channels: int, drawn: Any) -> None:
     gaussians, camera = random_gaussians(400, 0, seed=3), ring_camera()
     target = torch.randn(camera.height, camera.width, channels, generator=torch.Generator().manual_seed(1))
@@ -113,7 +113,7 @@ def test_a_card_that_draws_something_else_is_not_used(adapter: Adapter, monkeypa
 def test_when_the_card_is_lost_the_cpu_draws_the_rest(
     adapter: Adapter, views: CardViews, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def lose(card: Card, encoder: Any) -> None:
+    def lose(card: Card, commands: Any) -> None:
         raise GpuError("the device is lost")
 
     gaussians, camera = random_gaussians(100, 0, seed=1), ring_camera()
@@ -127,3 +127,13 @@ def test_when_the_card_is_lost_the_cpu_draws_the_rest(
     with drawing_on(adapter) as other:
         assert other is not None
         assert not other.problem
+
+
+def test_features_that_do_not_fit_into_one_buffer_are_drawn_in_parts(
+    drawn: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gaussians, camera = random_gaussians(300, 0, seed=1), ring_camera()
+    features = torch.randn(300, 20, generator=torch.Generator().manual_seed(2))
+    at_once = render(gaussians, camera, features=features).features
+    monkeypatch.setattr(Adapter, "largest_buffer", 12 * 4 * camera.width * camera.height)
+    assert torch.equal(render(gaussians, camera, features=features).features, at_once)
