@@ -8,23 +8,41 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from numbers import Integral, Real
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from .errors import ConfigError
 from .setting import LARGEST, number, option, path, range_of
 
 
 class _Checked:
-    """Settings whose numbers are checked when they are created."""
+    """Settings whose kinds, choices and ranges are checked when they are created."""
 
     def __post_init__(self) -> None:
+        kinds = get_type_hints(type(self))
         for setting in fields(self):  # type: ignore[arg-type]
             value, allowed = getattr(self, setting.name), range_of(setting)
-            if allowed is None or (value is None and setting.default is None):
+            if value is None and setting.default is None:
                 continue
-            if value not in allowed:
+            wrong = _wrong_kind(value, kinds[setting.name])
+            if not wrong and allowed is not None and value not in allowed:
+                wrong = f"Use {allowed}."
+            if wrong:
                 flag = f"--{type(self).__name__.removesuffix('Config').lower()}.{setting.name.replace('_', '-')}"
-                raise ConfigError(f"{flag} is {value}. Use {allowed}.")
+                raise ConfigError(f"{flag} is {value}. {wrong}")
+
+
+def _wrong_kind(value: Any, kind: Any) -> str:
+    """What to use instead of a value that is not of this type; empty if it is, or if the type is not checked."""
+    if get_origin(kind) is Literal:
+        return "" if value in get_args(kind) else f"Use {' or '.join(get_args(kind))}."
+    if kind is bool:
+        return "" if isinstance(value, bool) else "Use true or false."
+    if kind is int and (isinstance(value, bool) or not isinstance(value, Integral)):
+        return "Use a whole number."
+    if kind in (float, float | None) and (isinstance(value, bool) or not isinstance(value, Real)):
+        return "Use a number."
+    return "Use a text." if kind is str and not isinstance(value, str) else ""
 
 
 def _finite(values: Any) -> tuple[float, ...]:

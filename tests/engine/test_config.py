@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from fruitlangs.engine.config import REMOVED, STAGES, Config, CountConfig, SceneConfig, TrainConfig
+from fruitlangs.engine.config import REMOVED, STAGES, Config, CountConfig, PhotosConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.setting import level_of
 from fruitlangs.engine.storage.keys import stage_key
@@ -58,6 +58,13 @@ def test_ten_settings_or_fewer_are_common() -> None:
         (TrainConfig, "checkpoint_every", 0),
         (TrainConfig, "densify_every", 0),
         (TrainConfig, "seed", -1),
+        (TrainConfig, "densify", "gradients"),
+        (CountConfig, "method", "votng"),
+        (TrainConfig, "steps", 400.5),
+        (CountConfig, "trees", True),
+        (CountConfig, "threshold", "0.4"),
+        (PhotosConfig, "upright", "ture"),
+        (TrainConfig, "device", 7),
     ],
 )
 def test_a_senseless_setting_is_an_error_that_names_it(stage: type, setting: str, value: object) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -24,18 +25,14 @@ def joined(models: Sequence[Any]) -> list[Any]:
 
     A joined model has cameras and photos, without points: `refining` finds these again.
     """
-    remaining = sorted(models, key=lambda model: -model.num_reg_images())
-    result = []
-    while remaining:
-        model, *remaining = remaining
-        for other in list(remaining):
-            moved = _similarity(other, model)
-            if moved is not None:
-                new = set(other.reg_image_ids()) - set(model.reg_image_ids())
-                model = merged(model, other, moved, new)
-                remaining.remove(other)
-        result.append(model)
-    return sorted(result, key=lambda model: -model.num_reg_images())
+    ordered = sorted(models, key=lambda model: -model.num_reg_images())
+    for model, other in itertools.combinations(ordered, 2):
+        moved = _similarity(other, model)
+        if moved is not None:
+            new = set(other.reg_image_ids()) - set(model.reg_image_ids())
+            others = [each for each in ordered if each is not model and each is not other]
+            return joined([merged(model, other, moved, new), *others])
+    return ordered
 
 
 def aligned(other: Any, model: Any, shared: Sequence[int]) -> tuple[Similarity, NDArray[np.float64], float] | None:

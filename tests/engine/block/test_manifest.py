@@ -131,7 +131,10 @@ def test_what_is_wrong_is_one_line_with_its_place(content: str, text: str, tmp_p
         ("colour = 1\n[[tree]]\nid='1'", "unknown column for all trees"),
         ("[[tree]]\nid='1'\nsource='a'\nprompt=3", "tree 1: a value has the wrong form"),
         ("[[tree]]\nid='1'\nsource='a'\nprompt='apple'\ntrees=[]", "tree 1: a value has the wrong form"),
-        ("[[tree]]\nid='1'\nsource='a'\nprompt='apple'\nsettings={'train.steps'=[3]}", "tree 1: a value has"),
+        (
+            "[[tree]]\nid='1'\nsource='a'\nprompt='apple'\nsettings={'train.steps'=[3]}",
+            "--train.steps is [3]. Use a whole",
+        ),
     ],
 )
 def test_a_wrong_toml_is_one_line(content: str, text: str, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.joining import LEAST_SHARED, joined
-from fruitlangs.engine.scene.sfm.views import without
+from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of, without
 
 
 def whole() -> Any:
@@ -59,3 +59,15 @@ def test_models_whose_shared_photos_do_not_agree_stay_apart() -> None:
         shift = np.random.default_rng(number).normal(0.0, 5.0, 3)
         other.frame(frame).rig_from_world = colmap_library().Rigid3d(pose.rotation, pose.translation + shift)
     assert len(joined([one, other])) == 2
+
+
+def test_a_model_that_shares_photos_only_with_a_smaller_one_is_joined_through_it() -> None:
+    pycolmap, places = colmap_library(), np.random.default_rng(0).normal(size=(40, 3))
+    camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=100, height=100, params=[100, 50, 50, 0], camera_id=1)
+
+    def of(photos: list[int], scale: float) -> Any:
+        poses = {i: pycolmap.Rigid3d(pycolmap.Rotation3d(np.eye(3)), -scale * places[i]) for i in photos}
+        return model_of(PlacedPhoto(i, f"{i:06d}.png", camera, pose, np.zeros((0, 2))) for i, pose in poses.items())
+
+    first, last, between = of([*range(1, 13)], 1.0), of([*range(16, 26)], 2.0), of([9, 10, 11, 12, 16, 17, 18, 19], 3.0)
+    assert [each.num_reg_images() for each in joined([first, last, between])] == [22]
