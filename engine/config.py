@@ -73,7 +73,7 @@ class SceneConfig(_Checked):
     up: tuple[float, float, float] | None = None
     """Direction away from the ground in the scene frame, for example 0 0 1; estimated if not given."""
     sections: int = number(0, 0, 1000)
-    """Parts in which a long walk along a row is trained; 0 chooses by the number of photos, 1 trains all at once."""
+    """Parts in which a long capture of a row is trained; 0 chooses by the number of photos, 1 trains all at once."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of the stages there")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and plots there")
     parser.add_argument(
-        "--curve", type=Path, nargs="+", default=[], metavar="SCENE", help="train and measure on the way"
+        "--curve", type=Path, nargs="+", default=[], metavar="SCENE", help="train, and measure during training"
     )
     parser.add_argument("--ablation", type=Path, metavar="SCENE", help="train with one part changed at a time")
     parser.add_argument("--steps", type=int, help="steps of each training (default: the standard's)")
@@ -72,13 +72,21 @@ def main() -> None:
         "--memory", type=int, nargs=4, metavar=("N", "VIEWS", "W", "H"), help="peak memory of training N Gaussians"
     )
     parser.add_argument(
-        "--published", type=Path, metavar="SCENE", help="train it tiny with 3DGS's settings and peer, and with ours"
+        "--published",
+        type=Path,
+        metavar="SCENE",
+        help="train a small copy as 3DGS was published, and with ours",
     )
     parser.add_argument(
         "--language", type=Path, nargs=2, metavar=("SCENE", "PLY"), help="features for its Gaussians, and prompts"
     )
     parser.add_argument(
-        "--counting", type=int, nargs="+", default=[], metavar="POINTS", help="count simulated crowns in so many points"
+        "--counting",
+        type=int,
+        nargs="+",
+        default=[],
+        metavar="POINTS",
+        help="count simulated crowns of this many points",
     )
     parser.add_argument(
         "--cameras", nargs="+", default=[], metavar="", help="PHOTOS N…: find cameras for its first N photos"

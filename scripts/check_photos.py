@@ -1,4 +1,4 @@
-"""Check the photos of a tree before a long run, in about ten seconds for 80 photos.
+"""Check the photos of a tree before a long run, in about half a minute for 80 photos.
 
     python scripts/check_photos.py SCENE --out DIR
 

@@ -1,4 +1,4 @@
-"""The paper's tables on any scenes: reconstruction, counts, and what language gives.
+"""The paper's tables on any scenes: reconstruction, counts, and the language ablation.
 
     python scripts/tables.py SCENE… --out DIR
     python scripts/tables.py apple-small:101 --out DIR --preset quick

@@ -45,11 +45,11 @@ class Arguments:
     positive: tuple[str, ...] = ()
     """Places that show it: PHOTO:X,Y in pixels of the photo."""
     negative: tuple[str, ...] = ()
-    """Places that show something else which is taken for it."""
+    """Places that show something else that the word matches."""
     fruit: tuple[int, ...] = ()
-    """Numbers of counted fruit of RESULT that are it."""
+    """Numbers of fruit in RESULT that show the word."""
     not_fruit: tuple[int, ...] = ()
-    """Numbers of counted fruit of RESULT that are not."""
+    """Numbers of fruit in RESULT that do not show it."""
     boxes: Path | None = None
     """CSV of boxes: image, xmin, ymin, xmax, ymax and, if it has one, label; other labels are negative examples."""
     masks: Path | None = None
