@@ -54,9 +54,8 @@ def add_photos(job: Job) -> None:
     at 1.2 times the longer side.
     """
     pycolmap = colmap_library()
-    database = job.open_database()
-    listed = database.num_images()
-    database.close()
+    with job.open_database() as database:
+        listed = database.num_images()
     if listed == len(job.photos):
         return
     job.database.unlink()
@@ -103,14 +102,11 @@ def find_features(job: Job, report: Progress) -> None:
 
 def read_features(job: Job) -> list[Features]:
     """The features of all photos, in name order."""
-    database = job.open_database()
-    try:
+    with job.open_database() as database:
         return [
             _features(database.read_keypoints(image), database.read_descriptors(image).data)
             for image in image_ids(database, job)
         ]
-    finally:
-        database.close()
 
 
 def image_ids(database: Any, job: Job) -> list[int]:
@@ -121,11 +117,8 @@ def image_ids(database: Any, job: Job) -> list[int]:
 
 def photo_ids(job: Job) -> list[int]:
     """The database's numbers of the photos, in name order; opens and closes it."""
-    database = job.open_database()
-    try:
+    with job.open_database() as database:
         return image_ids(database, job)
-    finally:
-        database.close()
 
 
 def _features(keypoints: NDArray[np.float32], descriptors: NDArray[np.uint8]) -> Features:

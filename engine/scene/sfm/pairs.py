@@ -122,19 +122,15 @@ def verified_pairs(job: Job) -> list[Pair]:
 
 def verified_images(job: Job) -> list[tuple[int, int]]:
     """The same as ids of photos in the database."""
-    database = job.open_database()
-    try:
+    with job.open_database() as database:
         pairs, inliers = database.read_two_view_geometry_num_inliers()
-    finally:
-        database.close()
     found = [pair for pair, number in zip(pairs, inliers, strict=True) if number]
     return [colmap_library().pair_id_to_image_pair(pair) for pair in found]
 
 
 def match_pairs(job: Job, features: Sequence[Features], pairs: Iterable[Pair], report: Progress) -> None:
     """Match and verify the pairs that are not in the database yet; a pair's result does not depend on the others."""
-    database = job.open_database()
-    try:
+    with job.open_database() as database:
         images = image_ids(database, job)
         cameras = [database.read_camera(database.read_image(image).camera_id) for image in images]
         large = [each.largest(LARGEST) for each in features]
@@ -149,8 +145,6 @@ def match_pairs(job: Job, features: Sequence[Features], pairs: Iterable[Pair], r
                     for (i, j), geometry in zip(block, found, strict=True):
                         numbered = _numbered(geometry, large[i], large[j])
                         database.write_two_view_geometry(images[i], images[j], numbered)
-    finally:
-        database.close()
 
 
 def _match_block(

@@ -40,10 +40,9 @@ def make_database(job: Job) -> None:
     for leftover in _database(job).parent.glob(f"{_database(job).name}*"):
         leftover.unlink()  # SQLite would apply the journal of a killed run to the copy
     shutil.copy(job.database, _database(job))
-    database = colmap_library().Database.open(_database(job))
-    database.clear_matches()
-    database.clear_descriptors()
-    database.close()
+    with colmap_library().Database.open(_database(job)) as database:
+        database.clear_matches()
+        database.clear_descriptors()
 
 
 def matched(
@@ -58,8 +57,7 @@ def matched(
     """The model with the points of the chosen features that match along its epipolar lines; these matches replace
     those in the database. near: only pairs with one of these photos are matched."""
     tolerance, error = limits
-    database = colmap_library().Database.open(_database(job))
-    try:
+    with colmap_library().Database.open(_database(job)) as database:
         numbers = image_ids(database, job)
         database.clear_two_view_geometries()
         placed = {i: model.images[number] for i, number in enumerate(numbers) if has_pose(model, number)}
@@ -76,8 +74,6 @@ def matched(
                 numbered = np.stack([chosen[i][matches[:, 0]], chosen[j][matches[:, 1]]], axis=1)
                 geometry.inlier_matches = numbered.astype(np.uint32)
                 database.write_two_view_geometry(numbers[i], numbers[j], geometry)
-    finally:
-        database.close()
     return triangulated(job, _database(job), model, error)
 
 
