@@ -12,12 +12,11 @@ import numpy as np
 from ...engine.errors import VocabularyError
 from ..blender_data import owned_object, owned_objects, remove_objects
 from .fruit_objects import (
-    ADDED,
-    CONFIRMED,
     LAST_ID,
     REJECTED,
     REVIEW,
     give_members,
+    is_made,
     judge,
     make_fruit,
     members,
@@ -40,7 +39,7 @@ def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
     if root is None:
         return []
     notices = log_by_hand(bpy_scene)
-    made = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == ADDED]
+    made = [item for item in owned_objects(bpy_scene, "fruit") if is_made(item)]
     spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
     for row in _rows(bpy_scene):
         spot = spots.get(row.number)
@@ -134,7 +133,7 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
     shown = bpy_scene.fruitlangs.result
     if shown.high < 0:
         return None
-    own = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) in (None, CONFIRMED, REJECTED)]
+    own = [item for item in owned_objects(bpy_scene, "fruit") if not is_made(item)]
     probabilities = np.array([float(item.get("probability", 1.0)) for item in own])
     reviewed = np.array([REVIEW in item for item in own], bool)
     rejected = sum(item.get(REVIEW) == REJECTED for item in own)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ..blender_data import owned_object
-from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, members, spot_of
+from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, is_made, members, spot_of
 from ..jobs.jobs import busy, describe_error, linked
 from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
@@ -111,7 +111,7 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
             source = f"fruit {item.get('id', 0)}"
             if source in known:
                 continue
-            if item.get(REVIEW) != ADDED and not len(members(context.scene, item)[0]):
+            if not is_made(item) and not len(members(context.scene, item)[0]):
                 alone.append(source)
                 continue
             positive = item.get(REVIEW) != REJECTED

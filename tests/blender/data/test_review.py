@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from blender_examples import drawn
 
+from fruitlangs.engine.counting.accounts.review import replay
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.fruitlangs_addon.panels.fruit_list import cells, head, is_shown, ranks
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, standing
+from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, spot_of, standing
 from fruitlangs.operators.data.read_fruits import read_fruits
-from fruitlangs.operators.data.stored_review import entry_text, review_line
+from fruitlangs.operators.data.stored_review import entry_text, keep_corrections, review_line
 from fruitlangs.operators.steps.show_result import show_result
 
 
@@ -141,6 +142,23 @@ def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
     assert new["diameter"] == pytest.approx(0.2)
     assert (new["label"], new["probability"], new[REVIEW]) == ("apple", 1.0, "added")
     assert review_line(shown) == "machine 3, after review 4, interval 3–5"
+
+
+def test_an_added_fruit_stays_one_when_it_was_rejected_and_reopened(shown):
+    root = owned_object(shown, "root")
+    counted = [spot_of(item, root) for item in owned_objects(shown, "fruit")]
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    before = review_line(shown)
+    bpy.ops.fruitlangs.reject_fruit()
+    assert review_line(shown) == "machine 3, after review 3, interval 2–5"
+    bpy.ops.fruitlangs.reopen_fruit()
+    assert review_line(shown) == before
+    assert not fruit(4).hide_viewport
+    assert [item.get(REVIEW, "") for item in owned_objects(shown, "fruit")] == ["", "", "", "added"]
+    assert replay(read_log(shown), counted).standings == ["", "", "", "added"]
+    fruit(4).location.x = 9.0
+    keep_corrections(shown)
+    assert read_log(shown)[0].after[0].center[0] == pytest.approx(9.0)
 
 
 @pytest.fixture
