@@ -49,7 +49,7 @@ def block_folder(bpy_scene: bpy.types.Scene) -> Path:
 class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.open_block"
     bl_label = "Open Orchard"
-    bl_description = "Show all trees of a block that count_orchard.py counted"
+    bl_description = "Show all trees of an orchard that count_orchard.py counted"
     bl_options = {"UNDO"}
 
     title = "Open Orchard"
@@ -145,7 +145,7 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         if busy(cls) or context.scene is None:
             return False
         if not context.scene.fruitlangs.block.trees:
-            cls.poll_message_set("Open the block first")
+            cls.poll_message_set("Press Open Orchard first")
             return False
         return True
 

@@ -114,8 +114,13 @@ def _not_applied(lost: Sequence[Decision], others: Sequence[Decision]) -> list[s
     ]
     if others:
         labels = sorted({spot.label for decision in others for spot in decision.before or decision.after})
-        notices.append(f"decisions on {', '.join(labels)}, which hold when that is counted again: {len(others)}")
+        notices.append(f"{kept_text(len(others), ', '.join(labels))} for the next count of them")
     return notices
+
+
+def kept_text(decisions: int, about: str) -> str:
+    """'2 decisions on apple are kept'."""
+    return f"1 decision on {about} is kept" if decisions == 1 else f"{decisions} decisions on {about} are kept"
 
 
 def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
@@ -142,15 +147,15 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
 
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185, interval 178–196'; without the middle part before any review."""
+    """'counted 182, after review 185, 90 % interval 178–196'; without the middle part before any review."""
     interval = reviewed_interval(bpy_scene)
-    return counts_line(bpy_scene) + ("" if interval is None else f", interval {interval[0]}–{interval[1]}")
+    return counts_line(bpy_scene) + ("" if interval is None else f", 90 % interval {interval[0]}–{interval[1]}")
 
 
 def counts_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185'; without the second part before any review."""
+    """'counted 182, after review 185'; without the second part before any review."""
     shown = bpy_scene.fruitlangs.result
-    parts = [f"machine {shown.count}"] if shown.count >= 0 else []
+    parts = [f"counted {shown.count}"] if shown.count >= 0 else []
     if is_reviewed(bpy_scene):
         parts.append(f"after review {len(standing(bpy_scene))}")
     elif not parts:  # a .blend that the command line wrote

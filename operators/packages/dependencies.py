@@ -23,7 +23,7 @@ from .package_install import TORCH, InstallError, install_packages
 from .package_versions import CPU_INDEX, CUDA_GIGABYTES, CUDA_INDEX, REQUIRED, UNPACKED, download_megabytes
 
 OFFLINE = (
-    "Blender may not go online: switch on Allow Online Access in Preferences > System > Network (or start Blender with "
+    "Online access is disabled. Enable Allow Online Access in Preferences > System > Network (or start Blender with "
     "--online-mode), or install from a folder of wheels"
 )
 
@@ -48,7 +48,7 @@ def install_missing(wheels: Path | None = None, progress: Progress = silent, *, 
     instead, which is used after Blender was started again.
 
     Raises:
-        InstallError: Blender may not go online and no folder is given, this system has no such PyTorch, or it failed;
+        InstallError: online access is disabled and no folder is given, this system has no such PyTorch, or it failed;
             nothing was changed.
         Cancelled: by `progress`.
     """
@@ -59,7 +59,7 @@ def installing(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[P
     """The function that does the work of `install_missing`; it may run in any thread.
 
     Raises:
-        InstallError: Blender may not go online and no folder is given, or this system has no such PyTorch.
+        InstallError: online access is disabled and no folder is given, or this system has no such PyTorch.
     """
     packages, folder = [TORCH] if cuda else missing_packages(), packages_folder()
     if cuda and sys.platform not in CUDA_GIGABYTES:

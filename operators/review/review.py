@@ -57,7 +57,7 @@ def has_root(operator: Any, context: bpy.types.Context) -> bool:
     """Whether the scene's root exists; the operator's poll shows a missing one as the reason."""
     if owned_object(context.scene, "root") is not None:
         return True
-    operator.poll_message_set("The empty that holds the scene is gone. Undo that, or import or count again")
+    operator.poll_message_set("The scene's root empty was deleted. Undo that, or import or count again")
     return False
 
 

@@ -163,7 +163,7 @@ def remove_example(settings: Any, index: int) -> None:
 
 class FRUITLANGS_OT_look_at_example(Listed, bpy.types.Operator):
     bl_idname = "fruitlangs.look_at_example"
-    bl_label = "Look at Example"
+    bl_label = "Show Example"
     bl_description = "Move the viewport to the selected example"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
