@@ -67,8 +67,8 @@ class FRUITLANGS_PG_review(bpy.types.PropertyGroup):
         name="Show",
         items=[
             ("ALL", "All", "Show every fruit"),
-            ("OPEN", "Open", "Fruit that are not reviewed yet"),
-            ("DOUBTFUL", "Uncertain", "Open fruit with a lower probability than the limit below"),
+            ("OPEN", "Not Reviewed", "Fruit that are not reviewed yet"),
+            ("DOUBTFUL", "Uncertain", "Fruit that are not reviewed yet, with a lower probability than the limit below"),
             ("REJECTED", "Rejected", "Fruit that were rejected"),
         ],
         description="Fruit that the list shows",

@@ -6,7 +6,7 @@ is, in this Blender scene only, and the user's data are never replaced.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Literal
 
@@ -142,6 +142,14 @@ def new_object(
     item.parent = parent
     collection.objects.link(item)
     return item
+
+
+def areas_of(context: bpy.types.Context, kind: str) -> Iterator[tuple[bpy.types.Window, bpy.types.Area]]:
+    """Every area of that type in the open windows, each with its window."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == kind:
+                yield window, area
 
 
 def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> None:

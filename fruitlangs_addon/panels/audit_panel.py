@@ -9,7 +9,7 @@ import bpy
 
 from ...engine.report.words import audit_reason, place
 from ...operators.blender_data import OWNER
-from ...operators.data.fruit_objects import ADDED, REVIEW, metres_per_unit
+from ...operators.data.fruit_objects import is_made, metres_per_unit
 from ...operators.data.stored_audit import about_fruit, read_audit
 from ...operators.review.show_cluster import FRUITLANGS_OT_look_at_cluster
 from .panel_parts import SidebarPanel, draw_text
@@ -60,7 +60,7 @@ def texts_of_active(item: Any, audit: Sequence[AuditEntry], metres_per_unit: flo
     """The audit of the active object, one text per cluster: 'split, 3287 points, fruit 16, 17: …'."""
     if item is None or item.get(OWNER) != "fruit":
         return ["Select a fruit to see why it was counted"]
-    if item.get(REVIEW) == ADDED:
+    if is_made(item):
         return [f"{item.name} was added by the user"]
     return [_entry_text(entry, metres_per_unit) for entry in about_fruit(audit, int(item.get("id", 0)))] or [
         f"The audit has no entry for {item.name}"

@@ -70,9 +70,7 @@ def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
         return
     box, look = layout.box(), context.scene.fruitlangs.look
     box.alert = True
-    draw_text(
-        box, f"Splats cannot be drawn here ({problem()}). Select another style to try again", context, icon="ERROR"
-    )
+    draw_text(box, f"Splats cannot be drawn here ({problem()}). Change Show to try again", context, icon="ERROR")
     if look.style == "SPLATS":
         box.prop_enum(look, "style", "ELLIPSOIDS")
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +13,14 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...engine.errors import ConfigError
+from ...engine.errors import ConfigError, FruitLangsError
 from ...engine.progress import part
 from ..blender_data import owned_object, owned_objects, select_only
 from ..data.fruit_objects import REVIEW, metres_per_unit, read_log, write_log
 from ..data.read_fruits import read_fruit
 from ..data.stored_review import is_reviewed, keep_corrections
 from ..data.write import SET_ID
-from ..jobs.jobs import JobOperator, Work, busy, linked
+from ..jobs.jobs import JobOperator, Work, busy, describe_error, linked, start
 from ..settings.settings import known_path, stored_path
 from ..viewport.viewport import look_at_point, show_colors, shown_screens
 from .overview import ShownResult, read_overview
@@ -48,7 +49,7 @@ def block_folder(bpy_scene: bpy.types.Scene) -> Path:
 class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
     bl_idname = "fruitlangs.open_block"
     bl_label = "Open Orchard"
-    bl_description = "Show all trees of a block that count_orchard.py counted"
+    bl_description = "Show all trees of an orchard that count_orchard.py counted"
     bl_options = {"UNDO"}
 
     title = "Open Orchard"
@@ -99,20 +100,22 @@ class FRUITLANGS_OT_open_tree(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         overview = context.scene
         tree = overview.fruitlangs.block.trees[overview.fruitlangs.block.active]
-        bpy_scene = next((each for each in bpy.data.scenes if _tree_of(each, overview) == tree.folder), None)
-        if bpy_scene is not None:
-            _enter(context, bpy_scene)
-            return {"FINISHED"}
-        bpy_scene = bpy.data.scenes.new(tree.folder)
-        bpy_scene[TREE_OF], bpy_scene[OVERVIEW] = tree.folder, overview
-        from ...engine.block.ledger import Ledger
-
-        result = Ledger(block_folder(overview)).folder(tree.folder).path
-        bpy_scene.fruitlangs.source = stored_path(result)
-        _restore(bpy_scene, result)
+        try:
+            result = _result_of(overview, tree.folder)
+            bpy_scene, is_current = _scene_of(overview, tree.folder, result)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, describe_error(error))
+            return {"CANCELLED"}
         _enter(context, bpy_scene)
+        if is_current:
+            return {"FINISHED"}
+        bpy_scene.fruitlangs.source = stored_path(result)
         with context.temp_override(scene=bpy_scene, view_layer=bpy_scene.view_layers[0]):
-            return set(bpy.ops.fruitlangs.import_scene("INVOKE_DEFAULT"))
+            answer = start(self, "import_scene")
+        if "CANCELLED" in answer:
+            _enter(context, overview)
+            _remove_if_empty(bpy_scene)
+        return answer
 
 
 class FRUITLANGS_OT_show_block(bpy.types.Operator):
@@ -142,7 +145,7 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         if busy(cls) or context.scene is None:
             return False
         if not context.scene.fruitlangs.block.trees:
-            cls.poll_message_set("Open the block first")
+            cls.poll_message_set("Press Open Orchard first")
             return False
         return True
 
@@ -151,17 +154,22 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         reviews = {}
         for bpy_scene in bpy.data.scenes:
             own = _tree_of(bpy_scene, context.scene)
-            if own is None:
-                continue
+            if own is None or SET_ID not in bpy_scene or owned_object(bpy_scene, "root") is None:
+                continue  # its result was not shown, or was removed
             keep_corrections(bpy_scene)
             if is_reviewed(bpy_scene) or len(bpy_scene.fruitlangs.review.log):  # also if all was undone by Reopen
-                reviews[own] = (str(bpy_scene.get(SET_ID, "")), read_review_of(bpy_scene))
+                reviews[own] = (str(bpy_scene[SET_ID]), read_review_of(bpy_scene))
         return lambda progress: update_block(folder, reviews, progress)
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
-        reviewed, shown = result
-        show_block(context, self._target.scene(context), shown)
-        self.report({"INFO"}, f"Tables and page updated with the reviews of {reviewed} trees")
+        show_block(context, self._target.scene(context), result.shown)
+        self.report({"INFO"}, f"Tables and page updated with the reviews of {result.reviewed} trees")
+        if result.outdated:
+            self.report(
+                {"WARNING"},
+                f"Counted again since they were opened: {', '.join(result.outdated)}. Their reviews were not written. "
+                "Open these trees again, then update the tables",
+            )
 
 
 def read_block(folder: Path, progress: Progress) -> list[ShownResult]:
@@ -173,21 +181,44 @@ def read_block(folder: Path, progress: Progress) -> list[ShownResult]:
     return read_overview(ledger, read_counts(ledger), progress)
 
 
-def update_block(
-    folder: Path, reviews: dict[str, tuple[str, Review]], progress: Progress
-) -> tuple[int, list[ShownResult]]:
-    """Store reviews, {folder of the result: (its set_id, review)}, and write the tables; returns the number of reviewed
-    trees, and what is shown of the block."""
+@dataclass(frozen=True, kw_only=True)
+class Updated:
+    """reviewed: number of reviewed trees; shown: what is shown of the block; outdated: folders of the results that were
+    counted again after they were opened, whose reviews were not written."""
+
+    reviewed: int
+    shown: list[ShownResult]
+    outdated: list[str]
+
+
+def update_block(folder: Path, reviews: dict[str, tuple[str, Review]], progress: Progress) -> Updated:
+    """Store reviews, {folder of the result: (its set_id, review)}, and write the tables."""
     from ...engine.block.ledger import Ledger
     from ...engine.block.publish import publish_again
     from ...engine.block.reviews import write_review
 
-    ledger = Ledger(folder)
+    ledger, outdated = Ledger(folder), []
     for own, (set_id, review) in reviews.items():
-        write_review(ledger.folder(own).path, set_id, review)
+        result = ledger.folder(own).path
+        if read_set_id(result) == set_id:
+            write_review(result, set_id, review)
+        else:
+            outdated.append(own)
     progress(0.1, "writing the tables")
     answer = publish_again(ledger)
-    return sum(tree.reviewed for tree in answer.trees), read_overview(ledger, answer.trees, part(progress, 0.2, 1.0))
+    shown = read_overview(ledger, answer.trees, part(progress, 0.2, 1.0))
+    return Updated(reviewed=sum(tree.reviewed for tree in answer.trees), shown=shown, outdated=outdated)
+
+
+def read_set_id(result: Path) -> str:
+    """The set_id of the result in a folder, which a new count changes.
+
+    Raises:
+        FormatError: it is damaged.
+    """
+    from ...engine.report.results import FRUITS_JSON, parse_results
+
+    return str(parse_results(result / FRUITS_JSON)["set_id"])
 
 
 def read_review_of(bpy_scene: bpy.types.Scene) -> Review:
@@ -215,14 +246,43 @@ def read_review_of(bpy_scene: bpy.types.Scene) -> Review:
     return Review(fruits=fruits, decisions=read_log(bpy_scene))
 
 
-def _restore(bpy_scene: bpy.types.Scene, result: Path) -> None:
-    """Put the decisions that were stored with a result into the log; they apply when the result is shown."""
-    from ...engine.block.reviews import read_review
-    from ...engine.report.results import FRUITS_JSON, parse_results
+def _result_of(overview: bpy.types.Scene, own: str) -> Path:
+    """The folder of the result of a tree."""
+    from ...engine.block.ledger import Ledger
 
-    review = read_review(result, parse_results(result / FRUITS_JSON)["set_id"])
+    return Ledger(block_folder(overview)).folder(own).path
+
+
+def _scene_of(overview: bpy.types.Scene, own: str, result: Path) -> tuple[bpy.types.Scene, bool]:
+    """The Blender scene for the tree with this folder, and whether it already shows the result.
+
+    A scene of an earlier count is used again: its decisions apply to the result when it is shown. But if a review of
+    the result is stored, the tree gets a new scene with that review, and the earlier one is left as it is.
+    """
+    from ...engine.block.reviews import read_review
+
+    set_id = read_set_id(result)
+    review = read_review(result, set_id)
+    bpy_scene = next((each for each in bpy.data.scenes if _tree_of(each, overview) == own), None)
+    if bpy_scene is not None and bpy_scene.get(SET_ID) == set_id:
+        return bpy_scene, True
+    if bpy_scene is not None and not _remove_if_empty(bpy_scene):
+        if review is None:
+            return bpy_scene, False
+        del bpy_scene[TREE_OF]
+    bpy_scene = bpy.data.scenes.new(own)
+    bpy_scene[TREE_OF], bpy_scene[OVERVIEW] = own, overview
     for decision in () if review is None else review.decisions:
         write_log(bpy_scene, decision)
+    return bpy_scene, False
+
+
+def _remove_if_empty(bpy_scene: bpy.types.Scene) -> bool:
+    """Remove a Blender scene of a tree if nothing is in it; returns whether it was removed."""
+    if len(bpy_scene.objects):
+        return False
+    bpy.data.scenes.remove(bpy_scene)
+    return True
 
 
 def _tree_of(bpy_scene: bpy.types.Scene, overview: bpy.types.Scene) -> str | None:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 REVIEW = "review"
 """Custom property of a reviewed fruit: 'confirmed', 'rejected', or 'added' if the user made it."""
 REJECTED, CONFIRMED, ADDED = "rejected", "confirmed", "added"
+MADE = "made_by_user"
+"""Custom property of a fruit that the user made, which stays when it is rejected."""
 LAST_ID = "fruitlangs_last_id"
 """Custom property of the Blender scene: the highest id that a fruit ever had in it."""
 
@@ -78,8 +80,19 @@ def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:
     return Spot(int(item.get("id", 0)), str(item.get("label", "fruit")), placed[:3, 3].copy(), axes)
 
 
+def is_made(item: bpy.types.Object) -> bool:
+    """Whether the user made a fruit: it was added, copied, or is a part or the result of a split or merge."""
+    return MADE in item or item.get(REVIEW) == ADDED
+
+
 def judge(item: bpy.types.Object, verdict: str) -> None:
-    """Mark a fruit as 'confirmed', 'rejected' or 'added', or remove the mark (''); rejected ones are hidden."""
+    """Mark a fruit as 'confirmed', 'rejected' or 'added', or remove the mark (''); rejected ones are hidden.
+
+    A fruit that the user made is 'added' whenever it is not rejected, as in `replay`.
+    """
+    if verdict == ADDED or is_made(item):
+        item[MADE] = True
+        verdict = REJECTED if verdict == REJECTED else ADDED
     if verdict:
         item[REVIEW] = verdict
     elif REVIEW in item:

@@ -15,7 +15,7 @@ from ..blender_data import in_scene_frame, owned_object
 from .fruit_objects import (
     ADDED,
     LAST_ID,
-    REVIEW,
+    is_made,
     judge,
     keep_spot,
     next_ids,
@@ -44,7 +44,7 @@ def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
     spots = []
     for item in standing(bpy_scene):
         before = found.get(int(item.get("id", 0)))
-        spots.append(spot_of(item, root) if before is None or item.get(REVIEW) == ADDED else before)
+        spots.append(spot_of(item, root) if before is None or is_made(item) else before)
     known.clear()
     for spot in spots:
         keep_spot(known, spot)

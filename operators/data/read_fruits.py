@@ -38,7 +38,7 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
     if not counted(bpy_scene):
         raise CountingError("Nothing is counted yet. Count first")
     if root is None:
-        raise CountingError("The empty that holds the scene is gone. Undo that, or import or count again")
+        raise CountingError("The scene's root empty was deleted. Undo that, or import or count again")
     items = sorted(standing(bpy_scene), key=lambda item: (int(item.get("id", 0)), item.name))
     owners = _gaussian_attribute(bpy_scene, "fruit_id", np.int32)
     numbers = _numbers(bpy_scene, items)

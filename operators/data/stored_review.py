@@ -12,12 +12,11 @@ import numpy as np
 from ...engine.errors import VocabularyError
 from ..blender_data import owned_object, owned_objects, remove_objects
 from .fruit_objects import (
-    ADDED,
-    CONFIRMED,
     LAST_ID,
     REJECTED,
     REVIEW,
     give_members,
+    is_made,
     judge,
     make_fruit,
     members,
@@ -40,7 +39,7 @@ def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
     if root is None:
         return []
     notices = log_by_hand(bpy_scene)
-    made = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == ADDED]
+    made = [item for item in owned_objects(bpy_scene, "fruit") if is_made(item)]
     spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
     for row in _rows(bpy_scene):
         spot = spots.get(row.number)
@@ -115,8 +114,13 @@ def _not_applied(lost: Sequence[Decision], others: Sequence[Decision]) -> list[s
     ]
     if others:
         labels = sorted({spot.label for decision in others for spot in decision.before or decision.after})
-        notices.append(f"decisions on {', '.join(labels)}, which hold when that is counted again: {len(others)}")
+        notices.append(f"{kept_text(len(others), ', '.join(labels))} for the next count of them")
     return notices
+
+
+def kept_text(decisions: int, about: str) -> str:
+    """'2 decisions on apple are kept'."""
+    return f"1 decision on {about} is kept" if decisions == 1 else f"{decisions} decisions on {about} are kept"
 
 
 def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
@@ -134,7 +138,7 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
     shown = bpy_scene.fruitlangs.result
     if shown.high < 0:
         return None
-    own = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) in (None, CONFIRMED, REJECTED)]
+    own = [item for item in owned_objects(bpy_scene, "fruit") if not is_made(item)]
     probabilities = np.array([float(item.get("probability", 1.0)) for item in own])
     reviewed = np.array([REVIEW in item for item in own], bool)
     rejected = sum(item.get(REVIEW) == REJECTED for item in own)
@@ -143,15 +147,15 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
 
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185, interval 178–196'; without the middle part before any review."""
+    """'counted 182, after review 185, 90 % interval 178–196'; without the middle part before any review."""
     interval = reviewed_interval(bpy_scene)
-    return counts_line(bpy_scene) + ("" if interval is None else f", interval {interval[0]}–{interval[1]}")
+    return counts_line(bpy_scene) + ("" if interval is None else f", 90 % interval {interval[0]}–{interval[1]}")
 
 
 def counts_line(bpy_scene: bpy.types.Scene) -> str:
-    """'machine 182, after review 185'; without the second part before any review."""
+    """'counted 182, after review 185'; without the second part before any review."""
     shown = bpy_scene.fruitlangs.result
-    parts = [f"machine {shown.count}"] if shown.count >= 0 else []
+    parts = [f"counted {shown.count}"] if shown.count >= 0 else []
     if is_reviewed(bpy_scene):
         parts.append(f"after review {len(standing(bpy_scene))}")
     elif not parts:  # a .blend that the command line wrote

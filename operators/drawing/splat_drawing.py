@@ -97,7 +97,7 @@ def draw_viewport() -> None:
             _draw(layers, bpy_scene, region, context.region_data, strength)
     except Exception as error:  # printed once; every redraw would repeat it thousands of times
         _drawn.problem = f"{type(error).__name__}: {error}"
-        print(f"FruitLangs cannot draw splats here, choose the look Ellipsoids: {_drawn.problem}", file=sys.stderr)
+        print(f"FruitLangs cannot draw splats here, set Show to Ellipsoids: {_drawn.problem}", file=sys.stderr)
         # The panels show it too; a redraw cannot be requested during drawing.
         bpy.app.timers.register(_redraw, first_interval=0.0)
 

@@ -92,7 +92,7 @@ def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:
         OutputError: none was chosen, it is a folder, or relative to a .blend never saved.
     """
     if not text:
-        raise OutputError("No file is chosen. Say where to write")
+        raise OutputError("No file is chosen. Choose a file")
     if text.startswith("//") and not bpy.data.filepath:
         raise OutputError(f"{text} is relative to this .blend, which was never saved. Choose the file again")
     path = Path(bpy.path.abspath(text)).absolute()

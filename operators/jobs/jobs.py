@@ -18,6 +18,7 @@ import bpy
 
 from ...engine.errors import Cancelled, FruitLangsError
 from ...engine.progress import Progress, duration, silent
+from ..blender_data import areas_of
 from .active_tool import end_waiting
 from .preload import preload_libraries
 from .target_scene import Target
@@ -375,12 +376,10 @@ def show_status(context: bpy.types.Context, text: str | None) -> None:
 
 def redraw_sidebars(context: bpy.types.Context) -> None:
     """Redraw only the sidebars of the 3D viewports."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "UI":
-                        region.tag_redraw()
+    for _, area in areas_of(context, "VIEW_3D"):
+        for region in area.regions:
+            if region.type == "UI":
+                region.tag_redraw()
 
 
 CLASSES = (FRUITLANGS_OT_cancel,)

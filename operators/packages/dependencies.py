@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from ...engine.progress import Progress, silent
+from ..blender_data import areas_of
 from ..jobs.jobs import JobOperator, Work, busy, start
 from ..package_folder import packages_folder, use_packages
 from ..settings.settings import online
@@ -23,7 +24,7 @@ from .package_install import TORCH, InstallError, install_packages
 from .package_versions import CPU_INDEX, CUDA_GIGABYTES, CUDA_INDEX, REQUIRED, UNPACKED, download_megabytes
 
 OFFLINE = (
-    "Blender may not go online: switch on Allow Online Access in Preferences > System > Network (or start Blender with "
+    "Online access is disabled. Enable Allow Online Access in Preferences > System > Network (or start Blender with "
     "--online-mode), or install from a folder of wheels"
 )
 
@@ -48,7 +49,7 @@ def install_missing(wheels: Path | None = None, progress: Progress = silent, *, 
     instead, which is used after Blender was started again.
 
     Raises:
-        InstallError: Blender may not go online and no folder is given, this system has no such PyTorch, or it failed;
+        InstallError: online access is disabled and no folder is given, this system has no such PyTorch, or it failed;
             nothing was changed.
         Cancelled: by `progress`.
     """
@@ -59,7 +60,7 @@ def installing(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[P
     """The function that does the work of `install_missing`; it may run in any thread.
 
     Raises:
-        InstallError: Blender may not go online and no folder is given, or this system has no such PyTorch.
+        InstallError: online access is disabled and no folder is given, or this system has no such PyTorch.
     """
     packages, folder = [TORCH] if cuda else missing_packages(), packages_folder()
     if cuda and sys.platform not in CUDA_GIGABYTES:
@@ -100,51 +101,8 @@ def source_text(packages: list[str], wheels: str, *, cuda: bool = False) -> str:
     return f"pypi.org, or as pip is set up{'' if cuda else extra}"
 
 
-class FRUITLANGS_OT_install_dependencies(JobOperator, bpy.types.Operator):
-    bl_idname = "fruitlangs.install_dependencies"
-    bl_label = "Install Missing Packages"
-    bl_description = "Install the missing Python packages into the extension's own folder"
-    bl_options = {"INTERNAL"}
-
-    title = "Install"
-
-    wheels: bpy.props.StringProperty(
-        name="From Folder",
-        subtype="DIR_PATH",
-        options={"SKIP_SAVE"},
-        description="Folder of wheel files to install from while offline",
-    )
-
-    cuda: bpy.props.BoolProperty(
-        name="For NVIDIA Cards",
-        options={"SKIP_SAVE"},
-        description="Install PyTorch for NVIDIA cards, which CLIP and SAM use, instead of missing packages",
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls)
-
-    def prepare(self, context: bpy.types.Context) -> Work:
-        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None, cuda=self.cuda)
-        return (lambda progress: install(printed(progress))) if bpy.app.background else install
-
-    def finish(self, context: bpy.types.Context, result: Any) -> None:
-        text = f"Installed {', '.join(result)}" if result else "All Python packages are installed already"
-        self.report({"INFO"}, "PyTorch for NVIDIA cards is installed. Restart Blender" if self.cuda else text)
-
-    def ticked(self, context: bpy.types.Context) -> None:
-        redraw_preferences(context)
-
-    def ended(self, context: bpy.types.Context) -> None:
-        redraw_preferences(context)
-
-
-class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
-    bl_idname = "fruitlangs.confirm_install"
-    bl_label = "Install Missing Packages"
-    bl_description = "Show what is missing, its size and its origin, and install it after you confirm"
-    bl_options = {"INTERNAL"}
+class Install:
+    """Mix-in of operators that install packages: where from, and which."""
 
     wheels: bpy.props.StringProperty(
         name="From Folder",
@@ -162,6 +120,36 @@ class FRUITLANGS_OT_confirm_install(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return not busy(cls)
+
+
+class FRUITLANGS_OT_install_dependencies(Install, JobOperator, bpy.types.Operator):
+    bl_idname = "fruitlangs.install_dependencies"
+    bl_label = "Install Missing Packages"
+    bl_description = "Install the missing Python packages into the extension's own folder"
+    bl_options = {"INTERNAL"}
+
+    title = "Install"
+
+    def prepare(self, context: bpy.types.Context) -> Work:
+        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None, cuda=self.cuda)
+        return (lambda progress: install(printed(progress))) if bpy.app.background else install
+
+    def finish(self, context: bpy.types.Context, result: Any) -> None:
+        text = f"Installed {', '.join(result)}" if result else "All Python packages are installed already"
+        self.report({"INFO"}, "PyTorch for NVIDIA cards is installed. Restart Blender" if self.cuda else text)
+
+    def ticked(self, context: bpy.types.Context) -> None:
+        redraw_preferences(context)
+
+    def ended(self, context: bpy.types.Context) -> None:
+        redraw_preferences(context)
+
+
+class FRUITLANGS_OT_confirm_install(Install, bpy.types.Operator):
+    bl_idname = "fruitlangs.confirm_install"
+    bl_label = "Install Missing Packages"
+    bl_description = "Show what is missing, its size and its origin, and install it after you confirm"
+    bl_options = {"INTERNAL"}
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: Any) -> str:
@@ -241,10 +229,8 @@ def printed(progress: Progress = silent) -> Progress:
 
 def redraw_preferences(context: bpy.types.Context) -> None:
     """Redraw the Preferences windows, which show the progress of the install."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "PREFERENCES":
-                area.tag_redraw()
+    for _, area in areas_of(context, "PREFERENCES"):
+        area.tag_redraw()
 
 
 CLASSES = (FRUITLANGS_OT_install_dependencies, FRUITLANGS_OT_confirm_install, FRUITLANGS_OT_copy_install_command)

@@ -116,7 +116,7 @@ class _Install:
 
         failure = self._pip([*command, *wanted], self.packages, on_output)
         if failure:
-            raise InstallError(f"pip cannot find what is needed ({failure}); {self._advice}")
+            raise InstallError(f"pip cannot find the packages ({failure}); {self._advice}")
         document = json.loads(report.read_text(encoding="utf-8"))
         found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
         # A newer copy would only be shadowed by Blender's; the imports show whether an old one works.
@@ -149,10 +149,10 @@ class _Install:
 
         failure = self._pip([*command, *exact.values()], found, on_output)
         if failure:
-            raise InstallError(f"pip cannot install ({failure}); {self._advice}")
+            raise InstallError(f"pip cannot install the packages ({failure}); {self._advice}")
         for path in self.target.iterdir():
             if re.split(r"[-.]", path.name)[0].lower() in NEVER:
-                raise InstallError(f"pip brought {path.name}, which Blender has its own of. Nothing was installed")
+                raise InstallError(f"pip installed {path.name}, which Blender already has. Nothing was changed")
 
     def try_imports(self) -> None:
         """Import the requested packages in a separate process, as Blender will."""
@@ -167,7 +167,9 @@ class _Install:
         environment = self._environment(self.target, first=self.cuda)
         lines = _watch(command, environment, self.stage / "imports.log", on_output)
         if lines.code:
-            raise InstallError(f"The packages were got but do not work here ({lines.last}). Nothing was installed")
+            raise InstallError(
+                f"The packages were downloaded but do not work here ({lines.last}). Nothing was installed"
+            )
         if lines.last != np.__version__:
             raise InstallError(f"The packages came with another NumPy ({lines.last}). Nothing was installed")
 
@@ -204,7 +206,7 @@ class _Install:
     def _advice(self) -> str:
         if self.wheels is not None:
             return f"put the wheels that are missing into {self.wheels}"
-        return "look at the network, or install from a folder of wheels"
+        return "check the network, or install from a folder of wheels"
 
 
 class _Lines:

@@ -90,8 +90,8 @@ class _Look:
         name = camera[PHOTO] or camera.name
         self.report(
             {"INFO"},
-            f"{item.name} in {name}, photo {place + 1} of {len(cameras)} that see it: {sight.pixels:.0f} pixels wide, "
-            f"{sight.share:.0%} of it open",
+            f"{item.name} in {name}, photo {place + 1} of {len(cameras)} that show it: {sight.pixels:.0f} pixels wide, "
+            f"{100.0 * sight.share:.0f} % visible",
         )
         return {"FINISHED"}
 
@@ -131,7 +131,7 @@ class FRUITLANGS_OT_free_view(bpy.types.Operator):
         area = view_area(context)
         through = area is not None and area.spaces.active.region_3d.view_perspective == "CAMERA"
         if context.scene is None or not (through or remembers(context.scene)):
-            cls.poll_message_set("You look through no photo")
+            cls.poll_message_set("No photo is shown")
             return False
         return True
 

@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from ..blender_data import OWNER
+from ..blender_data import OWNER, areas_of
 from ..data.photo_files import has_photo, ready_file, remove_backgrounds, undistorting, viewed_file
 from ..jobs.jobs import describe_error
 from ..settings.settings import stored_path
@@ -124,11 +124,10 @@ def photo_cover(space: Any, view: Any, bpy_scene: bpy.types.Scene) -> float:
 
 def looked_through() -> list[bpy.types.Object]:
     """The cameras of ours that the viewports of all windows show."""
-    found = []
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                found.append(_camera_of(area.spaces.active, area.spaces.active.region_3d, window.scene))
+    found = [
+        _camera_of(area.spaces.active, area.spaces.active.region_3d, window.scene)
+        for window, area in areas_of(bpy.context, "VIEW_3D")
+    ]
     return [item for item in dict.fromkeys(found) if item is not None]
 
 

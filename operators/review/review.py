@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ...engine.errors import CountingError
 from ..blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
 from ..data.fruit_objects import (
-    ADDED,
     CONFIRMED,
     REJECTED,
     REVIEW,
@@ -58,7 +57,7 @@ def has_root(operator: Any, context: bpy.types.Context) -> bool:
     """Whether the scene's root exists; the operator's poll shows a missing one as the reason."""
     if owned_object(context.scene, "root") is not None:
         return True
-    operator.poll_message_set("The empty that holds the scene is gone. Undo that, or import or count again")
+    operator.poll_message_set("The scene's root empty was deleted. Undo that, or import or count again")
     return False
 
 
@@ -121,14 +120,14 @@ def _spots(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> lis
 class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.confirm_fruit"
     bl_label = "Confirm"
-    bl_description = "Mark the selected fruit as correct; restores rejected fruit"
+    bl_description = "Mark the selected fruit as correct"
     bl_options = {"REGISTER", "UNDO"}
 
     def decide(self, context: bpy.types.Context) -> None:
         items = chosen(context)
         self.log(context, "confirm", _spots(context, items))
         for item in items:
-            judge(item, CONFIRMED if item.get(REVIEW) != ADDED else ADDED)
+            judge(item, CONFIRMED)
 
 
 class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
@@ -147,7 +146,7 @@ class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
 class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
     bl_idname = "fruitlangs.reopen_fruit"
     bl_label = "Reopen"
-    bl_description = "Undo the decision on the active fruit of the list"
+    bl_description = "Undo the decision on the active fruit of the list; a rejected fruit is shown and counted again"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -233,8 +232,7 @@ class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
         for item in chosen(context):
             before = _spots(context, [item])
             label_fruit(item, label, context.scene)
-            if item.get(REVIEW) != ADDED:
-                judge(item, CONFIRMED)
+            judge(item, CONFIRMED)
             self.log(context, "relabel", before, _spots(context, [item]))
 
 

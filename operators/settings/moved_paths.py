@@ -12,8 +12,9 @@ from bpy.app.handlers import persistent
 from .settings import path_names, relative_path, stage_classes
 
 CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "exported", "source", "work")
-"""The path properties of `scene.fruitlangs` and of its result; those among the stages' settings are found
-separately."""
+CHECKED, ORCHARD = ("source",), ("folder",)
+"""The path properties of `scene.fruitlangs` and of its result, photo check and block; those among the stages' settings
+are found separately."""
 
 
 @persistent
@@ -38,7 +39,13 @@ def _rebase(old: Path, new: Path) -> None:
         if bpy_scene.library is None:
             settings = bpy_scene.fruitlangs
             stages = [(getattr(settings.config, stage), path_names(kind)) for stage, kind in stage_classes().items()]
-            for group, names in ((settings, CHOSEN), (settings.result, REACHED), *stages):
+            own = [
+                (settings, CHOSEN),
+                (settings.result, REACHED),
+                (settings.check, CHECKED),
+                (settings.block, ORCHARD),
+            ]
+            for group, names in (*own, *stages):
                 _rebase_texts(group, names, old, new)
 
 

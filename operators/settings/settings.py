@@ -125,7 +125,7 @@ def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callab
     if _optional(kind):
         kind = _given(kind)
         typed = kind is str or _is_texts(kind) or _is_list(kind)
-        named["description"] += " (empty: not given)" if typed else " (0: not given)"
+        named["description"] += " (empty means not given)" if typed else " (0 means not given)"
         default: Any = field.default or kind()
     else:
         default = field.default
@@ -241,15 +241,13 @@ def source_folder(settings: Any) -> Path:
     """The scene's folder, a video, or a .ply to count in, absolute.
 
     Raises:
-        SceneError: none was chosen, it is relative to a .blend never saved, or it is not there (any more).
+        SceneError: none was chosen, it is relative to a .blend never saved, or it does not exist (any more).
     """
     if not settings.source:
-        raise SceneError(
-            "No scene is chosen: set Scene to a video, or to the folder of the photos, with a COLMAP model or alone"
-        )
+        raise SceneError("No scene is chosen. Choose a folder of photos, a video or a .ply")
     folder = _absolute(settings.source)
     if not folder.is_dir() and not (folder.suffix.lower() in SCENE_FILES and folder.is_file()):
-        raise SceneError(f"The scene {folder} is not there. Choose it again")
+        raise SceneError(f"The scene {folder} does not exist. Choose it again")
     return folder
 
 
@@ -257,13 +255,13 @@ def imported_file(settings: Any) -> Path | None:
     """The .ply that replaces training, absolute; None without one.
 
     Raises:
-        SceneError: it is not there (any more).
+        SceneError: it does not exist (any more).
     """
     if not settings.gaussians:
         return None
     file = _absolute(settings.gaussians)
     if not file.is_file():
-        raise SceneError(f"The Gaussians {file} are not there. Choose the file again, or empty the field to train")
+        raise SceneError(f"The file {file} does not exist. Choose it again, or empty the field to train")
     return file
 
 

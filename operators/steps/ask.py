@@ -204,9 +204,9 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
     """
     settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
     if item is None or not settings.result.features:
-        raise SceneError("There are no Gaussians to ask yet: press Reconstruct, or import a result")
+        raise SceneError("There are no Gaussians yet. Press Reconstruct, or import a result")
     if item.mode == "EDIT":
-        raise SceneError("The Gaussians are in Edit Mode. Leave it (Tab) and ask again")
+        raise SceneError("The Gaussians are in Edit Mode. Leave it (Tab) and try again")
     from ...engine.config import CountConfig
 
     config = read_config(settings)
@@ -408,7 +408,7 @@ def has_gaussians(operator: Any, context: bpy.types.Context) -> bool:
     """Whether there are Gaussians to ask; the operator's poll shows that there are none as the reason."""
     if context.scene is not None and owned_object(context.scene, "gaussians") is not None:
         return True
-    operator.poll_message_set("There are no Gaussians to ask yet: press Reconstruct, or import a result")
+    operator.poll_message_set("There are no Gaussians yet. Press Reconstruct, or import a result")
     return False
 
 

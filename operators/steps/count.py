@@ -9,17 +9,8 @@ import bpy
 
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
-from ..settings.settings import (
-    given_settings,
-    imported_file,
-    read_config,
-    read_prompts,
-    read_words,
-    result_folder,
-    source_folder,
-    stored_path,
-)
-from .preview import Preview, SceneJob
+from ..settings.settings import read_prompts, read_words, stored_path
+from .preview import SceneJob
 from .show_result import report_line, show_result
 
 
@@ -42,31 +33,25 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
             return False
         return True
 
-    _out: Path
-
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
-        source, out, imported = source_folder(settings), result_folder(settings), imported_file(settings)
+        run = self.read_run(context)
         prompts, negatives = read_prompts(settings), read_words(settings.negative)
-        config, given = read_config(settings, source), given_settings(settings)
         opened = Path(bpy.data.filepath) if bpy.data.filepath else None
-        self._out = out
-        self._preview = Preview(context.scene, source)
-        watch = self._preview.watch
 
         def work(progress: Progress) -> Any:
             from ...engine.pipeline import count_scene
 
             return count_scene(
-                source,
+                run.source,
                 prompts,
-                out,
+                run.out,
                 negatives=negatives,
-                config=config,
+                config=run.config,
                 keep=opened,
-                imported=imported,
-                given=given,
-                watch=watch,
+                imported=run.imported,
+                given=run.given,
+                watch=run.watch,
                 progress=progress,
             )
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Set
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +17,19 @@ from ..data.write_root import GROUND, looked_at, root_matrix
 from ..drawing import splat_drawing
 from ..jobs.jobs import JobOperator, busy, linked
 from ..jobs.target_scene import find_scene
-from ..settings.settings import is_of_another
+from ..settings.settings import (
+    given_settings,
+    imported_file,
+    is_of_another,
+    read_config,
+    result_folder,
+    source_folder,
+)
 from ..viewport.splats import Splats, splats_in_training
 from ..viewport.viewport import look_from_around, shown_screens
 
 if TYPE_CHECKING:
+    from ...engine.config import Config
     from ...engine.scene.camera import Scene
     from ...engine.splatting.gaussians import Gaussians
 
@@ -80,10 +90,41 @@ class Preview:
         splat_drawing.show_preview(self._scene, None)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What the panel says for a run on the chosen scene; the fields are arguments of `count_scene`."""
+
+    source: Path
+    out: Path
+    imported: Path | None
+    config: Config
+    given: Set[str]
+    watch: Callable[[Gaussians, Scene], None]
+
+
 class SceneJob(JobOperator):
-    """Mix-in of operators that work on the chosen scene and show the state of training; `prepare` sets `_preview`."""
+    """Mix-in of operators that work on the chosen scene and show the state of training; `prepare` calls `read_run`."""
 
     _preview: Preview
+    _out: Path
+
+    def read_run(self, context: bpy.types.Context) -> Run:
+        """Read the settings of the panel, and prepare to show the training.
+
+        Raises:
+            FruitLangsError: a file does not exist, or a setting makes no sense.
+        """
+        settings = context.scene.fruitlangs
+        source, self._out = source_folder(settings), result_folder(settings)
+        self._preview = Preview(context.scene, source)
+        return Run(
+            source=source,
+            out=self._out,
+            imported=imported_file(settings),
+            config=read_config(settings, source),
+            given=given_settings(settings),
+            watch=self._preview.watch,
+        )
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:

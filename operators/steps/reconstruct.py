@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import bpy
 
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
-from ..settings.settings import (
-    given_settings,
-    imported_file,
-    read_config,
-    result_folder,
-    source_folder,
-    stored_path,
-)
-from .preview import Preview, SceneJob
+from ..settings.settings import stored_path
+from .preview import SceneJob
 from .show_result import show_reconstruction
 
 
@@ -29,21 +21,20 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
 
     title = "Reconstruct"
 
-    _out: Path
-
     def prepare(self, context: bpy.types.Context) -> Work:
-        settings = context.scene.fruitlangs
-        source, out, imported = source_folder(settings), result_folder(settings), imported_file(settings)
-        config, given = read_config(settings, source), given_settings(settings)
-        self._out = out
-        self._preview = Preview(context.scene, source)
-        watch = self._preview.watch
+        run = self.read_run(context)
 
         def work(progress: Progress) -> Any:
             from ...engine.pipeline import reconstruct_scene
 
             return reconstruct_scene(
-                source, out, config=config, imported=imported, given=given, watch=watch, progress=progress
+                run.source,
+                run.out,
+                config=run.config,
+                imported=run.imported,
+                given=run.given,
+                watch=run.watch,
+                progress=progress,
             )
 
         return work

@@ -73,7 +73,7 @@ def show_reconstruction(
     owners = _owners(bpy_scene, made)
     if owners is None and counted(bpy_scene):
         forget_count(bpy_scene)
-        notices.append("the count of other Gaussians, or at another scale, was removed. Count again")
+        notices.append("the earlier count was removed, because the Gaussians or their scale changed. Count again")
     first = owned_object(bpy_scene, "root") is None
     root = write_root(bpy_scene, made.scene)
     item = write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)

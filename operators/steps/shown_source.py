@@ -9,7 +9,7 @@ import bpy
 
 from ..blender_data import owned_object, owned_objects, remove_objects
 from ..data.stored_audit import AUDIT
-from ..data.stored_review import keep_corrections
+from ..data.stored_review import keep_corrections, kept_text
 from ..data.write import SET_ID
 from ..data.write_root import GROUND
 from ..settings.settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
@@ -54,9 +54,11 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
         root[METRES] = 0.0
     for name in OF_SOURCE:
         settings.result.property_unset(name)
-    notices = [f"your decisions on {source} ({decisions}) wait until it is shown again"] if decisions else []
+    notices = [f"{kept_text(decisions, str(source))} until it is shown again"] if decisions else []
     if measured:
-        notices.append(f"scale, ground and region of {source} do not hold here and were removed")
+        notices.append(
+            f"the scale, ground and region of {source} were removed, because they do not apply to this scene"
+        )
     return notices
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ..blender_data import owned_object
-from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, members, spot_of
+from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, is_made, members, spot_of
 from ..jobs.jobs import busy, describe_error, linked
 from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
@@ -111,7 +111,7 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
             source = f"fruit {item.get('id', 0)}"
             if source in known:
                 continue
-            if item.get(REVIEW) != ADDED and not len(members(context.scene, item)[0]):
+            if not is_made(item) and not len(members(context.scene, item)[0]):
                 alone.append(source)
                 continue
             positive = item.get(REVIEW) != REJECTED
@@ -163,7 +163,7 @@ def remove_example(settings: Any, index: int) -> None:
 
 class FRUITLANGS_OT_look_at_example(Listed, bpy.types.Operator):
     bl_idname = "fruitlangs.look_at_example"
-    bl_label = "Look at Example"
+    bl_label = "Show Example"
     bl_description = "Move the viewport to the selected example"
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -170,9 +170,17 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     _input(group, "Lowest Opacity", number, 0.1, 0.0, 1.0, "Hide Gaussians more transparent than this")
     _input(group, "Reach", number, 1e9, 0.0, 1e9, "Hide Gaussians farther than this from the centre, as of the sky")
     _input(group, "Centre", "NodeSocketVector", (0.0, 0.0, 0.0), -1e9, 1e9, "What the cameras look at")
-    _input(group, "Highlight", "NodeSocketBool", False, None, None, "Light Gaussians that fit the prompt, dim others")
-    _input(group, "Threshold", number, THRESHOLD, 0.0, 1.0, "Probability from which a Gaussian fits the prompt")
-    _input(group, "Dimming", number, DIMMING, 0.0, 1.0, "Share of its brightness that one that does not fit loses")
+    _input(
+        group,
+        "Highlight",
+        "NodeSocketBool",
+        False,
+        None,
+        None,
+        "Highlight Gaussians that match the prompt, from grey at the threshold to yellow",
+    )
+    _input(group, "Threshold", number, THRESHOLD, 0.0, 1.0, "Least probability at which a Gaussian matches the prompt")
+    _input(group, "Dimming", number, DIMMING, 0.0, 1.0, "How much to darken Gaussians below the threshold")
     _viewport_input(group)
     _input(
         group, "Ellipsoids up to", whole, ELLIPSOID_LIMIT, 0, 10_000_000, "Draw points when there are more than this"
@@ -211,7 +219,9 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
 
 
 def _viewport_input(group: Any) -> None:
-    _input(group, "In Viewport", "NodeSocketBool", True, None, None, "Show them in viewports too, not in renders alone")
+    _input(
+        group, "In Viewport", "NodeSocketBool", True, None, None, "Show Gaussians in viewports as well as in renders"
+    )
 
 
 def _where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import bpy
 from mathutils import Vector
 
-from ..blender_data import owned_object, owned_objects
+from ..blender_data import areas_of, owned_object, owned_objects
 
 
 class Drawing:
@@ -92,10 +92,8 @@ def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: 
 
 def redraw_viewports() -> None:
     """Redraw every 3D viewport, sidebar included; for changes that no operator made."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    for _, area in areas_of(bpy.context, "VIEW_3D"):
+        area.tag_redraw()
 
 
 def _viewports(screens: Iterable[bpy.types.Screen]) -> Iterator[Any]:

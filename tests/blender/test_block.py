@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +16,16 @@ import pytest
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.publish import publish_block
+from fruitlangs.engine.block.reviews import Review, read_review, write_review
 from fruitlangs.engine.block.trees import read_counts
+from fruitlangs.engine.counting.accounts.review import Decision
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.fruitlangs_addon.panels.block_panel import cells
 from fruitlangs.operators.blender_data import get_attribute, owned_objects
 from fruitlangs.operators.block.block import OVERVIEW, TREE_OF
 from fruitlangs.operators.block.overview import ShownResult, read_overview
-from fruitlangs.operators.data.fruit_objects import REJECTED, standing
+from fruitlangs.operators.data.fruit_objects import REJECTED, now, read_log, standing, write_log
+from fruitlangs.operators.data.write import SET_ID
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +158,106 @@ def test_a_review_of_a_tree_goes_into_the_tables_and_is_there_when_the_tree_is_o
     bpy.ops.fruitlangs.update_block()
     assert cells(trees_of(overview)["two"]) == [str(before), str(before)]
     bpy.data.scenes.remove(again)
+
+
+def reject_one(tree: bpy.types.Scene) -> None:
+    """Reject the first fruit of a tree, in its Blender scene."""
+    with bpy.context.temp_override(scene=tree, view_layer=tree.view_layers[0]):
+        first = owned_objects(tree, "fruit")[0]
+        tree.view_layers[0].objects.active = first
+        first.select_set(True, view_layer=tree.view_layers[0])
+        bpy.ops.fruitlangs.reject_fruit()
+
+
+def store_review(block: Path, name: str) -> Path:
+    """Reject a fruit of a tree, store that review and close the tree; returns the folder of its result."""
+    tree = open_tree(name)
+    reject_one(tree)
+    bpy.ops.fruitlangs.show_block()
+    bpy.ops.fruitlangs.update_block()
+    bpy.data.scenes.remove(tree)
+    return Ledger(block).folder(name).path
+
+
+def count_again(result: Path) -> str:
+    """Give a result the id of another count; returns it."""
+    document = json.loads((result / "fruits.json").read_text())
+    document["set_id"] = "counted-again"
+    (result / "fruits.json").write_text(json.dumps(document))
+    return "counted-again"
+
+
+def test_a_tree_with_a_damaged_review_is_an_error_at_every_try_until_it_is_mended(opened: Path) -> None:
+    review = store_review(opened, "two") / "review.json"
+    whole = review.read_text()
+    review.write_text("{")
+    overview = bpy.context.scene
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=r"review.json is damaged"):
+            open_tree("two")
+        assert list(bpy.data.scenes) == [overview]
+    review.write_text(whole)
+    assert len(read_log(open_tree("two"))) == 1
+
+
+def test_a_tree_whose_result_cannot_be_imported_leaves_no_scene_and_its_review_as_it_was(opened: Path) -> None:
+    result = store_review(opened, "two")
+    gaussians = result / "gaussians.ply"
+    whole, review = gaussians.read_bytes(), (result / "review.json").read_text()
+    gaussians.write_bytes(b"ply")
+    overview = bpy.context.scene
+    with pytest.raises(RuntimeError, match=r"gaussians.ply"):
+        open_tree("two")
+    assert (list(bpy.data.scenes), bpy.context.scene) == ([overview], overview)
+    gaussians.write_bytes(whole)
+    bpy.ops.fruitlangs.update_block()
+    assert (result / "review.json").read_text() == review
+
+
+def test_a_tree_whose_import_was_cancelled_is_not_in_the_tables_and_is_imported_when_opened_again(opened: Path) -> None:
+    store_review(opened, "two")
+    overview = bpy.context.scene
+    cancelled = bpy.data.scenes.new("two")
+    cancelled[TREE_OF], cancelled[OVERVIEW] = "two", overview
+    write_log(cancelled, Decision("reject", now(), ""))
+    reviewed = trees_of(overview)["two"].reviewed
+    bpy.ops.fruitlangs.update_block()
+    assert trees_of(overview)["two"].reviewed == reviewed
+    tree = open_tree("two")
+    assert (len(standing(tree)), len(read_log(tree))) == (reviewed, 1)
+    assert len(bpy.data.scenes) == 2
+
+
+def test_a_tree_that_was_counted_again_since_it_was_opened_keeps_the_review_of_the_newer_count(
+    opened: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    overview, result = bpy.context.scene, Ledger(opened).folder("two").path
+    tree = open_tree("two")
+    reject_one(tree)
+    bpy.ops.fruitlangs.show_block()
+    newer = count_again(result)
+    write_review(result, newer, Review(fruits=[]))
+    bpy.ops.fruitlangs.update_block()
+    assert "Counted again since they were opened: two" in capfd.readouterr().out
+    assert read_review(result, newer) is not None
+    again = open_tree("two")
+    assert (again[SET_ID], len(read_log(again))) == (newer, 0)
+    assert len(read_log(tree)) == 1
+    bpy.ops.fruitlangs.show_block()
+    assert bpy.context.scene == overview
+
+
+def test_decisions_on_a_tree_apply_when_it_is_opened_again_after_a_new_count(opened: Path) -> None:
+    overview = bpy.context.scene
+    tree = open_tree("two")
+    reject_one(tree)
+    bpy.ops.fruitlangs.show_block()
+    newer = count_again(Ledger(opened).folder("two").path)
+    assert open_tree("two") == tree
+    assert tree[SET_ID] == newer
+    bpy.ops.fruitlangs.show_block()
+    bpy.ops.fruitlangs.update_block()
+    assert trees_of(overview)["two"].reviewed == trees_of(overview)["two"].counted - 1
 
 
 def test_a_tree_that_failed_cannot_be_opened(opened: Path) -> None:

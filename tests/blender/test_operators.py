@@ -198,7 +198,8 @@ def test_import_of_another_source_takes_the_first_one_away_and_says_so(
     assert "scale, ground and region of" in capfd.readouterr().out
     bpy.ops.fruitlangs.import_scene()
     told = drawn(FRUITLANGS_PT_scene).text
-    assert "(1) wait until it is shown again" in told
+    assert "1 decision on" in told
+    assert "is kept until it is shown again" in told
     assert "scale, ground and region of" in told
     for role in ("gaussians", "fruit", "region"):
         assert owned_objects(scene, role) == []
@@ -218,7 +219,7 @@ def test_decisions_wait_while_another_source_is_shown(engine, settings, counted,
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     show_result(bpy.context, scene, second)
     assert len(owned_objects(scene, "fruit")) == 3
-    assert "(1) wait until it is shown again" in settings.result.notices
+    assert "is kept until it is shown again" in settings.result.notices
     show_result(bpy.context, scene, first)
     assert len(owned_objects(scene, "fruit")) == 4
     assert len(settings.review.log) == 1
@@ -404,7 +405,7 @@ def test_count_wants_a_scene_and_a_prompt(engine, extension, tmp_path):
 
 def test_a_folder_that_vanished_is_a_report(engine, settings, tmp_path):
     (tmp_path / "tree").rmdir()
-    with pytest.raises(RuntimeError, match="is not there"):
+    with pytest.raises(RuntimeError, match="does not exist"):
         bpy.ops.fruitlangs.import_scene()
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import bpy
 import pytest
 
@@ -30,6 +33,26 @@ def test_a_file_saved_into_another_folder_still_finds_its_scene_and_results(save
         assert stored_file(settings.result.folder) == tmp_path / "here" / "tree_fruit"
         assert stored_file(settings.result.features).parent == tmp_path / "here" / "tree_fruit"
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "deep" / "b.blend"))
+
+
+def path_properties(group: Any) -> Iterator[tuple[Any, str]]:
+    """Every property of a group and of the groups in it that is a path."""
+    for each in group.bl_rna.properties:
+        if each.type == "STRING" and each.subtype in ("FILE_PATH", "DIR_PATH"):
+            yield group, each.identifier
+        if each.type == "POINTER" and isinstance(getattr(group, each.identifier, None), bpy.types.PropertyGroup):
+            yield from path_properties(getattr(group, each.identifier))
+
+
+def test_every_path_of_the_panel_is_kept_true(saved, tmp_path):
+    paths = list(path_properties(saved))
+    for group, name in paths:
+        setattr(group, name, "//tree")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "b.blend"))
+    assert {f"{type(group).__name__}.{name}": getattr(group, name) for group, name in paths} == {
+        f"{type(group).__name__}.{name}": "//../here/tree" for group, name in paths
+    }
+    assert {"source", "out", "folder"} <= {name for _, name in paths}
 
 
 def test_a_saved_copy_finds_them_and_the_open_file_still_does(saved, tmp_path):

@@ -107,9 +107,9 @@ def test_one_photo_where_two_are_asked_for_is_the_configs_own_error(extension):
 
 def test_the_tooltip_of_a_text_that_may_be_left_out_says_how(extension):
     properties = bpy.context.scene.fruitlangs.config.units.bl_rna.properties
-    assert properties["object"].description.endswith("(empty: not given)")
-    assert properties["cameras"].description.endswith("(empty: not given)")
-    assert properties["points"].description.endswith("(0: not given)")
+    assert properties["object"].description.endswith("(empty means not given)")
+    assert properties["cameras"].description.endswith("(empty means not given)")
+    assert properties["points"].description.endswith("(0 means not given)")
 
 
 def test_a_box_of_zeros_means_not_given_and_an_outline_is_typed_as_numbers(extension):
@@ -169,7 +169,7 @@ def test_no_or_a_vanished_scene_folder_is_an_error(extension):
     with pytest.raises(SceneError, match="No scene is chosen"):
         conversions.source_folder(settings)
     settings.source = "/gone"
-    with pytest.raises(SceneError, match="/gone is not there"):
+    with pytest.raises(SceneError, match="/gone does not exist"):
         conversions.source_folder(settings)
     settings.source = "//photos"
     with pytest.raises(SceneError, match="never saved"):

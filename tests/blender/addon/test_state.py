@@ -63,7 +63,7 @@ def test_a_file_moved_without_its_results_says_so_and_loses_nothing(extension, c
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "tree.blend"))
     with pytest.raises(RuntimeError, match=r"features in .* are missing. Press Reconstruct"):
         bpy.ops.fruitlangs.ask()
-    with pytest.raises(RuntimeError, match=r"is not there. Choose it again"):
+    with pytest.raises(RuntimeError, match=r"does not exist. Choose it again"):
         bpy.ops.fruitlangs.count()
     assert len(owned_objects(bpy.context.scene, "fruit")) == fruit == bpy.context.scene.fruitlangs.result.count
 

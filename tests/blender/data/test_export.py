@@ -138,7 +138,7 @@ def test_usd_has_the_corrected_objects_where_blender_shows_them(reviewed, tmp_pa
 def test_the_report_gives_the_corrected_count_and_every_decision(reviewed, tmp_path):
     assert export("export_report", tmp_path / "a.html") == {"FINISHED"}
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert "machine 3, after review 2" in text
+    assert "counted 3, after review 2" in text
     assert "a leaf" in text
     assert "pear" in text
     assert "data:image/jpeg;base64" in text
@@ -227,7 +227,7 @@ def test_background_mode_writes_without_a_dialog(shown, tmp_path, name, suffix):
 
 
 def test_an_export_without_a_file_name_or_into_a_folder_says_what_to_do(shown, tmp_path):
-    with pytest.raises(RuntimeError, match="Say where to write"):
+    with pytest.raises(RuntimeError, match="Choose a file"):
         export("export_csv", "")
     with pytest.raises(RuntimeError, match="Add a file name"):
         export("export_csv", tmp_path)

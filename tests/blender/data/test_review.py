@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from blender_examples import drawn
 
+from fruitlangs.engine.counting.accounts.review import replay
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.fruitlangs_addon.panels.fruit_list import cells, head, is_shown, ranks
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, standing
+from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, spot_of, standing
 from fruitlangs.operators.data.read_fruits import read_fruits
-from fruitlangs.operators.data.stored_review import entry_text, review_line
+from fruitlangs.operators.data.stored_review import entry_text, keep_corrections, review_line
 from fruitlangs.operators.steps.show_result import show_result
 
 
@@ -64,7 +65,7 @@ def numbers() -> list[int]:
 
 
 def test_the_line_gives_the_machines_count_before_anything_was_reviewed(shown):
-    assert review_line(shown) == "machine 3, interval 2–5"
+    assert review_line(shown) == "counted 3, 90 % interval 2–5"
 
 
 def test_a_rejected_fruit_is_hidden_and_no_longer_counted_and_can_come_back(shown):
@@ -74,7 +75,7 @@ def test_a_rejected_fruit_is_hidden_and_no_longer_counted_and_can_come_back(show
     assert numbers() == [1, 3]
     assert fruit(2).hide_viewport
     assert fruit(2).hide_render
-    assert review_line(shown).startswith("machine 3, after review 2, interval ")
+    assert review_line(shown).startswith("counted 3, after review 2, 90 % interval ")
     entry = read_log(shown)[-1]
     assert (entry.action, entry.reason, [spot.id for spot in entry.before]) == ("reject", "a leaf", [2])
     assert shown.fruitlangs.review.reason == ""
@@ -88,7 +89,7 @@ def test_a_rejected_fruit_is_hidden_and_no_longer_counted_and_can_come_back(show
 def test_confirming_all_leaves_no_doubt_below(shown):
     select(1, 2, 3)
     bpy.ops.fruitlangs.confirm_fruit()
-    assert review_line(shown) == "machine 3, after review 3, interval 3–5"
+    assert review_line(shown) == "counted 3, after review 3, 90 % interval 3–5"
     assert len(read_log(shown)[0].before) == 3
 
 
@@ -140,7 +141,24 @@ def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
     assert tuple(new.location) == (5.0, 6.0, 7.0)
     assert new["diameter"] == pytest.approx(0.2)
     assert (new["label"], new["probability"], new[REVIEW]) == ("apple", 1.0, "added")
-    assert review_line(shown) == "machine 3, after review 4, interval 3–5"
+    assert review_line(shown) == "counted 3, after review 4, 90 % interval 3–5"
+
+
+def test_an_added_fruit_stays_one_when_it_was_rejected_and_reopened(shown):
+    root = owned_object(shown, "root")
+    counted = [spot_of(item, root) for item in owned_objects(shown, "fruit")]
+    bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
+    before = review_line(shown)
+    bpy.ops.fruitlangs.reject_fruit()
+    assert review_line(shown) == "counted 3, after review 3, 90 % interval 2–5"
+    bpy.ops.fruitlangs.reopen_fruit()
+    assert review_line(shown) == before
+    assert not fruit(4).hide_viewport
+    assert [item.get(REVIEW, "") for item in owned_objects(shown, "fruit")] == ["", "", "", "added"]
+    assert replay(read_log(shown), counted).standings == ["", "", "", "added"]
+    fruit(4).location.x = 9.0
+    keep_corrections(shown)
+    assert read_log(shown)[0].after[0].center[0] == pytest.approx(9.0)
 
 
 @pytest.fixture
@@ -167,7 +185,7 @@ def test_after_a_count_of_0_a_fruit_is_added_with_the_diameter_that_was_typed(no
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     assert fruit(1)["diameter"] == pytest.approx(0.25)
     assert "diameter" not in drawn(FRUITLANGS_PT_review).settings
-    assert review_line(scene) == "machine 0, after review 1"
+    assert review_line(scene) == "counted 0, after review 1"
 
 
 def test_where_the_scale_is_known_the_diameter_is_typed_in_millimetres(nothing):
@@ -241,7 +259,7 @@ def test_without_the_scenes_root_nothing_is_decided_and_an_export_says_what_is_g
     bpy.data.objects.remove(owned_object(shown, "root"))
     for name in ("confirm_fruit", "reject_fruit", "add_fruit", "reopen_fruit"):
         assert not getattr(bpy.ops.fruitlangs, name).poll()
-    with pytest.raises(CountingError, match="empty that holds the scene is gone"):
+    with pytest.raises(CountingError, match="root empty was deleted"):
         read_fruits(shown)
 
 
@@ -324,8 +342,8 @@ def test_what_was_decided_on_apples_says_nothing_of_pears_and_holds_when_apples_
     bpy.ops.fruitlangs.reject_fruit()
     again(prompt="pear")
     assert numbers() == [1, 2, 3]
-    assert review_line(shown) == "machine 3, interval 2–5"
-    assert "decisions on apple, which hold when that is counted again: 2" in shown.fruitlangs.result.notices
+    assert review_line(shown) == "counted 3, 90 % interval 2–5"
+    assert "2 decisions on apple are kept for the next count of them" in shown.fruitlangs.result.notices
     again()
     assert numbers() == [2, 3, 4]
 
