@@ -104,7 +104,7 @@ def main() -> None:
         say("compiling for this computer (first run only, about a minute)")
         compile_once()
     command = python_command(Path(__file__).resolve())
-    states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
+    states = drive(ledger, trees, workers, command, free=available_bytes(), settled=settled)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
@@ -163,12 +163,16 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
 
 
 def worker(given: list[str]) -> None:
-    """What `--worker` starts: a process that counts trees of a block. given: its folder and the name of the run."""
+    """What `--worker` starts: a process that counts trees of a block. given: its folder, the name of the run, and the
+    executor."""
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.worker import work
+    from fruitlangs.engine.child_process import end_with_parent
 
-    if len(given) != 2:
+    if len(given) != 3:
         raise ConfigError("--worker is for count_orchard.py itself")
+    if given[2] == "local":
+        end_with_parent()
     work(Ledger(Path(given[0])), given[1])
 
 

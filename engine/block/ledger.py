@@ -43,10 +43,11 @@ class TreeState:
     seconds: float = 0.0
     reason: str = ""
 
-    def is_open(self, run: str) -> bool:
-        """Whether a run has to count the tree, or waits for the process that does: one that failed in this run is not
-        tried again, one that failed in an earlier run is."""
-        return self.stage in ("waiting", "running") or (self.stage == "failed" and self.run != run)
+    @property
+    def is_open(self) -> bool:
+        """Whether the tree has to be counted, or a process does so. One that failed is tried again only after
+        `Ledger.reopen`."""
+        return self.stage in ("waiting", "running")
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,20 @@ class Ledger:
                     state = self.state(tree) if not mine else replace(state, stage="waiting")
             found[tree.id] = state
         return found
+
+    def reopen(self) -> None:
+        """Let trees that failed until now wait again. Later failures stay: of two drivers at work, neither tries again
+        what failed with the other.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        for tree in self.trees():
+            if self.state(tree).stage != "failed":
+                continue
+            with self.claimed(tree) as mine:
+                if mine and self.state(tree).stage == "failed":
+                    self.write(tree, TreeState(fingerprint=tree.fingerprint))
 
     def write(self, tree: TreeEntry, state: TreeState) -> None:
         """Note what became of a tree; only with its lock.
