@@ -98,7 +98,7 @@ def test_workers_that_die_with_a_tree_are_replaced(ledger: Ledger) -> None:
 
 
 def test_a_command_whose_trees_another_one_took_away_is_an_error(ledger: Ledger, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="removed or changed 2 of 3 trees of .*, such as 'b'"):
+    with pytest.raises(ConfigError, match=r"removed or changed 2 of 3 trees of .*, such as 'b'"):
         ended(ledger, WORKER, settled=lambda *_: ledger.write_trees(entries(tmp_path, "a")))
 
 
