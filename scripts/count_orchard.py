@@ -73,10 +73,13 @@ def main() -> None:
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.manifest import read_manifest
     from fruitlangs.engine.block.publish import publish_block
+    from fruitlangs.engine.block.totals import require_sample
     from fruitlangs.engine.compiled.jit import all_compiled
     from fruitlangs.engine.memory import available_bytes
 
     trees = read_manifest(arguments.manifest, prompt=arguments.prompt, settings=arguments.settings)
+    if arguments.all_trees is not None:
+        require_sample(sum(tree.trees for tree in trees), arguments.all_trees)
     ledger = Ledger(arguments.out)
     if arguments.dry_run:
         say(plan(trees, ledger))
@@ -125,8 +128,10 @@ def block_text(document: dict[str, Any]) -> str:
         lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
     if document["elsewhere"]:
         lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
-    if "all_trees" in document:
-        every = document["all_trees"]
+    every = document.get("all_trees")
+    if every and "no_estimate" in every:
+        lines.append(f"  no estimate for all {every['trees']} trees: {every['no_estimate']}")
+    elif every:
         lines.append(f"  all {every['trees']} trees: {every['likely']:.0f} ({every['low']:.0f}–{every['high']:.0f})")
     return "\n".join(lines)
 
