@@ -11,13 +11,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -61,8 +62,39 @@ def missing_programs() -> list[str]:
     return found or ([] if os.geteuid() == 0 else ["root"])
 
 
+class Node:
+    """The only node of the cluster."""
+
+    def __init__(self) -> None:
+        self.daemon = self._started()
+
+    def fail(self, folder: str) -> None:
+        """Die with the workers of a block, without a word, and come back. folder: of the block."""
+        self.daemon.kill()
+        self.daemon.wait()
+        for pid in worker_ids(folder):
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(3.0)
+        self.daemon = self._started()
+
+    @staticmethod
+    def _started() -> subprocess.Popen[bytes]:
+        return subprocess.Popen(["slurmd", "-D"], stderr=subprocess.DEVNULL)
+
+
+def worker_ids(folder: str) -> list[int]:
+    """Processes that are workers of the block in this folder."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):  # it has ended
+            parts = each.read_bytes().decode(errors="replace").split("\0")
+            if "--worker" in parts and folder in parts:
+                found.append(int(each.parent.name))
+    return found
+
+
 @contextmanager
-def cluster(folder: Path) -> Iterator[None]:
+def cluster(folder: Path) -> Iterator[Node]:
     """A Slurm of one node as long as the block runs; the commands find it by SLURM_CONF."""
     for name in ("state", "spool"):
         (folder / name).mkdir()
@@ -75,15 +107,16 @@ def cluster(folder: Path) -> Iterator[None]:
         Path("/run/munge").mkdir(exist_ok=True)
         shutil.chown("/run/munge", "munge", "munge")
         subprocess.run(["su", "-s", "/bin/sh", "munge", "-c", "/usr/sbin/munged"], check=True)
-    subprocess.run(["slurmctld"], check=True)
+    controller = subprocess.Popen(["slurmctld", "-D"], stderr=subprocess.DEVNULL)
     time.sleep(2.0)
-    subprocess.run(["slurmd"], check=True)
+    node = Node()
     try:
-        yield
+        yield node
     finally:
         subprocess.run(["scancel", "--user", "root"], check=False)
-        for name in ("slurmd", "slurmctld"):
-            subprocess.run(["pkill", "-9", "-x", name], check=False)
+        for daemon in (node.daemon, controller):
+            daemon.kill()
+            daemon.wait()
 
 
 def jobs() -> list[str]:
@@ -123,7 +156,7 @@ def main() -> None:
     """
     if lacking := missing_programs():
         raise ConfigError(f"This computer lacks {', '.join(lacking)}. As root: apt-get install slurm-wlm munge")
-    with tempfile.TemporaryDirectory(prefix="slurm-") as name, cluster(Path(name)):
+    with tempfile.TemporaryDirectory(prefix="slurm-") as name, cluster(Path(name)) as node:
         folder, out = Path(name), Path(name) / "out"
         lines = [f"{k},{ROOT / 'examples' / 'orchard_tree'},apple" for k in range(TREES)]
         (folder / "orchard.csv").write_text("\n".join(["id,source,prompt", *lines, ""]))
@@ -150,10 +183,7 @@ def main() -> None:
         subprocess.run(["scontrol", "requeue", jobs()[0]], check=True)
         wait_for(out, 5)
         say("the node dies and comes back")
-        subprocess.run(["pkill", "-9", "-x", "slurmd"], check=False)
-        subprocess.run(["pkill", "-9", "-f", "--", f"--worker {out}"], check=False)
-        time.sleep(3.0)
-        subprocess.run(["slurmd"], check=True)
+        node.fail(str(out))
         code = driver.wait(PATIENCE)
         found = states(out)
         counts = {json.loads(each.read_text())["count"] for each in out.glob("trees/*/fruits.json")}

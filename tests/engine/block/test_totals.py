@@ -73,7 +73,7 @@ def test_an_impossible_sample_is_an_error(sample: int, trees: int, text: str) ->
 
 @pytest.mark.parametrize("trees", [3, 4, 5])
 def test_the_interval_of_all_trees_holds_its_most_likely_number(trees: int) -> None:
-    found = of_all([Amount(count=10, likely=8.0, low=7.0, high=10.0)] * 3, trees)
+    found = of_all([Amount(count=10, likely=7.0, low=6.0, high=10.0)] * 3, trees)
     assert found.low <= found.likely <= found.high
 
 
