@@ -177,5 +177,5 @@ def no_progress(log: Path, ended: int) -> OutputError:
     lines = [line.strip() for line in written if line.strip() and not line.startswith(_OF_SLURM)]
     what = f"{ended} workers in a row ended before they counted a tree"
     if not lines:
-        return OutputError(f"{what}, and {log} is empty. Check that every node has this folder and this Python")
+        return OutputError(f"{what}, and {log} is empty. Check that memory is free, and that each node has this folder")
     return OutputError(f"{what}. The last line of {log} is: {lines[-1]}. Correct that, and run the command again")

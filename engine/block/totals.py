@@ -50,7 +50,7 @@ def require_sample(sample: int, trees: int) -> None:
         ConfigError: there are fewer trees in all than photographed ones, or too few to see how much trees differ.
     """
     if trees < sample:
-        raise ConfigError(f"{sample} trees were counted, which is more than the {trees} of the block (--all-trees)")
+        raise ConfigError(f"{sample} trees are given, which is more than the {trees} of the block (--all-trees)")
     if sample < LEAST_SAMPLE and trees > sample:
         raise ConfigError(f"All trees are estimated from {LEAST_SAMPLE} counted ones or more, and here are {sample}")
 

@@ -70,27 +70,57 @@ class Node:
 
     def fail(self, folder: str) -> None:
         """Die with the workers of a block, without a word, and come back. folder: of the block."""
-        self.daemon.kill()
-        self.daemon.wait()
-        for pid in worker_ids(folder):
+        self.end()
+        for pid in process_ids("cmdline", "--worker", folder):
             os.kill(pid, signal.SIGKILL)
         time.sleep(3.0)
         self.daemon = self._started()
+
+    def end(self) -> None:
+        """End the daemon, and those of its jobs, which outlive it."""
+        _end(self.daemon)
+        for pid in process_ids("environ", f"SLURM_CONF={os.environ['SLURM_CONF']}"):
+            if Path(f"/proc/{pid}/comm").read_text().strip() == "slurmstepd":
+                os.kill(pid, signal.SIGKILL)
 
     @staticmethod
     def _started() -> subprocess.Popen[bytes]:
         return subprocess.Popen(["slurmd", "-D"], stderr=subprocess.DEVNULL)
 
 
-def worker_ids(folder: str) -> list[int]:
-    """Processes that are workers of the block in this folder."""
+def process_ids(file: str, *parts: str) -> list[int]:
+    """Processes whose command line ("cmdline") or environment ("environ") has all of these parts."""
     found = []
-    for each in Path("/proc").glob("[0-9]*/cmdline"):
+    for each in Path("/proc").glob(f"[0-9]*/{file}"):
         with suppress(OSError):  # it has ended
-            parts = each.read_bytes().decode(errors="replace").split("\0")
-            if "--worker" in parts and folder in parts:
+            if set(parts) <= set(each.read_bytes().decode(errors="replace").split("\0")):
                 found.append(int(each.parent.name))
     return found
+
+
+def _end(daemon: subprocess.Popen[bytes]) -> None:
+    daemon.kill()
+    daemon.wait()
+
+
+@contextmanager
+def munge() -> Iterator[None]:
+    """A daemon of munge as long as the block runs, if none runs already."""
+    if not subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
+        yield
+        return
+    Path("/run/munge").mkdir(exist_ok=True)
+    shutil.chown("/run/munge", "munge", "munge")
+    daemon = subprocess.Popen(["munged", "--foreground"], user="munge", group="munge", extra_groups=[])
+    try:
+        while subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
+            if daemon.poll() is not None:
+                raise ConfigError("munged does not run. Start it and run this check again")
+            time.sleep(0.2)
+        yield
+    finally:
+        daemon.terminate()
+        daemon.wait()
 
 
 @contextmanager
@@ -103,20 +133,16 @@ def cluster(folder: Path) -> Iterator[Node]:
     config.write_text(CONFIG.format(host=host, folder=folder, cores=os.cpu_count()))
     os.environ["SLURM_CONF"] = str(config)
     os.environ["PATH"] += ":/usr/sbin"
-    if subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
-        Path("/run/munge").mkdir(exist_ok=True)
-        shutil.chown("/run/munge", "munge", "munge")
-        subprocess.run(["su", "-s", "/bin/sh", "munge", "-c", "/usr/sbin/munged"], check=True)
-    controller = subprocess.Popen(["slurmctld", "-D"], stderr=subprocess.DEVNULL)
-    time.sleep(2.0)
-    node = Node()
-    try:
-        yield node
-    finally:
-        subprocess.run(["scancel", "--user", "root"], check=False)
-        for daemon in (node.daemon, controller):
-            daemon.kill()
-            daemon.wait()
+    with munge():
+        controller = subprocess.Popen(["slurmctld", "-D"], stderr=subprocess.DEVNULL)
+        time.sleep(2.0)
+        node = Node()
+        try:
+            yield node
+        finally:
+            subprocess.run(["scancel", "--user", "root"], check=False)
+            node.end()
+            _end(controller)
 
 
 def jobs() -> list[str]:

@@ -91,9 +91,10 @@ def test_workers_that_die_before_they_count_end_the_command_with_the_last_line_o
     assert len(list((ledger.path / "log").glob("*_log.err"))) == driver.MOST_IDLE
 
 
-def test_workers_that_die_with_a_tree_are_replaced(ledger: Ledger) -> None:
+def test_workers_that_die_with_a_tree_are_replaced(ledger: Ledger, tmp_path: Path) -> None:
+    ledger.write_trees(entries(tmp_path, "a"))
     dying = WORKER.replace("count=count", "count=lambda *_: __import__('os')._exit(1)")
-    assert ended(ledger, dying) == dict.fromkeys("abc", "failed")
+    assert ended(ledger, dying) == {"a": "failed"}
     assert "3 workers died with it" in ledger.states()["a"].reason
 
 
@@ -182,7 +183,7 @@ def test_jobs_that_wait_for_a_place_are_cancelled_when_all_trees_are_done(
 
 def test_jobs_of_slurm_that_end_without_a_log_are_an_error(ledger: Ledger, slurm: Path) -> None:
     program(slurm / "squeue", "")
-    with pytest.raises(OutputError, match=r"_log\.err is empty\. Check that every node has this folder"):
+    with pytest.raises(OutputError, match=r"_log\.err is empty\. Check that memory is free, and that each node has"):
         drive(ledger, ledger.trees(), Workers(executor="slurm", jobs=1), ["x"], free=FREE)
 
 
