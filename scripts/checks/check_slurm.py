@@ -72,7 +72,8 @@ class Node:
         """Die with the workers of a block, without a word, and come back. folder: of the block."""
         self.end()
         for pid in process_ids("cmdline", "--worker", folder):
-            os.kill(pid, signal.SIGKILL)
+            with suppress(OSError):  # it has ended
+                os.kill(pid, signal.SIGKILL)
         time.sleep(3.0)
         self.daemon = self._started()
 
@@ -80,8 +81,9 @@ class Node:
         """End the daemon, and those of its jobs, which outlive it."""
         _end(self.daemon)
         for pid in process_ids("environ", f"SLURM_CONF={os.environ['SLURM_CONF']}"):
-            if Path(f"/proc/{pid}/comm").read_text().strip() == "slurmstepd":
-                os.kill(pid, signal.SIGKILL)
+            with suppress(OSError):  # it has ended
+                if Path(f"/proc/{pid}/comm").read_text().strip() == "slurmstepd":
+                    os.kill(pid, signal.SIGKILL)
 
     @staticmethod
     def _started() -> subprocess.Popen[bytes]:
