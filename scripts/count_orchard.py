@@ -73,10 +73,13 @@ def main() -> None:
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.manifest import read_manifest
     from fruitlangs.engine.block.publish import publish_block
+    from fruitlangs.engine.block.totals import require_sample
     from fruitlangs.engine.compiled.jit import all_compiled
     from fruitlangs.engine.memory import available_bytes
 
     trees = read_manifest(arguments.manifest, prompt=arguments.prompt, settings=arguments.settings)
+    if arguments.all_trees is not None:
+        require_sample(sum(tree.trees for tree in trees), arguments.all_trees)
     ledger = Ledger(arguments.out)
     if arguments.dry_run:
         say(plan(trees, ledger))
@@ -104,7 +107,7 @@ def main() -> None:
         say("compiling for this computer (first run only, about a minute)")
         compile_once()
     command = python_command(Path(__file__).resolve())
-    states = drive(ledger, workers, command, free=available_bytes(), settled=settled)
+    states = drive(ledger, trees, workers, command, free=available_bytes(), settled=settled)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
@@ -125,8 +128,10 @@ def block_text(document: dict[str, Any]) -> str:
         lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
     if document["elsewhere"]:
         lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
-    if "all_trees" in document:
-        every = document["all_trees"]
+    every = document.get("all_trees")
+    if every and "no_estimate" in every:
+        lines.append(f"  no estimate for all {every['trees']} trees: {every['no_estimate']}")
+    elif every:
         lines.append(f"  all {every['trees']} trees: {every['likely']:.0f} ({every['low']:.0f}–{every['high']:.0f})")
     return "\n".join(lines)
 
@@ -163,12 +168,16 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
 
 
 def worker(given: list[str]) -> None:
-    """What `--worker` starts: a process that counts trees of a block. given: its folder and the name of the run."""
+    """What `--worker` starts: a process that counts trees of a block. given: its folder, the name of the run, and the
+    executor."""
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.worker import work
+    from fruitlangs.engine.child_process import end_with_parent
 
-    if len(given) != 2:
+    if len(given) != 3:
         raise ConfigError("--worker is for count_orchard.py itself")
+    if given[2] == "local":
+        end_with_parent()
     work(Ledger(Path(given[0])), given[1])
 
 

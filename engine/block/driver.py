@@ -1,16 +1,12 @@
-"""The driver: starts workers with submitit, on this computer or by Slurm, and watches until every tree is settled."""
+"""The driver: starts workers, on this computer or by Slurm, and watches until every tree is settled."""
 
 from __future__ import annotations
 
 import json
-import logging
-import os
-import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,17 +14,19 @@ from typing import Any, Literal
 from ..child_process import usable_cores
 from ..errors import ConfigError
 from ..storage.files import write_text
+from .jobs import Jobs, LocalJobs, no_progress, slurm_jobs
 from .ledger import LOG, Ledger, TreeState, run_name
+from .manifest import TreeEntry
 
 Executor = Literal["local", "slurm"]
 STATUS = "status.json"
-CONTROLLERS = "controllers.txt"
-"""File in the folder of logs."""
 POLL_SECONDS = 1.0
 PATIENCE = 10.0
 """Time between two looks at the states, in times that a look takes: 1.4 s for 10,000 trees."""
 WORKER_BYTES = 3 << 30
 """Memory that a worker gets at least: 60 photos of 1600×1200 with cameras from photos alone take about that."""
+MOST_IDLE = 3
+"""Workers in a row that may end without any effect although trees wait: those that lack a package do."""
 LONGEST_MINUTES = 60 * 24 * 7
 SettledTree = Callable[[str, TreeState], None]
 
@@ -61,91 +59,82 @@ class Workers:
 
 
 def drive(
-    ledger: Ledger, workers: Workers, command: Sequence[str], *, free: int, settled: SettledTree = lambda *_: None
+    ledger: Ledger,
+    trees: Sequence[TreeEntry],
+    workers: Workers,
+    command: Sequence[str],
+    *,
+    free: int,
+    settled: SettledTree = lambda *_: None,
 ) -> dict[str, TreeState]:
     """Have every tree of the block counted; returns the states. settled: called for each tree that is done or failed.
 
-    command: starts a worker, with the folder of the block and the name of the run appended; free: usable bytes.
-    Workers that die are replaced as long as trees wait, and those of a dead node by Slurm as well.
+    trees: those that the block must have, to which another command may add some; command: starts a worker, with the
+    folder of the block, the name of the run and the executor appended; free: usable bytes. Trees that failed before are
+    tried again. Workers that die are replaced as long as trees wait, and those of a dead node by Slurm as well.
 
     Raises:
-        ConfigError: there is no such executor here.
+        ConfigError: there is no such executor here, Slurm refuses a job, or another command took trees away.
+        OutputError: workers end without any effect; tells what the last one wrote.
     """
-    import submitit
-
-    logging.getLogger("submitit").setLevel(logging.ERROR)
     run, cores = run_name(), usable_cores()
-    jobs = workers.fitting(sum(state.is_open(run) for state in ledger.states().values()), cores, free)
-    executor = _executor(submitit, ledger.path / LOG, workers)
-    line = [*command, str(ledger.path), run]
-    threads = {name: str(workers.threads(jobs, cores)) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
-    function = submitit.helpers.CommandFunction(line, verbose=False, env={**os.environ, **threads})
+    ledger.reopen()
+    most = workers.fitting(sum(state.is_open for state in ledger.states().values()), cores, free)
+    jobs = _jobs(workers, [*command, str(ledger.path), run, workers.executor], ledger.path / LOG, run, most, cores)
     running: list[Any] = []
-    told: set[str] = set()
+    reported: dict[str, TreeState] = {}
     states: dict[str, TreeState] = {}
+    idle = 0  # workers in a row that ended although trees wait, and left every state as it was
     try:
         while True:
             began = time.monotonic()
-            before, states = states, ledger.states()
+            before, started, running = states, running, jobs.alive(running)
+            states = ledger.states()  # after the jobs, so that what an ended one did is in it
             pause = max(POLL_SECONDS, PATIENCE * (time.monotonic() - began))
+            _require_trees(ledger, trees, states)
             for own, state in states.items():
-                if state.stage in ("done", "failed") and state.run == run and own not in told:
-                    told.add(own)
+                if state.stage in ("done", "failed") and state.run == run and reported.get(own) != state:
+                    reported[own] = state
                     settled(own, state)
             if states != before:
                 _report(ledger, states)
-            running = _alive(running, workers.executor)
-            if not any(state.is_open(run) for state in states.values()):
-                if not running:
-                    return states
-                time.sleep(POLL_SECONDS / 10)  # the last workers are about to end
-                continue
-            waiting = sum(state.is_open(run) and state.stage != "running" for state in states.values())
-            for _ in range(min(jobs - len(running), waiting)):
-                with _errors_into(ledger.path / LOG / CONTROLLERS):
-                    running.append(executor.submit(function))
+            if not any(state.is_open for state in states.values()):
+                time.sleep(POLL_SECONDS if running else 0.0)  # workers that find no more trees end by themselves
+                running = jobs.alive(running)
+                return states
+            waiting = sum(state.stage == "waiting" for state in states.values())
+            ended = [job for job in started if job not in running]
+            idle = 0 if states != before else idle + len(ended) * (waiting > 0)
+            if idle < MOST_IDLE:
+                for _ in range(min(most - len(running), waiting)):
+                    running.append(jobs.start())
+            elif not running:
+                raise no_progress(jobs.log(ended[-1]), idle)
             time.sleep(pause)
     finally:
-        for job in running:
-            job.cancel(check=False)
+        jobs.cancel(running)
 
 
-@contextmanager
-def _errors_into(path: Path) -> Iterator[None]:
-    """Let processes that are started inside write their errors to a file: those of submitit, which start and watch
-    local workers, print a traceback when a cancel ends them."""
-    sys.stderr.flush()
-    kept, log = os.dup(2), os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.dup2(log, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(log)
+def _jobs(workers: Workers, command: Sequence[str], folder: Path, run: str, most: int, cores: int) -> Jobs:
+    threads = {name: str(workers.threads(most, cores)) for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
+    if workers.executor == "local":
+        return LocalJobs(command=command, environment=threads, folder=folder, name=run, minutes=workers.minutes)
+    given = {"slurm_partition": workers.partition, "mem_gb": workers.gigabytes, "gpus_per_node": workers.gpus}
+    settings = {"timeout_min": workers.minutes, "cpus_per_task": workers.cores}
+    return slurm_jobs(command, threads, folder, settings | {name: value for name, value in given.items() if value})
 
 
-def _alive(jobs: Sequence[Any], executor: Executor) -> list[Any]:
-    """The jobs that run or wait for a place. Slurm is asked by squeue: not every cluster has accounting, which submitit
-    asks."""
-    left = [job for job in jobs if not job.paths.result_pickle.exists()]
-    if executor == "local" or not left:
-        return [job for job in left if not job.done()]
-    listed = subprocess.run(["squeue", "--noheader", "--format=%A"], capture_output=True, text=True, check=False)
-    known = set(listed.stdout.split())
-    return left if listed.returncode else [job for job in left if job.job_id in known]
-
-
-def _executor(submitit: Any, log: Path, workers: Workers) -> Any:
-    try:
-        executor = submitit.AutoExecutor(folder=log, cluster=workers.executor)
-    except RuntimeError as error:
-        raise ConfigError(f"--executor {workers.executor} cannot be used here ({error})") from error
-    executor.update_parameters(timeout_min=workers.minutes, cpus_per_task=workers.cores, name="fruitlangs")
-    if workers.executor == "slurm":
-        given = {"slurm_partition": workers.partition, "mem_gb": workers.gigabytes, "gpus_per_node": workers.gpus}
-        executor.update_parameters(**{name: value for name, value in given.items() if value})
-    return executor
+def _require_trees(ledger: Ledger, trees: Sequence[TreeEntry], states: Mapping[str, TreeState]) -> None:
+    """
+    Raises:
+        ConfigError: another command has written a manifest without some of the trees, or with other settings of them.
+    """
+    lost = [each.id for each in trees if each.id not in states or states[each.id].fingerprint != each.fingerprint]
+    if lost:
+        raise ConfigError(
+            f"Another command has removed or changed {len(lost)} of {len(trees)} trees of {ledger.path}, such as "
+            f"'{lost[0]}'. Count other trees into another folder, or run this command again when that one has ended"
+        )
 
 
 def _report(ledger: Ledger, states: dict[str, TreeState]) -> None:

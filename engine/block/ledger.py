@@ -7,19 +7,21 @@ system takes back when the process ends in any way; so a tree that is `running` 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from filelock import FileLock, Timeout
 
+from ..config import PRESETS
 from ..errors import FormatError, OutputError
 from ..result_folder import ResultFolder
 from ..storage.files import require_writable, write_text
-from .manifest import TreeEntry
+from .manifest import IDS, TreeEntry
 
 Stage = Literal["waiting", "running", "done", "failed"]
 TREES, STATES, LOCKS, MANIFEST, LOG = "trees", "states", "locks", "manifest.json", "log"
@@ -43,10 +45,11 @@ class TreeState:
     seconds: float = 0.0
     reason: str = ""
 
-    def is_open(self, run: str) -> bool:
-        """Whether a run has to count the tree, or waits for the process that does: one that failed in this run is not
-        tried again, one that failed in an earlier run is."""
-        return self.stage in ("waiting", "running") or (self.stage == "failed" and self.run != run)
+    @property
+    def is_open(self) -> bool:
+        """Whether the tree has to be counted, or a process does so. One that failed is tried again only after
+        `Ledger.reopen`."""
+        return self.stage in ("waiting", "running")
 
 
 @dataclass(frozen=True)
@@ -79,22 +82,22 @@ class Ledger:
 
         Raises:
             OutputError: the folder is none of a block.
-            FormatError: another version wrote it.
+            FormatError: it is damaged, or another version wrote it.
         """
         try:
             document = json.loads((self.path / MANIFEST).read_text(encoding="utf-8"))
             return [_tree(entry) for entry in document]
         except OSError as error:
             raise OutputError(f"{self.path} holds no {MANIFEST}. It is not the folder of a block") from error
-        except (ValueError, TypeError, KeyError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise FormatError(
-                f"{self.path / MANIFEST} is of another version ({error}). Count into another folder"
+                f"{self.path / MANIFEST} is damaged or of another version ({error}). Count into another folder"
             ) from error
 
     def state(self, tree: TreeEntry) -> TreeState:
         """What became of a tree; waiting if it is new, was changed, or its result is gone."""
         try:
-            stored = TreeState(**json.loads(self._file(tree).read_text(encoding="utf-8")))
+            stored = _state(json.loads(self._file(tree).read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
             return TreeState(fingerprint=tree.fingerprint)
         gone = stored.stage == "done" and not self.result(tree).holds_result()
@@ -112,6 +115,20 @@ class Ledger:
                     state = self.state(tree) if not mine else replace(state, stage="waiting")
             found[tree.id] = state
         return found
+
+    def reopen(self) -> None:
+        """Let trees that failed until now wait again. Later failures stay: of two drivers at work, neither tries again
+        what failed with the other.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        for tree in self.trees():
+            if self.state(tree).stage != "failed":
+                continue
+            with self.claimed(tree) as mine:
+                if mine and self.state(tree).stage == "failed":
+                    self.write(tree, TreeState(fingerprint=tree.fingerprint))
 
     def write(self, tree: TreeEntry, state: TreeState) -> None:
         """Note what became of a tree; only with its lock.
@@ -144,7 +161,25 @@ class Ledger:
 def _tree(entry: Mapping[str, Any]) -> TreeEntry:
     lists = {name: tuple(entry[name]) for name in ("prompt", "negative")}
     settings = {name: tuple(each) if isinstance(each, list) else each for name, each in entry["settings"].items()}
-    return TreeEntry(**{**entry, **lists, "source": Path(entry["source"]), "settings": settings})
+    tree = TreeEntry(**{**entry, **lists, "source": Path(entry["source"]), "settings": settings})
+    if not IDS.fullmatch(tree.id) or tree.preset not in PRESETS or not isinstance(tree.row, str):
+        raise ValueError(f"the tree {tree.id!r}")
+    if not all(isinstance(text, str) for text in (*tree.prompt, *tree.negative)):
+        raise ValueError(f"the prompt of {tree.id}")
+    for place in (tree.position, tree.latitude, tree.longitude):
+        if place is not None and not math.isfinite(place):
+            raise ValueError(f"the place of {tree.id}")
+    return tree
+
+
+def _state(stored: Mapping[str, Any]) -> TreeState:
+    state = TreeState(**stored)
+    texts, numbers = (state.fingerprint, state.run, state.reason), (state.crashes, state.seconds)
+    if state.stage not in get_args(Stage) or not all(isinstance(text, str) for text in texts):
+        raise ValueError(f"stage {state.stage!r}")
+    if not all(isinstance(number, int | float) and math.isfinite(number) for number in numbers):
+        raise ValueError(f"numbers {numbers!r}")
+    return state
 
 
 def run_name() -> str:

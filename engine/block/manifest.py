@@ -35,6 +35,7 @@ COLUMNS = {
     "settings": "more settings: stage.name=value; several separated by | or ;",
 }
 """{column: what it holds} of a manifest. A TOML manifest may give each also for all trees."""
+WORDS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 NUMBERS = ("position", "latitude", "longitude", "metres_per_unit")
 
 
@@ -78,6 +79,11 @@ class TreeEntry:
             raise ConfigError(f"tree {self.id}: {error}") from error
 
     @property
+    def trees(self) -> int:
+        """How many trees its result has."""
+        return max(len(self.settings.get("count.tree_places") or ()) // 3, int(self.settings.get("count.trees", 0)), 1)
+
+    @property
     def fingerprint(self) -> str:
         """A text that is another one if the tree must be counted again."""
         what = asdict(self)
@@ -104,13 +110,30 @@ def read_manifest(path: Path, *, prompt: Sequence[str] = (), settings: str = "")
     trees = [_tree(row, place, base, common, path) for row, place in rows]
     if not trees:
         raise FormatError(f"{path} names no tree. Give a line for each, with the columns id, source and prompt")
+    _require_own_ids(trees, [place for _, place in rows], path)
+    return trees
+
+
+def _require_own_ids(trees: Sequence[TreeEntry], places: Sequence[str], path: Path) -> None:
+    """
+    Raises:
+        ConfigError: two lines have one id, or one has the id that the tables give to a tree of a row.
+    """
     seen: dict[str, str] = {}
-    for tree, (_, place) in zip(trees, rows, strict=True):
+    for tree, place in zip(trees, places, strict=True):
         folded = tree.id.casefold()  # of a file system that does not tell A from a
         if folded in seen:
             raise ConfigError(f"{path}: {place} and {seen[folded]} have one id, '{tree.id}'. Give each tree its own")
         seen[folded] = place
-    return trees
+    for tree, place in zip(trees, places, strict=True):
+        for number in range(1, tree.trees + 1 if tree.trees > 1 else 1):
+            own = f"{tree.id}-{number}"
+            if own.casefold() in seen:
+                raise ConfigError(
+                    f"{path}: '{own}' is the id of {seen[own.casefold()]} and of tree {number} of the row in {place}. "
+                    "Give one of them another id"
+                )
+            seen[own.casefold()] = f"a tree of the row in {place}"
 
 
 def _folders(path: Path) -> list[Path]:
@@ -210,6 +233,7 @@ def _entry(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, 
     if preset not in PRESETS:
         raise wrong(f"preset '{preset}' is none of {', '.join(PRESETS)}")
     numbers = {name: _number(given[name], name, wrong) for name in NUMBERS if name in given}
+    _require_place(numbers, wrong)
     settings = {**_settings(common.get("settings", {}), wrong), **_settings(row.get("settings", {}), wrong)}
     if "metres_per_unit" in numbers:
         settings["units.metres_per_unit"] = numbers.pop("metres_per_unit")
@@ -249,6 +273,16 @@ def _number(given: Any, name: str, wrong: Any) -> float:
     return number
 
 
+def _require_place(numbers: Mapping[str, float], wrong: Any) -> None:
+    for name, other, most in (("latitude", "longitude", 90.0), ("longitude", "latitude", 180.0)):
+        if name not in numbers:
+            continue
+        if not -most <= numbers[name] <= most:
+            raise wrong(f"{name} {numbers[name]:g} is not between -{most:g} and {most:g} degrees")
+        if other not in numbers:
+            raise wrong(f"{name} is given without {other}")
+
+
 def _box(given: Any, wrong: Any) -> tuple[float, ...]:
     parts = given.split() if isinstance(given, str) else list(given)
     if len(parts) != 6:
@@ -280,14 +314,27 @@ def _settings(given: Any, wrong: Any) -> dict[str, Any]:
         known = {each.name: each for each in fields(STAGES[stage])} if stage in STAGES else {}
         if setting not in known:
             raise wrong(f"'{key}' is not a setting. count_fruit.py --help-all lists all")
-        found[key] = _value(str(value).strip(), known[setting].default) if isinstance(value, str) else value
+        try:
+            found[key] = _value(value.strip(), known[setting].default) if isinstance(value, str) else value
+        except ValueError as error:
+            raise wrong(f"{key} '{value}' is {error}") from error
     return found
 
 
 def _value(text: str, usual: Any) -> Any:
-    """A setting's value from its text, of the kind of its default."""
+    """A setting's value from its text, of the kind of its default.
+
+    Raises:
+        ValueError: it is of another kind.
+    """
     if isinstance(usual, bool):
-        return text.casefold() in ("true", "yes", "1", "on")
+        if text.casefold() not in WORDS:
+            raise ValueError("neither true nor false")
+        return WORDS[text.casefold()]
+    if isinstance(usual, int):
+        if not re.fullmatch(r"[+-]?\d+", text):
+            raise ValueError("not a whole number")
+        return int(text)
     for kind in (int, float):
         try:
             return kind(text)

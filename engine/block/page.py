@@ -41,7 +41,7 @@ def write_page(
         width=WIDTH,
         height=HEIGHT,
         stills=_stills(folder, trees),
-        size=lambda value: f"{1000.0 * value:.1f} mm" if document["unit"] == "m" else f"{value:.4g} scene units",
+        size=lambda value, unit=document["unit"]: f"{1000.0 * value:.1f} mm" if unit == "m" else f"{value:.4g} {unit}",
     )
     write_text(folder / PAGE, text)
     return folder / PAGE

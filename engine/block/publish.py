@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,6 @@ def publish_block(ledger: Ledger, *, all_trees: int | None = None, density: floa
 
     Raises:
         OutputError, FormatError: the folder is none of a block, cannot be written, or a result of it is damaged.
-        ConfigError: as `totals.of_all`.
     """
     trees = read_counts(ledger)
     rows = rows_of(trees, density)
@@ -41,8 +41,17 @@ def publish_block(ledger: Ledger, *, all_trees: int | None = None, density: floa
 
 
 def publish_again(ledger: Ledger) -> Answer:
-    """The same with the number of all trees and the density that were given the last time."""
-    document: dict[str, Any] = {}
-    with suppress(OSError, ValueError):
+    """The same with the number of all trees and the density that were given the last time.
+
+    Raises:
+        OutputError, FormatError: as `publish_block`.
+    """
+    all_trees, density = None, None
+    with suppress(OSError, ValueError, TypeError, AttributeError):  # without a readable file, none was given
         document = json.loads((ledger.path / ORCHARD_JSON).read_text(encoding="utf-8"))
-    return publish_block(ledger, all_trees=document.get("all_trees", {}).get("trees"), density=document.get("density"))
+        all_trees, density = document.get("all_trees", {}).get("trees"), document.get("density")
+    return publish_block(
+        ledger,
+        all_trees=all_trees if isinstance(all_trees, int) else None,
+        density=float(density) if isinstance(density, int | float) and math.isfinite(density) else None,
+    )

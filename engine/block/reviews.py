@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -85,7 +86,7 @@ def read_review(folder: Path, set_id: str) -> Review | None:
             Decision(**{**each, **{when: tuple(map(_spot, each[when])) for when in ("before", "after")}})
             for each in document["decisions"]
         ]
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
         raise FormatError(f"{path} is damaged ({error}). Delete it, and store the review again") from error
     return Review(fruits=fruits, decisions=decisions)
 
@@ -108,17 +109,34 @@ def fruit_of(document: Mapping[str, Any], review: Review | None) -> list[Reviewe
 
 
 def _fruit(entry: Mapping[str, Any], standing: Standing) -> ReviewedFruit:
-    """A fruit from its entry in fruits.json or review.json."""
-    return ReviewedFruit(
+    """A fruit from its entry in fruits.json or review.json.
+
+    Raises:
+        KeyError, TypeError, ValueError: it lacks a number, or has one that makes no sense.
+    """
+    fruit = ReviewedFruit(
         tree=entry["tree"],
         standing=standing,
         probability=float(entry["probability"]),
-        center=tuple(entry["center"]),
-        axes=tuple(map(tuple, entry["axes"])),
+        center=_triple(entry["center"]),
+        axes=tuple(map(_triple, entry["axes"])),
         diameter=float(entry["diameter"]),
         volume=float(entry["volume"]),
         color=tuple(entry["color"]),
     )
+    red, green, blue = fruit.color
+    if standing not in get_args(Standing) or not all(0 <= value <= 255 for value in (red, green, blue)):
+        raise ValueError(f"standing {standing!r}, color {fruit.color}")
+    if not all(0.0 <= value < math.inf for value in (fruit.probability, fruit.diameter, fruit.volume)):
+        raise ValueError(f"a fruit of diameter {fruit.diameter} and volume {fruit.volume}")
+    return fruit
+
+
+def _triple(numbers: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = map(float, numbers)
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ValueError(f"{numbers} are not three numbers")
+    return x, y, z
 
 
 def _entry(spot: Spot) -> dict[str, Any]:

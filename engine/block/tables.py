@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..errors import ConfigError
 from ..language.colours import fruit_colours
 from ..language.vocabulary import FRUIT_COLOURS
 from ..storage.files import write_text
@@ -29,6 +30,7 @@ ORCHARD_JSON = "orchard.json"
 DECIMALS = 6
 CLASS_MM = 5
 """Width of a size class."""
+NO_SIZES = "Sizes are not summed up, because the scale of some trees is unknown"
 
 
 def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[str, Any]]:
@@ -64,10 +66,9 @@ def _ends(amount: Amount, name: str) -> dict[str, float]:
 def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: float | None) -> dict[str, Any]:
     """The block in numbers: states, sums by row and in all, sizes, weight, and what failed.
 
-    all_trees: of the block, of which these are a random sample; None if these are all.
-
-    Raises:
-        ConfigError: as `of_all`.
+    all_trees: of the block, of which these are a random sample; None if these are all. Sizes are None with a reason in
+    `no_diameters` if results have different units, and the estimate for all trees with one in `no_estimate` if too few
+    trees are done.
     """
     done = [tree for tree in trees if tree.visible is not None]
     failed = {tree.entry.id: tree.state.reason for tree in trees if tree.state.stage == "failed"}
@@ -75,7 +76,9 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
     for name in dict.fromkeys(tree.entry.row for tree in done if tree.entry.row):
         rows[name] = _sums([tree for tree in done if tree.entry.row == name])
     diameters = np.concatenate([np.zeros(0), *(tree.diameters for tree in done)])
+    results = {(tree.folder, tree.metric) for tree in done}
     metric = bool(done) and all(tree.metric for tree in done)
+    comparable = metric or len(results) == 1  # each result without a scale has a unit of its own
     document: dict[str, Any] = {
         "trees": len(trees),
         "done": len(done),
@@ -85,7 +88,8 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "block": _sums(done),
         "rows": rows,
         "unit": "m" if metric else "scene units",
-        "diameters": _spread(diameters),
+        "diameters": _spread(diameters) if comparable else None,
+        "no_diameters": "" if comparable or not len(diameters) else NO_SIZES,
         "size_classes_mm": _size_classes(diameters) if metric else None,
         "colours": _colours(done),
         "density": density,
@@ -93,7 +97,11 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
     }
     if all_trees is not None:
         amounts = [tree.visible for tree in done if tree.visible is not None]
-        document["all_trees"] = {"trees": all_trees, **_ends(of_all(amounts, all_trees), "")}
+        document["all_trees"] = {"trees": all_trees}
+        try:
+            document["all_trees"] |= _ends(of_all(amounts, all_trees), "")
+        except ConfigError as error:
+            document["all_trees"]["no_estimate"] = str(error)
     return document
 
 

@@ -44,19 +44,27 @@ def _combined(widths: Sequence[float]) -> float:
     return math.sqrt((1.0 - SHARED) * alone + SHARED * together)
 
 
+def require_sample(sample: int, trees: int) -> None:
+    """
+    Raises:
+        ConfigError: there are fewer trees in all than photographed ones, or too few to see how much trees differ.
+    """
+    if trees < sample:
+        raise ConfigError(f"{sample} trees are given, which is more than the {trees} of the block (--all-trees)")
+    if sample < LEAST_SAMPLE and trees > sample:
+        raise ConfigError(f"All trees are estimated from {LEAST_SAMPLE} counted ones or more, and here are {sample}")
+
+
 def of_all(amounts: Sequence[Amount], trees: int) -> Amount:
     """The number on all trees of a block, of which these were photographed, drawn at random (Cochran 1977, eq. 2.21):
     N · mean, with the variance between trees, Student's t and the finite population's correction, and the errors of
     the counts themselves.
 
     Raises:
-        ConfigError: there are fewer trees in all than photographed ones, or too few to see how much trees differ.
+        ConfigError: as `require_sample`.
     """
     sample = len(amounts)
-    if trees < sample:
-        raise ConfigError(f"{sample} trees were counted, which is more than the {trees} of the block (--all-trees)")
-    if sample < LEAST_SAMPLE and trees > sample:
-        raise ConfigError(f"All trees are estimated from {LEAST_SAMPLE} counted ones or more, and here are {sample}")
+    require_sample(sample, trees)
     whole = summed(amounts)
     if trees == sample:
         return whole
@@ -67,4 +75,6 @@ def of_all(amounts: Sequence[Amount], trees: int) -> Amount:
     likely = scale * whole.likely
     below = math.hypot(chosen, scale * (whole.likely - whole.low))
     above = math.hypot(chosen, scale * (whole.high - whole.likely))
-    return Amount(count=whole.count, likely=likely, low=max(likely - below, float(whole.count)), high=likely + above)
+    # At least what was found on the sample, but an interval holds its most likely number.
+    low = min(max(likely - below, whole.low), likely)
+    return Amount(count=whole.count, likely=likely, low=low, high=likely + above)

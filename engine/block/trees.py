@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..counting.accounts.review import corrected_interval
-from ..errors import FruitLangsError
+from ..errors import FormatError, FruitLangsError
 from ..report.results import FRUITS_JSON, parse_results
 from ..scene.formats.cameras_json import camera_names, read_cameras
 from ..scene.gps import GpsTag, degrees_of, read_gps
@@ -25,6 +26,8 @@ from .totals import Amount
 
 TAGS, TAGS_OF_ROW = 5, 100
 """Photos whose GPS tags give a tree its place, and the trees of a row theirs."""
+MOST_FRUIT = 10**9
+"""More fruit than a result can have: the file is damaged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,13 +69,22 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
             continue
         folder = ledger.result(entry).path
         document = parse_results(folder / FRUITS_JSON)
-        review = read_review(folder, document["set_id"])
-        fruits, reviewed = fruit_of(document, review), review is not None
-        if document.get("trees"):
-            found += _row(entry, state, document, fruits, reviewed, folder)
-        else:
-            found.append(_counted(_placed(entry), state, document, fruits, reviewed, folder=entry.id))
+        try:
+            found += _trees_of(entry, state, document, folder)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise FormatError(
+                f"{folder / FRUITS_JSON} is damaged ({type(error).__name__}: {error}). Delete it and count again"
+            ) from error
     return found
+
+
+def _trees_of(entry: TreeEntry, state: TreeState, document: dict[str, Any], folder: Path) -> list[CountedTree]:
+    """The tree of a result, or its trees if it is one of a row."""
+    review = read_review(folder, document["set_id"])
+    fruits, reviewed = fruit_of(document, review), review is not None
+    if document.get("trees"):
+        return _row(entry, state, document, fruits, reviewed, folder)
+    return [_counted(_placed(entry), state, document, fruits, reviewed, folder=entry.id)]
 
 
 def _row(
@@ -83,14 +95,21 @@ def _row(
     reviewed: bool,
     folder: Path,
 ) -> list[CountedTree]:
-    """The trees of a result that tells them apart."""
+    """The trees of a result that tells them apart.
+
+    Raises:
+        KeyError, TypeError, ValueError: the result is damaged.
+    """
     trees = document["trees"]
     feet = np.array([tree["position"] for tree in trees], np.float64)
     along = np.linalg.norm(feet - feet[0], axis=1) * (document["metres_per_unit"] or 1.0)
+    if not np.isfinite(along).all():
+        raise ValueError("the position of a tree")
     earth = _places_of_trees(entry, folder, feet)
     found = []
     for place, tree in enumerate(trees):
-        latitude, longitude = (None, None) if earth is None else (round(float(each), 7) for each in earth[place])
+        given = (entry.latitude, entry.longitude)
+        latitude, longitude = given if earth is None else (round(float(each), 7) for each in earth[place])
         own = replace(
             entry,
             id=f"{entry.id}-{tree['number']}",
@@ -119,8 +138,8 @@ def _counted(
     low, high = said.get("interval") or (count, count)
     likely, total = said.get("likely"), said.get("total")
     least, most = said.get("total_interval") or (count, count)
-    visible = Amount(count=count, likely=count if likely is None else likely, low=low, high=high)
-    hidden = None if total is None else Amount(count=count, likely=total, low=least, high=most)
+    visible = _amount(count, count if likely is None else likely, low, high)
+    hidden = None if total is None else _amount(count, total, least, most)
     if reviewed:
         visible = _reviewed(visible, fruits)
         hidden = None if hidden is None else _moved(hidden, visible)
@@ -138,6 +157,16 @@ def _counted(
         metric=said["unit"] == "m",
         colors=tuple(fruit.color for fruit in standing),
     )
+
+
+def _amount(count: int, likely: float, low: float, high: float) -> Amount:
+    """
+    Raises:
+        TypeError, ValueError: one of them is not a number of fruit.
+    """
+    if not all(0 <= value <= MOST_FRUIT for value in (count, likely, low, high)):
+        raise ValueError(f"{count} fruit, most likely {likely} ({low} to {high})")
+    return Amount(count=count, likely=likely, low=low, high=high)
 
 
 def _reviewed(before: Amount, review: Sequence[ReviewedFruit]) -> Amount:
@@ -163,18 +192,20 @@ def _moved(total: Amount, visible: Amount) -> Amount:
     return Amount(count=visible.count, likely=moved[0], low=moved[1], high=moved[2])
 
 
-def _photos(entry: TreeEntry, most: int) -> list[Path]:
-    """At most this many of the photos of a tree, evenly chosen; none if its source is no folder of photos."""
+def _tags(entry: TreeEntry, most: int) -> dict[str, GpsTag]:
+    """{name of a photo: its GPS tag} of at most this many photos of a tree, evenly chosen; none if its source is no
+    folder of photos."""
     folder = Source(path=entry.source).photos_folder() if entry.source.is_dir() else None
     photos = [] if folder is None else list_photos(folder)
-    return photos[:: max(len(photos) // most, 1)]
+    chosen = photos[:: max(math.ceil(len(photos) / most), 1)]
+    return {photo.name: tag for photo in chosen if (tag := _tag(photo)) is not None}
 
 
 def _placed(entry: TreeEntry) -> TreeEntry:
     """The entry with the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
     if entry.latitude is not None:
         return entry
-    tags = [tag for photo in _photos(entry, TAGS) if (tag := _tag(photo)) is not None]
+    tags = _tags(entry, TAGS).values()
     if not tags:
         return entry
     latitude, longitude = (float(np.mean([getattr(tag, name) for tag in tags])) for name in ("latitude", "longitude"))
@@ -183,8 +214,12 @@ def _placed(entry: TreeEntry) -> TreeEntry:
 
 def _places_of_trees(entry: TreeEntry, folder: Path, feet: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """(T, 2) latitude and longitude of trees at feet (T, 3), by the GPS tags of the photos; None if these do not give
-    them."""
-    tags = {photo.name: tag for photo in _photos(entry, TAGS_OF_ROW) if (tag := _tag(photo)) is not None}
+    them.
+
+    Raises:
+        OutputError, FormatError: the cameras of the result cannot be read.
+    """
+    tags = _tags(entry, TAGS_OF_ROW)
     if not tags:
         return None
     scene, names = read_cameras(folder / CAMERAS), camera_names(folder / CAMERAS)

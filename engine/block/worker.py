@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
 
 from ..errors import Cancelled, FruitLangsError
 from ..pipeline import count_scene
 from ..progress import silent
-from .ledger import MOST_CRASHES, Ledger, TreeState
+from ..storage.files import write_text
+from .ledger import LOG, MOST_CRASHES, Ledger, TreeState
 from .manifest import TreeEntry
 
 Count = Callable[[TreeEntry, Ledger], None]
@@ -42,13 +44,14 @@ def work(ledger: Ledger, run: str, *, count: Count = count_tree) -> int:
     counted = 0
     for tree in ledger.trees():
         with ledger.claimed(tree) as mine:
-            if mine and ledger.state(tree).is_open(run):
+            if mine and ledger.state(tree).is_open:
                 counted += _attempt(ledger, tree, run, count)
     return counted
 
 
 def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:
-    """Count one tree, whose lock is held; whether it is done now."""
+    """Count one tree, whose lock is held; whether it is done now. Any error is a failure of the tree: it would come
+    again. Only a tree with which the worker died is tried again."""
     before = ledger.state(tree)
     crashes = before.crashes + 1 if before.stage == "running" else 0
     state = TreeState(stage="running", fingerprint=tree.fingerprint, crashes=crashes, run=run)
@@ -67,5 +70,11 @@ def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:
     except (Cancelled, KeyboardInterrupt):
         ledger.write(tree, replace(state, stage="waiting", crashes=0))
         raise
+    except Exception as error:
+        log = ledger.path / LOG / f"{tree.id}_error.txt"
+        write_text(log, traceback.format_exc())
+        reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'without a message'}. See {log}"
+        ledger.write(tree, replace(state, stage="failed", crashes=0, reason=reason))
+        return False
     ledger.write(tree, replace(state, stage="done", crashes=0, seconds=round(time.monotonic() - begun, 1)))
     return True

@@ -11,13 +11,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -61,8 +62,71 @@ def missing_programs() -> list[str]:
     return found or ([] if os.geteuid() == 0 else ["root"])
 
 
+class Node:
+    """The only node of the cluster."""
+
+    def __init__(self) -> None:
+        self.daemon = self._started()
+
+    def fail(self, folder: str) -> None:
+        """Die with the workers of a block, without a word, and come back. folder: of the block."""
+        self.end()
+        for pid in process_ids("cmdline", "--worker", folder):
+            with suppress(OSError):  # it has ended
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(3.0)
+        self.daemon = self._started()
+
+    def end(self) -> None:
+        """End the daemon, and those of its jobs, which outlive it."""
+        _end(self.daemon)
+        for pid in process_ids("environ", f"SLURM_CONF={os.environ['SLURM_CONF']}"):
+            with suppress(OSError):  # it has ended
+                if Path(f"/proc/{pid}/comm").read_text().strip() == "slurmstepd":
+                    os.kill(pid, signal.SIGKILL)
+
+    @staticmethod
+    def _started() -> subprocess.Popen[bytes]:
+        return subprocess.Popen(["slurmd", "-D"], stderr=subprocess.DEVNULL)
+
+
+def process_ids(file: str, *parts: str) -> list[int]:
+    """Processes whose command line ("cmdline") or environment ("environ") has all of these parts."""
+    found = []
+    for each in Path("/proc").glob(f"[0-9]*/{file}"):
+        with suppress(OSError):  # it has ended
+            if set(parts) <= set(each.read_bytes().decode(errors="replace").split("\0")):
+                found.append(int(each.parent.name))
+    return found
+
+
+def _end(daemon: subprocess.Popen[bytes]) -> None:
+    daemon.kill()
+    daemon.wait()
+
+
 @contextmanager
-def cluster(folder: Path) -> Iterator[None]:
+def munge() -> Iterator[None]:
+    """A daemon of munge as long as the block runs, if none runs already."""
+    if not subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
+        yield
+        return
+    Path("/run/munge").mkdir(exist_ok=True)
+    shutil.chown("/run/munge", "munge", "munge")
+    daemon = subprocess.Popen(["munged", "--foreground"], user="munge", group="munge", extra_groups=[])
+    try:
+        while subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
+            if daemon.poll() is not None:
+                raise ConfigError("munged does not run. Start it and run this check again")
+            time.sleep(0.2)
+        yield
+    finally:
+        daemon.terminate()
+        daemon.wait()
+
+
+@contextmanager
+def cluster(folder: Path) -> Iterator[Node]:
     """A Slurm of one node as long as the block runs; the commands find it by SLURM_CONF."""
     for name in ("state", "spool"):
         (folder / name).mkdir()
@@ -71,19 +135,16 @@ def cluster(folder: Path) -> Iterator[None]:
     config.write_text(CONFIG.format(host=host, folder=folder, cores=os.cpu_count()))
     os.environ["SLURM_CONF"] = str(config)
     os.environ["PATH"] += ":/usr/sbin"
-    if subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
-        Path("/run/munge").mkdir(exist_ok=True)
-        shutil.chown("/run/munge", "munge", "munge")
-        subprocess.run(["su", "-s", "/bin/sh", "munge", "-c", "/usr/sbin/munged"], check=True)
-    subprocess.run(["slurmctld"], check=True)
-    time.sleep(2.0)
-    subprocess.run(["slurmd"], check=True)
-    try:
-        yield
-    finally:
-        subprocess.run(["scancel", "--user", "root"], check=False)
-        for name in ("slurmd", "slurmctld"):
-            subprocess.run(["pkill", "-9", "-x", name], check=False)
+    with munge():
+        controller = subprocess.Popen(["slurmctld", "-D"], stderr=subprocess.DEVNULL)
+        time.sleep(2.0)
+        node = Node()
+        try:
+            yield node
+        finally:
+            subprocess.run(["scancel", "--user", "root"], check=False)
+            node.end()
+            _end(controller)
 
 
 def jobs() -> list[str]:
@@ -123,7 +184,7 @@ def main() -> None:
     """
     if lacking := missing_programs():
         raise ConfigError(f"This computer lacks {', '.join(lacking)}. As root: apt-get install slurm-wlm munge")
-    with tempfile.TemporaryDirectory(prefix="slurm-") as name, cluster(Path(name)):
+    with tempfile.TemporaryDirectory(prefix="slurm-") as name, cluster(Path(name)) as node:
         folder, out = Path(name), Path(name) / "out"
         lines = [f"{k},{ROOT / 'examples' / 'orchard_tree'},apple" for k in range(TREES)]
         (folder / "orchard.csv").write_text("\n".join(["id,source,prompt", *lines, ""]))
@@ -150,10 +211,7 @@ def main() -> None:
         subprocess.run(["scontrol", "requeue", jobs()[0]], check=True)
         wait_for(out, 5)
         say("the node dies and comes back")
-        subprocess.run(["pkill", "-9", "-x", "slurmd"], check=False)
-        subprocess.run(["pkill", "-9", "-f", "--", f"--worker {out}"], check=False)
-        time.sleep(3.0)
-        subprocess.run(["slurmd"], check=True)
+        node.fail(str(out))
         code = driver.wait(PATIENCE)
         found = states(out)
         counts = {json.loads(each.read_text())["count"] for each in out.glob("trees/*/fruits.json")}

@@ -11,6 +11,7 @@ process. --only NUMBER repeats a case with its traceback. Exit code 1 if a case 
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import os
 import re
@@ -37,8 +38,12 @@ from numpy.typing import NDArray
 
 from _terminal import report, run
 from fruitlangs.benchmarks.ladder.stages import write_transforms
-from fruitlangs.engine.block.manifest import read_manifest
+from fruitlangs.engine.block.ledger import Ledger, TreeState
+from fruitlangs.engine.block.manifest import TreeEntry, read_manifest
+from fruitlangs.engine.block.publish import publish_again, publish_block
+from fruitlangs.engine.block.reviews import Review, fruit_of, write_review
 from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.counting.accounts.review import Decision, ball
 from fruitlangs.engine.counting.published.template_shape import read_template
 from fruitlangs.engine.errors import Cancelled, CountingError, FruitLangsError
 from fruitlangs.engine.evaluation.truth import read_truth
@@ -47,6 +52,7 @@ from fruitlangs.engine.language.features.photo_features import load_photo_featur
 from fruitlangs.engine.language.taught.word import Example, TaughtWord, read_word, save_word
 from fruitlangs.engine.open_result import open_result
 from fruitlangs.engine.pipeline import count_scene
+from fruitlangs.engine.report.results import FRUITS_JSON, parse_results
 from fruitlangs.engine.report.selection import read_selection
 from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.scene.formats.cameras_json import read_cameras
@@ -83,6 +89,10 @@ def _checkpoint(folder: Path, path: Path) -> object:
     return read_checkpoint(path, (folder / KEY).read_text(encoding="utf-8"))
 
 
+def _block(folder: Path, _: Path) -> object:
+    return publish_again(Ledger(folder / "block"))
+
+
 KINDS: Mapping[str, Kind] = {
     "COLMAP model": Kind(
         ("scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin", "scene/sparse/0/points3D.bin"), _photos
@@ -100,6 +110,20 @@ KINDS: Mapping[str, Kind] = {
     "result": Kind(("result/fruits.json",), lambda folder, _: open_result(folder / "result")),
     "checkpoint": Kind(("checkpoint.safetensors",), _checkpoint),
     "template": Kind(("template.ply",), lambda _, path: read_template(path)),
+    "block": Kind(
+        tuple(
+            f"block/{name}"
+            for name in (
+                "manifest.json",
+                "states/a.json",
+                "trees/a/fruits.json",
+                "trees/a/review.json",
+                "trees/b/fruits.json",
+                "orchard.json",
+            )
+        ),
+        _block,
+    ),
     "truth": Kind((f"scene/{TRUTH}",), lambda _, path: read_truth(path)),
 }
 
@@ -292,7 +316,32 @@ def make_valid(valid: Path) -> None:
     count_scene(SAMPLE, ["apple"], valid / "result", config=SHORT)
     shutil.rmtree(valid / "result" / "cache")
     _write_checkpoint(scene, valid / "checkpoint.safetensors")
+    _write_block(valid)
     (valid / COMPLETE).touch()
+
+
+def _write_block(valid: Path) -> None:
+    """A block with a reviewed tree, and a row of two trees without a review."""
+    ledger = Ledger(valid / "block")
+    trees = [
+        TreeEntry(id=name, source=valid / "scene", prompt=("apple",), latitude=47.0, longitude=9.0) for name in "ab"
+    ]
+    ledger.write_trees(trees)
+    document = parse_results(valid / "result" / FRUITS_JSON)
+    for tree in trees:
+        folder = ledger.result(tree).path
+        folder.mkdir(parents=True)
+        ledger.write(tree, TreeState(stage="done", fingerprint=tree.fingerprint, run="1", seconds=3.0))
+    one, row = (ledger.result(tree).path for tree in trees)
+    (one / FRUITS_JSON).write_text(json.dumps(document, indent=1), encoding="utf-8")
+    added = Decision("add", "2026-11-28T10:00:00Z", "", (), (ball(1, "apple", np.zeros(3), 0.08),))
+    write_review(one, document["set_id"], Review(fruits=fruit_of(document, None), decisions=[added]))
+    common = {"count": 3, "likely": 3.5, "interval": [3, 6], "total": 5.0, "total_interval": [3, 9]}
+    pair = [{"number": k + 1, "position": [0.0, 4.0 * k, 0.0], **common} for k in range(2)]
+    fruits = [{**fruit, "tree": 1 + k % 2} for k, fruit in enumerate(document["fruits"])]
+    row_document = {**document, "trees": pair, "fruits": fruits}
+    (row / FRUITS_JSON).write_text(json.dumps(row_document, indent=1), encoding="utf-8")
+    publish_block(ledger, all_trees=40, density=900.0)
 
 
 def _word() -> TaughtWord:

@@ -60,6 +60,13 @@ def test_a_dry_run_says_what_it_would_do_and_writes_nothing(block: Path, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
+def test_more_trees_than_the_block_has_are_an_error_before_anything_is_counted(block: Path, tmp_path: Path) -> None:
+    done = count(block / "orchard.csv", "--out", tmp_path / "out", "--all-trees", 1)
+    assert done.returncode == 1
+    assert "which is more than the 1 of the block (--all-trees)" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [(["gone.csv"], "gone.csv cannot be read"), ([], "what shall be counted? Fill the column prompt")],

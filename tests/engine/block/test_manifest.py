@@ -79,6 +79,13 @@ def test_a_row_has_a_number_of_trees_or_the_places_of_their_trunks(tmp_path: Pat
     assert (none.trees, none.tree_places) == (0, None)
 
 
+def test_settings_of_yes_and_no_and_ids_that_only_resemble_those_of_a_row_are_read(tmp_path: Path) -> None:
+    lines = "id,source,prompt,trees,settings\nA,a,apple,2,train.antialiased=YES\nA-3,b,apple,1,train.antialiased=no\n"
+    row, tree = read_manifest(written(tmp_path, lines))
+    assert (row.config.train.antialiased, tree.config.train.antialiased) == (True, False)
+    assert (row.trees, tree.trees) == (2, 1)
+
+
 def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
     for name in ("tree 2", "tree 1", "notes"):
         (tmp_path / name).mkdir()
@@ -113,6 +120,23 @@ def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
         ("id,source,prompt,trees\n1,a,apple,2.5\n", "line 2: trees '2.5' is not a number of trees"),
         ("id,source,prompt,trees\n1,a,apple,0 0\n", "line 2: tree 1: --count.tree-places"),
         ("id,source,prompt,box\n1,a,apple,0 0 1\n", "line 2: box has 3 numbers, not six"),
+        ("id,source,prompt,latitude,longitude\n1,a,apple,91,9\n", "line 2: latitude 91 is not between -90 and 90"),
+        ("id,source,prompt,latitude,longitude\n1,a,apple,9,-181\n", "line 2: longitude -181 is not between -180 and"),
+        ("id,source,prompt,latitude,longitude\n1,a,apple,9,\n", "line 2: latitude is given without longitude"),
+        ("id,source,prompt,longitude\n1,a,apple,9\n", "line 2: longitude is given without latitude"),
+        (
+            "id,source,prompt,settings\n1,a,apple,train.antialiased=ture\n",
+            "line 2: train.antialiased 'ture' is neither true nor false",
+        ),
+        ("id,source,prompt,settings\n1,a,apple,train.steps=2.5\n", "line 2: train.steps '2.5' is not a whole number"),
+        (
+            "id,source,prompt,trees\nA,a,apple,2\na-1,b,apple,\n",
+            "'A-1' is the id of line 3 and of tree 1 of",
+        ),
+        (
+            "id,source,prompt,trees\nA,a,apple,2\nA-2,b,apple,2\n",
+            "'A-2' is the id of line 3 and of tree 2 of the row in line 2. Give one of them another id",
+        ),
         ("id,source,prompt\n1,a\0,apple\n", "line 2: a value has the wrong form (embedded null byte)"),
     ],
 )

@@ -5,15 +5,20 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from fruitlangs.engine.block import trees as trees_module
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.page import write_page
+from fruitlangs.engine.block.publish import publish_again, publish_block
 from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
 from fruitlangs.engine.block.totals import Amount, of_all, summed
@@ -66,6 +71,12 @@ def test_an_impossible_sample_is_an_error(sample: int, trees: int, text: str) ->
         of_all([TREE] * sample, trees)
 
 
+@pytest.mark.parametrize("trees", [3, 4, 5])
+def test_the_interval_of_all_trees_holds_its_most_likely_number(trees: int) -> None:
+    found = of_all([Amount(count=10, likely=7.0, low=6.0, high=10.0)] * 3, trees)
+    assert found.low <= found.likely <= found.high
+
+
 def block(folder: Path) -> list[CountedTree]:
     done, failed = TreeState(stage="done", run="1"), TreeState(stage="failed", run="1", reason="no <photos>")
     trees = []
@@ -109,6 +120,32 @@ def test_the_tables_have_a_line_for_each_tree_and_sums_without_failed_ones(tmp_p
     assert document["diameters"]["fruit"] == 6
     assert document["colours"] == {"red": 3, "green": 3}
     assert document["size_classes_mm"] == {"70-75": 3, "80-85": 3}
+
+
+def test_sizes_are_summed_up_only_in_one_unit(tmp_path: Path) -> None:
+    metres, lost = block(tmp_path)[0], block(tmp_path)[3]
+    unknown = replace(metres, metric=False, diameters=(1.2, 1.3), folder="other")
+    mixed = summary([metres, unknown], all_trees=None, density=900.0)
+    assert (mixed["diameters"], mixed["size_classes_mm"], mixed["yield_kg"]) == (None, None, None)
+    rows = rows_of([metres, unknown], None)
+    page = write_page(tmp_path, [metres, unknown], rows, mixed).read_text()
+    assert "Sizes are not summed up, because the scale of some trees is unknown." in page
+    assert "75.0 mm" in page
+    assert "1.25 scene units" in page
+    two = summary([unknown, replace(unknown, folder="third")], all_trees=None, density=None)
+    assert two["diameters"] is None
+    one = summary([unknown, lost], all_trees=None, density=None)
+    assert one["diameters"]["mean"] == pytest.approx(1.25)
+
+
+def test_too_few_trees_for_an_estimate_have_tables_that_say_so(tmp_path: Path) -> None:
+    trees = block(tmp_path)[2:]
+    document = summary(trees, all_trees=40, density=None)
+    rows = rows_of(trees, None)
+    assert document["block"]["count"] == 10
+    assert document["all_trees"]["no_estimate"].endswith("3 counted ones or more, and here are 1")
+    page = write_page(tmp_path, trees, rows, document).read_text()
+    assert "No estimate for all 40 trees. All trees are estimated from 3 counted ones or more, and here are 1." in page
 
 
 def test_a_map_has_the_trees_with_places_longitude_first(tmp_path: Path) -> None:
@@ -156,6 +193,17 @@ def test_a_tree_without_a_place_has_that_of_its_photos(tmp_path: Path) -> None:
     one, other = (each.entry for each in read_counts(ledger))
     assert (one.latitude, one.longitude) == pytest.approx((47.0, 9.1))
     assert (other.latitude, other.longitude) == (1.0, 2.0)
+
+
+def test_at_most_so_many_photos_are_asked_for_their_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = tmp_path / "photos" / "images"
+    photos.mkdir(parents=True)
+    for k in range(199):
+        (photos / f"{k:03}.jpg").touch()
+    asked: list[Path] = []
+    monkeypatch.setattr(trees_module, "read_gps", asked.append)
+    trees_module._tags(TreeEntry(id="1", source=tmp_path / "photos", prompt=("apple",)), 100)
+    assert 50 <= len(asked) <= 100
 
 
 def row_result(ledger: Ledger, entry: TreeEntry) -> None:
@@ -218,6 +266,51 @@ def test_a_row_has_a_line_for_each_of_its_trees(tmp_path: Path) -> None:
     page = write_page(ledger.path, [one, two], rows_of([one, two], None), document).read_text()
     assert "1 counted fruit belong to no tree of their row and are not in the sums." in page
     assert page.count("<circle") == 2
+
+
+def test_trees_of_a_row_without_gps_tags_have_the_place_of_their_line(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",), latitude=47.5, longitude=9.5)
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    assert [(tree.entry.latitude, tree.entry.longitude) for tree in read_counts(ledger)] == [(47.5, 9.5)] * 2
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda document: document["fruits"][0].pop("tree"),
+        lambda document: document["fruits"][0].update(color=[1, 2]),
+        lambda document: document["fruits"][0].update(diameter=math.inf),
+        lambda document: document["trees"][0].pop("number"),
+        lambda document: document["trees"][0].update(position=[math.nan, 0, 0]),
+        lambda document: document["trees"][1].update(count=-1),
+        lambda document: document.update(trees=3),
+        lambda document: document.pop("unit"),
+    ],
+)
+def test_a_damaged_result_is_an_error_that_names_its_file(damage: Callable[[Any], object], tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    path = ledger.result(row).path / "fruits.json"
+    document = json.loads(path.read_text())
+    damage(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=r"west.fruits\.json"):
+        read_counts(ledger)
+
+
+@pytest.mark.parametrize("text", ["[1]", '{"all_trees": 3}', '{"all_trees": {"trees": "x"}, "density": NaN}', "{"])
+def test_a_damaged_table_is_written_again(text: str, tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    whole = publish_block(ledger).files[1].read_text()
+    (ledger.path / "orchard.json").write_text(text)
+    assert publish_again(ledger).files[1].read_text() == whole
 
 
 def reviewed(tree: int | None, standing: Standing, probability: float = 0.6) -> ReviewedFruit:
