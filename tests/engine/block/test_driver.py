@@ -118,7 +118,7 @@ def test_workers_end_with_their_driver(ledger: Ledger, sent: signal.Signals) -> 
     process.send_signal(sent)
     assert process.wait(30) == (130 if sent == signal.SIGTERM else -sent)
     until(lambda: not lives(worker))
-    assert ledger.states()["a"].stage == "waiting"
+    until(lambda: ledger.states()["a"].stage == "waiting")  # the system frees a dead process's lock a moment later
     if sent == signal.SIGTERM:  # the worker could note it, and did not die
         assert ledger.state(ledger.trees()[0]).stage == "waiting"
 

@@ -148,10 +148,10 @@ def test_a_card_with_too_little_memory_is_refused_before_training(
         return card
 
     monkeypatch.setattr(Card, "open", with_64_megabytes)
-    config = replace(QUICK, max_gaussians=400_000)
+    config = replace(QUICK, max_gaussians=1_200_000)
     found = train(scene, config, adapter=adapter)
     assert found.device.startswith(f"{CPU}: {adapter.name} failed: ")
-    assert "400,000 Gaussians in photos of" in found.device
+    assert "1,200,000 Gaussians in photos of" in found.device
     assert "Lower --train.max-gaussians" in found.device
     assert found.steps == 60
 
