@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, minimum_spanning_tree
 
 from ..job import LEAST_PHOTOS, Job
 from ..pairs import Pair
@@ -37,6 +37,10 @@ _LEAST_USUAL = 0.5
 right places, .29 to .45 at the open ends of a bent ring."""
 _LEAST_INSIDE = 80
 """Points of one photo inside the frame of the other that are enough to judge a pair."""
+_HOLDS, _STEPS = 0.7, 3
+"""Share of found points, relative to the usual one, from which two photos hold together; and so many such pairs, one
+after the other, from one photo to another show that both are placed rightly: leaves may hide what the two could share.
+The ends of a bent ring are many pairs apart."""
 
 
 def largest_part(job: Job, model: Any) -> Any:
@@ -93,7 +97,7 @@ def consistent(job: Job, model: Any) -> Any:
 
 def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]) -> Pair | None:
     """The two photos of similar views that share the fewest points relative to what is usual for their angle and for
-    both; None if no two share too few."""
+    both; None if no two share too few, besides those that a few other photos join."""
     pairs = np.array(near_pairs(dict(enumerate(views.images)))).reshape(-1, 2)
     shown = [seen.shown(view) for view in range(len(views.images))]
     both = [(_expected(views, shown[i], i, j), _expected(views, shown[j], j, i)) for i, j in pairs]
@@ -104,14 +108,23 @@ def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]
     share = shared[one, other] / np.maximum(inside[chosen], 1.0)
     if not share.any():
         return None
+    judged = inside[chosen] >= _LEAST_INSIDE
     relative = share / np.maximum(median_filter(share, _COMPARED), 1e-12)
+    joined = _joined(pairs[chosen[judged & (relative >= _HOLDS)]], len(views.images))[one, other]
     best = np.zeros(len(views.images))  # a blurred photo shares less with all others
     np.maximum.at(best, one, relative)
     np.maximum.at(best, other, relative)
     relative /= np.clip(np.minimum(best[one], best[other]), 1e-12, 1.0)
-    relative[inside[chosen] < _LEAST_INSIDE] = np.inf
+    relative[~judged | joined] = np.inf
     worst = int(np.argmin(relative))
     return (int(one[worst]), int(other[worst])) if relative[worst] < _LEAST_USUAL else None
+
+
+def _joined(pairs: NDArray[np.int64], photos: int) -> NDArray[np.bool_]:
+    """(V, V) whether at most `_STEPS` of these pairs (N, 2) lead from one photo to another."""
+    adjacent = csr_matrix((np.ones(len(pairs)), pairs.T), (photos, photos))
+    steps = dijkstra(adjacent, directed=False, unweighted=True, limit=_STEPS)
+    return np.isfinite(steps)
 
 
 def _expected(views: Views, shown: NDArray[np.float64], photo: int, other: int) -> tuple[float, float, float]:

@@ -28,30 +28,34 @@ def chain(shared: list[int]) -> Any:
     return photos([colmap_library().Rigid3d()] * (len(shared) + 1), shared)
 
 
-def ring(shared: list[int]) -> Any:
-    """A model of photos around a tree, each of which shares so many points with the next one."""
+def ring(shared: list[int], beyond: list[int] | None = None) -> Any:
+    """A model of photos around a tree, each of which shares so many points with the next one, and with the one after
+    that."""
     pycolmap = colmap_library()
     turns = [pycolmap.Rotation3d(np.array([0.0, 2.0 * np.pi * k / len(shared), 0.0])) for k in range(len(shared))]
     tree = np.array([0.0, 0.0, 5.0])
-    return photos([pycolmap.Rigid3d(turn, tree - turn.matrix() @ tree) for turn in turns], shared)
+    return photos([pycolmap.Rigid3d(turn, tree - turn.matrix() @ tree) for turn in turns], shared, beyond=beyond)
 
 
-def photos(poses: list[Any], shared: list[int], angles: list[float] | None = None) -> Any:
-    """A model of photos; shared: points of each with the next one; angles: in degrees, where these are, seen from the
-    middle."""
+def photos(
+    poses: list[Any], shared: list[int], angles: list[float] | None = None, *, beyond: list[int] | None = None
+) -> Any:
+    """A model of photos; shared, beyond: points of each with the next one, and with the one after that; angles: in
+    degrees, where the shared points are, seen from the middle."""
     pycolmap = colmap_library()
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 90.0, 80, 80)
     pixels = np.random.default_rng(0).uniform(0.0, 80.0, (1000, 2))
     model = model_of(
         PlacedPhoto(number, f"{number:02d}", camera, pose, pixels) for number, pose in enumerate(poses, start=1)
     )
-    for first, count in enumerate(shared):
-        for index in range(count):
-            track = pycolmap.Track()
-            track.add_element(first + 1, 500 + index)
-            track.add_element((first + 1) % len(poses) + 1, index)
-            angle = np.radians(angles[first] if angles else 0.0)
-            model.add_point3D(5.0 * np.array([np.sin(angle), 0.0, np.cos(angle)]), track)
+    for step, counts in ((1, shared), (2, beyond or [])):
+        for first, count in enumerate(counts):
+            for index in range(250 * (step - 1), 250 * (step - 1) + count):
+                track = pycolmap.Track()
+                track.add_element(first + 1, 500 + index)
+                track.add_element((first + step) % len(poses) + 1, index)
+                angle = np.radians(angles[first] if angles else 0.0)
+                model.add_point3D(5.0 * np.array([np.sin(angle), 0.0, np.cos(angle)]), track)
     return model
 
 
@@ -111,6 +115,16 @@ def test_a_ring_whose_ends_do_not_meet_is_cut_at_its_weakest_link() -> None:
 def test_a_ring_that_is_closed_stays_whole_and_so_does_a_blurred_photo(changed: dict[int, int]) -> None:
     model = ring([changed.get(photo, 100) for photo in range(36)])
     assert consistent(job_of(model), model).num_reg_images() == 36
+
+
+@pytest.mark.parametrize(("between", "kept"), [(100, 56), (30, 45)])
+def test_two_photos_that_share_little_contradict_each_other_unless_others_join_them(between: int, kept: int) -> None:
+    """Photos 11 and 13 share little; 12 and 13 much, or little too: then the ring is cut between 23 and 24."""
+    shared, beyond = [100] * 56, [60] * 56
+    beyond[10], shared[22] = 10, 90
+    shared[11] = beyond[11] = between
+    model = ring(shared, beyond)
+    assert consistent(job_of(model), model).num_reg_images() == kept
 
 
 def test_a_ring_stays_whole_if_less_than_half_of_it_would_remain() -> None:
