@@ -107,11 +107,11 @@ def main() -> None:
         say("compiling for this computer (first run only, about a minute)")
         compile_once()
     command = python_command(Path(__file__).resolve())
-    states = drive(ledger, trees, workers, command, free=available_bytes(), settled=settled)
+    drive(ledger, trees, workers, command, free=available_bytes(), settled=settled)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
-    failed = sum(state.stage == "failed" for state in states.values())
+    failed = len(answer.document["failed"])
     if failed:
         every = answer.document["trees"]
         raise CountingError(f"{failed} of {every} trees failed and are not in the sums. See {answer.files[0]}")

@@ -56,30 +56,45 @@ class CountedTree:
 
 
 def read_counts(ledger: Ledger) -> list[CountedTree]:
-    """Every tree of the block with what its result says.
+    """Every tree of the block with what its result says. One whose result is damaged has failed.
 
     Raises:
-        OutputError, FormatError: the folder is none of a block, or a result of it is damaged.
+        OutputError, FormatError: the folder is none of a block.
     """
     found, states = [], ledger.states()
     for entry in ledger.trees():
         state = states[entry.id]
-        if state.stage != "done":
-            found.append(CountedTree(entry=_placed(entry), state=state, folder=entry.id))
-            continue
-        folder = ledger.result(entry).path
-        document = parse_results(folder / FRUITS_JSON)
-        try:
-            found += _trees_of(entry, state, document, folder)
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            raise FormatError(
-                f"{folder / FRUITS_JSON} is damaged ({type(error).__name__}: {error}). Delete it and count again"
-            ) from error
+        if state.stage == "done":
+            try:
+                found += _trees_of(entry, state, ledger.result(entry).path)
+                continue
+            except FruitLangsError as error:
+                state = replace(state, stage="failed", reason=str(error))
+        found.append(CountedTree(entry=_placed(entry), state=state, folder=entry.id))
     return found
 
 
-def _trees_of(entry: TreeEntry, state: TreeState, document: dict[str, Any], folder: Path) -> list[CountedTree]:
-    """The tree of a result, or its trees if it is one of a row."""
+def _trees_of(entry: TreeEntry, state: TreeState, folder: Path) -> list[CountedTree]:
+    """The tree of a result, or its trees if it is one of a row.
+
+    Raises:
+        OutputError, FormatError: the result is damaged.
+    """
+    document = parse_results(folder / FRUITS_JSON)
+    try:
+        return _described(entry, state, document, folder)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise FormatError(
+            f"{folder / FRUITS_JSON} is damaged ({type(error).__name__}: {error}). Delete it and count again"
+        ) from error
+
+
+def _described(entry: TreeEntry, state: TreeState, document: dict[str, Any], folder: Path) -> list[CountedTree]:
+    """The trees that a result describes.
+
+    Raises:
+        KeyError, TypeError, ValueError: the result is damaged.
+    """
     review = read_review(folder, document["set_id"])
     fruits, reviewed = fruit_of(document, review), review is not None
     if document.get("trees"):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engine.errors import FruitLangsError
 from ...engine.progress import Progress, silent
 from ..data.write_root import looked_at, upright_matrix
 
@@ -61,11 +62,7 @@ class ShownResult:
 
 
 def read_overview(ledger: Ledger, trees: Sequence[CountedTree], progress: Progress = silent) -> list[ShownResult]:
-    """Every result of a block, in the order of its manifest. trees: of `read_counts`.
-
-    Raises:
-        OutputError, FormatError: a result of it is damaged.
-    """
+    """Every result of a block, in the order of its manifest. trees: of `read_counts`."""
     own: dict[str, list[CountedTree]] = {}
     for tree in trees:
         own.setdefault(tree.folder, []).append(tree)
@@ -73,11 +70,18 @@ def read_overview(ledger: Ledger, trees: Sequence[CountedTree], progress: Progre
     found = []
     for number, (folder, its) in enumerate(own.items()):
         progress(number / len(own), f"reading {folder}, {number + 1} of {len(own)}")
-        found.append(_read(ledger.folder(folder).path, its, most))
+        try:
+            found.append(_read(ledger.folder(folder).path, its, most))
+        except FruitLangsError as error:
+            found.append(ShownResult(folder=folder, trees=[_uncounted(tree, str(error)) for tree in its]))
     return [replace(each, place=place) for each, place in zip(found, _places(found, own), strict=True)]
 
 
 def _read(path: Path, trees: Sequence[CountedTree], most: int) -> ShownResult:
+    """
+    Raises:
+        OutputError, FormatError: the result is damaged.
+    """
     from ...engine.block.reviews import fruit_of, read_review
     from ...engine.report.results import FRUITS_JSON, parse_results
     from ...engine.scene.formats.cameras_json import read_cameras
@@ -113,8 +117,8 @@ def _along_x(matrix: FloatArray, trees: Sequence[FloatArray]) -> FloatArray:
     return turn
 
 
-def _uncounted(tree: CountedTree) -> ShownTree:
-    return ShownTree(name=tree.entry.id, problem=tree.state.reason or tree.state.stage)
+def _uncounted(tree: CountedTree, problem: str = "") -> ShownTree:
+    return ShownTree(name=tree.entry.id, problem=problem or tree.state.reason or tree.state.stage)
 
 
 def _tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> ShownTree:

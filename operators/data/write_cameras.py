@@ -11,6 +11,7 @@ from mathutils import Matrix
 
 from ..blender_data import new_object, owned_collection, owned_objects, remove_objects
 from .photo_files import ASPECT, SIZE, keep_photo, remove_backgrounds
+from .write_root import looked_at
 
 if TYPE_CHECKING:
     from ...engine.scene.camera import Camera, FloatArray, Photo, Scene
@@ -23,7 +24,7 @@ BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> list[bpy.types.Object]:
-    """Replace this Blender scene's photo cameras; the one in the middle of the list becomes active.
+    """Replace this Blender scene's photo cameras; one that shows the middle of the scene becomes active.
 
     A camera is named after its photo and stores in custom properties what is needed to show it (see `photo_files`).
     """
@@ -48,8 +49,22 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
         item.matrix_basis = Matrix(blender_pose(camera).tolist())
         objects.append(item)
     if objects and was_ours:
-        show_through(bpy_scene, objects[len(objects) // 2])
+        show_through(bpy_scene, objects[middle_view(scene)])
     return objects
+
+
+def middle_view(scene: Scene) -> int:
+    """The number of the camera to begin with: the middle one of those that show the middle of the scene in the inner
+    half of their photos, of all if none does. Half-way along a row and back, photos show its end."""
+    middle = np.median(scene.points, axis=0) if len(scene.points) else looked_at(scene)
+    shows = []
+    for number, camera in enumerate(scene.cameras):
+        pixel, depth = camera.project(middle)
+        away = np.abs(pixel / [camera.width, camera.height] - 0.5)
+        if depth > 0.0 and (away < 0.25).all():
+            shows.append(number)
+    numbers = shows or range(len(scene.cameras))
+    return numbers[len(numbers) // 2]
 
 
 def blender_pose(camera: Camera) -> FloatArray:

@@ -179,6 +179,17 @@ def store_review(block: Path, name: str) -> Path:
     return Ledger(block).folder(name).path
 
 
+@pytest.mark.parametrize("name", ["fruits.json", "cameras.json", "gaussians.ply"])
+def test_a_block_is_shown_although_the_result_of_a_tree_is_damaged(name: str, block: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "block"
+    shutil.copytree(block, copy)
+    before = {tree.name: tree.counted for each in shown_of(copy) for tree in each.trees}
+    (copy / "trees" / "two" / name).write_text("{")
+    shown = {tree.name: tree for each in shown_of(copy) for tree in each.trees}
+    assert name in shown["two"].problem
+    assert {own: tree.counted for own, tree in shown.items()} == {**before, "two": -1}
+
+
 def count_again(result: Path) -> str:
     """Give a result the id of another count; returns it."""
     document = json.loads((result / "fruits.json").read_text())

@@ -12,8 +12,10 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.language.vocabulary import FRUITS
+from fruitlangs.engine.scene.camera import Camera, Scene, looking
 from fruitlangs.operators.blender_data import get_attribute
 from fruitlangs.operators.data.write import save_blend, write_blend, write_result
+from fruitlangs.operators.data.write_cameras import middle_view
 from fruitlangs.operators.data.write_gaussians import ASKED, asked_words
 from fruitlangs.operators.data.write_points import write_points
 from fruitlangs.operators.data.write_root import looked_at, write_root
@@ -187,6 +189,28 @@ def test_cameras_are_named_after_their_photos_and_one_is_active(counted):
     assert cameras.keys() == [f"photo_{index}" for index in range(6)]
     assert cameras[2]["photo"] == "row/photo_2.jpg"
     assert bpy.context.scene.camera in list(cameras)
+
+
+def test_a_row_is_first_shown_from_its_middle_and_a_walk_around_a_tree_from_its_middle_photo() -> None:
+    def camera(place: list[float], along: list[float]) -> Camera:
+        pose = looking(np.array(place), np.array(along), np.array([0.0, 0.0, 1.0]))
+        return Camera(width=80, height=60, K=np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]]), world_to_camera=pose)
+
+    def scene(cameras: list[Camera], points: list[list[float]]) -> Scene:
+        return Scene(
+            cameras=cameras,
+            images=[],
+            points=np.array(points),
+            colors=np.zeros((len(points), 3), np.uint8),
+            up=np.array([0.0, 0.0, 1.0]),
+        )
+
+    there = [float(x) for x in range(11)]
+    row = [camera([x, -2.0, 1.0], [0.0, 1.0, 0.0]) for x in there + there[::-1]]
+    assert middle_view(scene(row, [[x, 0.0, 1.0] for x in there])) in (5, 16)  # number 11 shows an end
+    turns = [2.0 * np.pi * k / 12 for k in range(12)]
+    ring = [camera([np.cos(a), np.sin(a), 0.0], [-np.cos(a), -np.sin(a), 0.0]) for a in turns]
+    assert middle_view(scene(ring, [[0.0, 0.0, 0.0]])) == 6
 
 
 def test_cameras_without_photos_are_written_too(counted):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tabl
 from fruitlangs.engine.block.totals import Amount, of_all, summed
 from fruitlangs.engine.block.trees import CountedTree, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
-from fruitlangs.engine.errors import ConfigError, FormatError
+from fruitlangs.engine.errors import ConfigError
 
 TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
 
@@ -289,17 +290,22 @@ def test_trees_of_a_row_without_gps_tags_have_the_place_of_their_line(tmp_path: 
         lambda document: document.pop("unit"),
     ],
 )
-def test_a_damaged_result_is_an_error_that_names_its_file(damage: Callable[[Any], object], tmp_path: Path) -> None:
+def test_a_damaged_result_is_a_failed_tree_and_the_others_are_summed(
+    damage: Callable[[Any], object], tmp_path: Path
+) -> None:
     ledger = Ledger(tmp_path / "block")
-    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
-    ledger.write_trees([row])
-    row_result(ledger, row)
+    row, other = (TreeEntry(id=own, source=tmp_path / own, prompt=("apple",)) for own in ("west", "east"))
+    ledger.write_trees([row, other])
+    for each in (row, other):
+        row_result(ledger, each)
     path = ledger.result(row).path / "fruits.json"
     document = json.loads(path.read_text())
     damage(document)
     path.write_text(json.dumps(document))
-    with pytest.raises(FormatError, match=r"west.fruits\.json"):
-        read_counts(ledger)
+    document = publish_block(ledger).document
+    assert (document["done"], document["block"]["count"]) == (2, 3)  # the trees of the other row
+    assert list(document["failed"]) == ["west"]
+    assert re.search(r"west.fruits\.json is damaged.*Delete it and count again", document["failed"]["west"])
 
 
 @pytest.mark.parametrize("text", ["[1]", '{"all_trees": 3}', '{"all_trees": {"trees": "x"}, "density": NaN}', "{"])
@@ -349,7 +355,7 @@ def test_the_tables_use_the_review_of_a_tree_and_keep_what_was_counted(tmp_path:
     assert (two.total.likely, two.total.count) == (5.0, 2)
 
 
-def test_a_review_of_an_earlier_count_is_not_used_and_a_damaged_one_is_an_error(tmp_path: Path) -> None:
+def test_a_review_of_an_earlier_count_is_not_used_and_a_damaged_one_is_a_failure(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path / "block")
     row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
     ledger.write_trees([row])
@@ -358,8 +364,9 @@ def test_a_review_of_an_earlier_count_is_not_used_and_a_damaged_one_is_an_error(
     write_review(folder, "another set", Review(fruits=[reviewed(1, "rejected")]))
     assert not any(tree.reviewed for tree in read_counts(ledger))
     (folder / REVIEW).write_text('{"set_id": "1", "fruits": [{"tree": 1}]}')
-    with pytest.raises(FormatError, match=r"review\.json is damaged"):
-        read_counts(ledger)
+    (failed,) = read_counts(ledger)
+    assert failed.visible is None
+    assert "review.json is damaged" in failed.state.reason
 
 
 def test_the_decisions_of_a_review_can_be_read_again(tmp_path: Path) -> None:
