@@ -167,8 +167,8 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         if result.outdated:
             self.report(
                 {"WARNING"},
-                f"Counted again since they were opened: {', '.join(result.outdated)}. Their reviews were not written. "
-                "Open these trees again, then update the tables",
+                f"The scenes of these trees show another count than the orchard has, so their reviews were not written: "
+                f"{', '.join(result.outdated)}. Open them again, then update the tables",
             )
 
 
@@ -183,8 +183,8 @@ def read_block(folder: Path, progress: Progress) -> list[ShownResult]:
 
 @dataclass(frozen=True, kw_only=True)
 class Updated:
-    """reviewed: number of reviewed trees; shown: what is shown of the block; outdated: folders of the results that were
-    counted again after they were opened, whose reviews were not written."""
+    """reviewed: number of reviewed trees; shown: what is shown of the block; outdated: folders of the results of which
+    another count is shown, here or by a later count of the orchard; their reviews were not written."""
 
     reviewed: int
     shown: list[ShownResult]
