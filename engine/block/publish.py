@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .geopackage import write_geopackage
 from .ledger import Ledger
 from .page import write_page
-from .tables import ORCHARD_JSON, rows_of, summary, write_tables
+from .tables import ORCHARD_JSON, PLACES, rows_of, summary, write_tables
 from .trees import CountedTree, read_counts
 
 
@@ -36,6 +37,7 @@ def publish_block(ledger: Ledger, *, all_trees: int | None = None, density: floa
     rows = rows_of(trees, density)
     document = summary(trees, all_trees=all_trees, density=density)
     files = write_tables(ledger.path, trees, rows, document)
+    files += write_geopackage(ledger.path / PLACES)
     files.append(write_page(ledger.path, trees, rows, document))
     return Answer(trees=trees, document=document, files=files)
 

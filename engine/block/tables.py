@@ -26,7 +26,7 @@ COLUMNS = (
     "with_hidden", "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume",
     "fruit_weight_g", "yield_kg", "reason",
 )  # fmt: skip
-ORCHARD_JSON = "orchard.json"
+ORCHARD_JSON, PLACES = "orchard.json", "orchard.geojson"
 DECIMALS = 6
 CLASS_MM = 5
 """Width of a size class."""
@@ -171,7 +171,7 @@ def write_tables(
     contents = {
         "orchard.csv": text.getvalue(),
         ORCHARD_JSON: json.dumps({**document, "by_tree": by_tree}, indent=1) + "\n",
-        "orchard.geojson": json.dumps(geojson(trees, rows), indent=1) + "\n",
+        PLACES: json.dumps(geojson(trees, rows), indent=1) + "\n",
     }
     for name, content in contents.items():
         write_text(folder / name, content)

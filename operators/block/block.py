@@ -167,7 +167,7 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         if result.outdated:
             self.report(
                 {"WARNING"},
-                f"The scenes of these trees show another count than the orchard has, so their reviews were not written: "
+                f"The scenes of these trees show another count than the orchard has, so no review was written: "
                 f"{', '.join(result.outdated)}. Open them again, then update the tables",
             )
 

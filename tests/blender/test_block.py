@@ -249,7 +249,7 @@ def test_a_tree_that_was_counted_again_since_it_was_opened_keeps_the_review_of_t
     newer = count_again(result)
     write_review(result, newer, Review(fruits=[]))
     bpy.ops.fruitlangs.update_block()
-    assert "another count than the orchard has, so their reviews were not written: two" in capfd.readouterr().out
+    assert "another count than the orchard has, so no review was written: two" in capfd.readouterr().out
     assert read_review(result, newer) is not None
     again = open_tree("two")
     assert (again[SET_ID], len(read_log(again))) == (newer, 0)

@@ -6,16 +6,19 @@ import csv
 import json
 import math
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyogrio
 import pytest
 from PIL import Image
 
 from fruitlangs.engine.block import trees as trees_module
+from fruitlangs.engine.block.geopackage import write_geopackage
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.page import write_page
@@ -25,7 +28,7 @@ from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tabl
 from fruitlangs.engine.block.totals import Amount, of_all, summed
 from fruitlangs.engine.block.trees import CountedTree, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
-from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.errors import ConfigError, OutputError
 
 TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
 
@@ -154,6 +157,41 @@ def test_a_map_has_the_trees_with_places_longitude_first(tmp_path: Path) -> None
     features = geojson(trees, rows_of(trees, None))["features"]
     assert [each["geometry"]["coordinates"] for each in features] == [[9.0, 47.0], [10.0, 47.0], [11.0, 47.0]]
     assert features[0]["properties"]["count"] == 10
+
+
+def test_a_geopackage_has_the_same_places_and_columns_as_the_map(tmp_path: Path) -> None:
+    trees = block(tmp_path)
+    files = write_tables(tmp_path, trees, rows_of(trees, None), summary(trees, all_trees=None, density=None))
+    (path,) = write_geopackage(files[2])
+    about, _, points, columns = pyogrio.raw.read(path, layer="trees")
+    assert about["crs"] == "EPSG:4326"
+    assert [np.frombuffer(point[5:], "<f8").tolist() for point in points] == [[9.0, 47.0], [10.0, 47.0], [11.0, 47.0]]
+    values = dict(zip(about["fields"], columns, strict=True))
+    assert set(values) == set(geojson(trees, rows_of(trees, None))["features"][0]["properties"])
+    assert (values["tree"].tolist(), values["count"].tolist()) == (["t 0", "t 1", "t 2"], [10, 10, 10])
+
+
+def test_no_geopackage_is_left_without_places_or_without_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trees = block(tmp_path)
+    places = write_tables(tmp_path, trees, rows_of(trees, None), summary(trees, all_trees=None, density=None))[2]
+    (path,) = write_geopackage(places)
+    monkeypatch.setitem(sys.modules, "pyogrio", None)
+    assert write_geopackage(places) == []
+    assert not path.exists()
+    monkeypatch.undo()
+    (path,) = write_geopackage(places)
+    nowhere = trees[3:]
+    write_tables(tmp_path, nowhere, rows_of(nowhere, None), summary(nowhere, all_trees=None, density=None))
+    assert write_geopackage(places) == []
+    assert not path.exists()
+
+
+def test_a_geopackage_of_a_damaged_map_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "orchard.geojson").write_text("{")
+    with pytest.raises(OutputError, match=r"orchard\.gpkg cannot be written"):
+        write_geopackage(tmp_path / "orchard.geojson")
 
 
 def test_weights_need_metres(tmp_path: Path) -> None:
