@@ -20,13 +20,18 @@ ROOT = Path(__file__).resolve().parents[1]
 POLL_SECONDS = 0.25
 """Seconds between calls of `progress`, which may cancel, while the child is silent."""
 
-# The package may be a checkout or a Blender extension, with a different name each: the child loads it as fruitlangs.
+_PACKAGE = __name__.removesuffix(".engine.child_process")
+"""`fruitlangs`, or `bl_ext.….fruitlangs` in Blender. The child loads it under the same name, because machine code that
+it leaves in Numba's cache holds the names of modules."""
 _BOOT = """
-import importlib, importlib.util, sys
-root, module, *arguments = sys.argv[1:]
-spec = importlib.util.spec_from_file_location("fruitlangs", root + "/__init__.py", submodule_search_locations=[root])
-sys.modules["fruitlangs"] = importlib.util.module_from_spec(spec)
-importlib.import_module("fruitlangs.engine." + module).main(arguments)
+import importlib, importlib.util, sys, types
+root, package, module, *arguments = sys.argv[1:]
+parents = package.split(".")[:-1]
+for count in range(1, len(parents) + 1):
+    sys.modules[".".join(parents[:count])] = types.ModuleType(parents[count - 1])
+spec = importlib.util.spec_from_file_location(package, root + "/__init__.py", submodule_search_locations=[root])
+sys.modules[package] = importlib.util.module_from_spec(spec)
+importlib.import_module(package + ".engine." + module).main(arguments)
 """
 
 
@@ -53,7 +58,7 @@ def start_child(module: str, arguments: Sequence[str], *, errors: IO[bytes]) -> 
     }
     try:
         return subprocess.Popen(
-            [sys.executable, "-c", _BOOT, str(ROOT), module, *arguments],
+            [sys.executable, "-c", _BOOT, str(ROOT), _PACKAGE, module, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,

@@ -33,8 +33,9 @@ _config: Any = numba.config  # its attributes appear at run time
 
 
 def _sources_hash() -> str:
-    """Hash of Numba's version and of every engine file that compiles kernels."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    """Hash of Numba's version, of this package's name, which machine code holds, and of every engine file that compiles
+    kernels."""
+    digest = hashlib.sha256(f"{numba.__version__} {__name__}".encode())
     for path in sorted(_ENGINE.rglob("*.py")):
         source = path.read_bytes()
         if b"compiled" in source or b"numba" in source:

@@ -7,6 +7,7 @@ been imported once; until then, and if it fails or is killed, nothing has change
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import importlib.util
 import json
@@ -16,7 +17,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,10 +103,10 @@ class _Install:
     def resolve(self) -> dict[str, str]:
         """{package: version} of what has to be installed, resolved by pip without installing anything."""
         carried, own = _carried(), {TORCH} if self.cuda else set()
-        fixed = {"numpy": np.__version__}
+        fixed = {"numpy": np.__version__, **_fitting_cffi(carried)}
         if self.wheels is None:
             tested = versions_for(np.__version__, sys.platform)
-            fixed |= {name: version for name, version in tested.items() if name not in carried | own}
+            fixed = {name: version for name, version in tested.items() if name not in carried | own} | fixed
         constraints, report = self.stage / "constraints.txt", self.stage / "report.json"
         constraints.write_text("".join(f"{name}=={version}\n" for name, version in fixed.items()), encoding="utf-8")
         command = ["--dry-run", "--report", str(report), "--constraint", str(constraints)]
@@ -158,6 +159,7 @@ class _Install:
         """Import the requested packages in a separate process, as Blender will."""
         modules = [module for module, package in REQUIRED.items() if package in self.packages]
         checks = ["torch.version.cuda or exit('this is the CPU build of PyTorch')"] if self.cuda else []
+        checks += ["numba.njit(lambda: 0)()"] if "numba" in modules else []  # it imports some packages to compile only
         code = "; ".join([f"import {module}" for module in ("numpy", *modules)] + checks + ["print(numpy.__version__)"])
 
         def on_output(_: str) -> None:
@@ -272,6 +274,13 @@ def _carried() -> set[str]:
     """The packages of this Blender's Python, earlier installs included."""
     names = (distribution.metadata["Name"] for distribution in importlib.metadata.distributions())
     return {_normal(name) for name in names if name}
+
+
+def _fitting_cffi(carried: Container[str]) -> dict[str, str]:
+    """The version of cffi that fits the binary half of it that some Linux distributions install without the rest."""
+    if "cffi" in carried or importlib.util.find_spec("_cffi_backend") is None:
+        return {}
+    return {"cffi": importlib.import_module("_cffi_backend").__version__}
 
 
 def _normal(name: str) -> str:

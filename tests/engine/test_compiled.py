@@ -72,6 +72,26 @@ print(names)
 """
 
 
+AS_EXTENSION = f"""
+import importlib, importlib.util, sys, types
+from pathlib import Path
+from tempfile import TemporaryDirectory
+name = "bl_ext.user_default.fruitlangs"  # as Blender calls it
+for parent in ("bl_ext", "bl_ext.user_default"):
+    sys.modules[parent] = types.ModuleType(parent)
+root = {str(ROOT)!r}
+spec = importlib.util.spec_from_file_location(name, root + "/__init__.py", submodule_search_locations=[root])
+sys.modules[name] = importlib.util.module_from_spec(spec)
+print(importlib.import_module(name + ".engine.compiled.jit").CACHE_FOLDER)
+child = importlib.import_module(name + ".engine.child_process")
+with TemporaryDirectory() as folder:
+    try:
+        child.run_child("progress", [], Path(folder) / "log.txt")  # a module that has no main
+    except child.ChildError as error:
+        print(error)
+"""
+
+
 def python(folder: Path, program: str, **environment: str) -> str:
     """What a program that declares a kernel prints."""
     (folder / "program.py").write_text(PROGRAM + program)
@@ -92,6 +112,14 @@ def test_machine_code_goes_to_a_folder_named_after_the_sources(tmp_path: Path) -
     if sys.platform != "darwin":
         assert Path(folder).parent == tmp_path / "fruitlangs"
     assert Path(folder).name.startswith("kernels-")
+
+
+def test_a_child_has_the_name_of_its_parents_package_and_each_name_has_machine_code_of_its_own(tmp_path: Path) -> None:
+    """Numba's cache holds names of modules: code that another name left cannot be loaded."""
+    own = python(tmp_path, "print(compiled.CACHE_FOLDER)", NUMBA_CACHE_DIR=str(tmp_path))
+    folder, error = python(tmp_path, AS_EXTENSION, NUMBA_CACHE_DIR=str(tmp_path)).splitlines()
+    assert folder != own
+    assert "module 'bl_ext.user_default.fruitlangs.engine.progress' has no attribute 'main'" in error
 
 
 def test_a_cache_is_complete_only_when_it_was_marked(tmp_path: Path) -> None:

@@ -101,6 +101,34 @@ def test_a_package_that_cannot_be_imported_is_not_installed(home, tmp_path):
     assert names(home) == []
 
 
+def test_a_numba_that_cannot_compile_is_not_installed(home, wheels, tmp_path, monkeypatch):
+    broken = tmp_path / "broken" / "site-packages"
+    broken.mkdir(parents=True)
+    (broken / "numba.py").write_text("def njit(function): raise ImportError('this is cffi 2 and its half is 1')\n")
+    monkeypatch.setattr(sys, "path", [str(broken), *sys.path])
+    with pytest.raises(package_install.InstallError, match=r"do not work here .*its half is 1"):
+        package_install.install_packages(["grafting", "numba"], home, wheels=wheels)
+    assert names(home) == []
+
+
+@pytest.mark.parametrize(("carried", "fixed"), [(set(), True), ({"cffi"}, False)])
+def test_cffi_fits_the_binary_half_of_it_that_a_distribution_has_alone(carried, fixed, home, wheels, monkeypatch):
+    asked = []
+
+    def pip(self, arguments, *_):
+        asked.append(Path(arguments[arguments.index("--constraint") + 1]).read_text().splitlines())
+        return "enough"
+
+    monkeypatch.setattr(package_install, "_carried", lambda: carried)
+    monkeypatch.setattr(package_install._Install, "_pip", pip)
+    for source in (wheels, None):
+        with pytest.raises(package_install.InstallError, match="enough"):
+            package_install.install_packages(["grafting"], home, wheels=source)
+    half = f"cffi=={importlib.import_module('_cffi_backend').__version__}"
+    assert [half in lines for lines in asked] == [fixed, fixed]
+    assert [sum(line.startswith("cffi==") for line in lines) for lines in asked] == [fixed, fixed]
+
+
 def test_a_missing_wheel_is_named_and_nothing_is_changed(home, tmp_path):
     make_wheel(tmp_path / "wheels", "grafting", needs=("rootstock",))
     with pytest.raises(package_install.InstallError, match=r"rootstock.*put the wheels that are missing into"):
