@@ -217,6 +217,10 @@ class _Lines:
     def __init__(self, code: int, text: str) -> None:
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         errors = [line.removeprefix("ERROR: ") for line in lines if line.startswith("ERROR: ")]
+        # Without the index of CPU builds pip says that versions are in conflict.
+        unanswered = re.findall(r"(?m)^WARNING: Retrying .*: (/\S+)$", text)
+        if unanswered:
+            errors.insert(0, f"no server answers for {unanswered[-1]}")
         self.code = code
         self.last = (errors or lines or [f"it ended with code {code}"])[0 if errors else -1]
 
