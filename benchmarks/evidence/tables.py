@@ -213,7 +213,7 @@ def intervals(records: Sequence[Record]) -> str:
     """How often the 90 % intervals of current rows hold, by species."""
     current = [record for record in records if record.trial.method == "voting" and not record.stale]
     results = [record.result for record in current if record.result.near]
-    lines = [["species", "scenes", "visible covered", "width / number", "all covered", "width / number"]]
+    lines = [["species", "counts", "visible covered", "width / number", "all covered", "width / number"]]
     for species in (*SPECIES, "all"):
         own = [each for each in results if species in (each.species, "all") and each.stage in (TRUE_POSES, END_TO_END)]
         of_visible = [(each.interval, each.near.visible) for each in own if each.interval and each.near]
