@@ -88,3 +88,10 @@ def test_a_block_in_which_every_tree_failed_has_tables_and_an_error(tmp_path: Pa
     assert done.stderr.splitlines()[-1].startswith("error: 1 of 1 trees failed and are not in the sums")
     assert "block: 0 visible fruit counted on 0 of 1 trees\n" in done.stdout
     assert (tmp_path / "out" / "orchard.html").is_file()
+
+
+@pytest.mark.parametrize("page", ["--help", "--help-all"])
+def test_help_has_no_heading_for_settings_that_the_script_does_not_have(page: str) -> None:
+    done = count(page)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].split() == ["-h,", "--help", "Show", "this", "page."]
