@@ -98,16 +98,17 @@ def main() -> None:
     if before:
         say(f"{before} of {len(trees)} trees are done")
 
-    def settled(own: str, state: TreeState) -> None:
-        say(f"{own}: {state.reason}" if state.stage == "failed" else f"{own}: counted in {state.seconds:.0f} s")
-
     if arguments.executor == "local" and not all_compiled():
         from fruitlangs.engine.compile_ahead import compile_once
 
         say("compiling for this computer (first run only, about a minute)")
         compile_once()
     command = python_command(Path(__file__).resolve())
-    drive(ledger, trees, workers, command, free=available_bytes(), settled=settled)
+
+    def changed(own: str, state: TreeState) -> None:
+        say(f"{own}: {state_text(state, ledger.folder(own).path)}")
+
+    drive(ledger, trees, workers, command, free=available_bytes(), changed=changed)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
@@ -115,6 +116,15 @@ def main() -> None:
     if failed:
         every = answer.document["trees"]
         raise CountingError(f"{failed} of {every} trees failed and are not in the sums. See {answer.files[0]}")
+
+
+def state_text(state: TreeState, folder: Path) -> str:
+    """A tree that starts, is done or failed in words. folder: of its result."""
+    from fruitlangs.engine.block.trees import fruit_text
+
+    if state.stage == "running":
+        return "started"
+    return f"{fruit_text(folder)} in {state.seconds:.0f} s" if state.stage == "done" else state.reason
 
 
 def block_text(document: dict[str, Any]) -> str:

@@ -33,7 +33,8 @@ def test_a_block_is_counted_resumed_and_summed_up(block: Path) -> None:
     first = count(block / "orchard.csv", "--out", out, "--settings", QUICK, "--jobs", 2)
     assert first.returncode == 1
     assert first.stderr.splitlines()[-1].startswith("error: 1 of 3 trees failed and are not in the sums")
-    assert "3: " in first.stdout
+    assert "1: started\n" in first.stdout
+    assert "1: 5 fruit in " in first.stdout
     assert "missing does not exist" in first.stdout
     rows = {row["tree"]: row for row in csv.DictReader((out / "orchard.csv").open())}
     assert [rows[own]["count"] for own in "123"] == ["5", "5", ""]

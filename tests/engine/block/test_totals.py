@@ -26,7 +26,7 @@ from fruitlangs.engine.block.publish import publish_again, publish_block
 from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
 from fruitlangs.engine.block.totals import Amount, of_all, summed
-from fruitlangs.engine.block.trees import CountedTree, read_counts
+from fruitlangs.engine.block.trees import CountedTree, fruit_text, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
 from fruitlangs.engine.errors import ConfigError, OutputError
 
@@ -305,6 +305,19 @@ def test_a_row_has_a_line_for_each_of_its_trees(tmp_path: Path) -> None:
     page = write_page(ledger.path, [one, two], rows_of([one, two], None), document).read_text()
     assert "1 counted fruit belong to no tree of their row and are not in the sums." in page
     assert page.count("<circle") == 2
+
+
+def test_the_count_of_a_result_in_words_names_the_trees_of_a_row(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    path = ledger.result(row).path / "fruits.json"
+    assert fruit_text(path.parent) == "4 fruit on 2 trees"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"trees": []}))
+    assert fruit_text(path.parent) == "4 fruit"
+    path.write_text("{")
+    assert "is not a results file" in fruit_text(path.parent)
 
 
 def test_trees_of_a_row_without_gps_tags_have_the_place_of_their_line(tmp_path: Path) -> None:
