@@ -9,8 +9,10 @@ stays. Exit code 0: every tree is counted; 1: some are not, with a line for each
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,13 +22,15 @@ import _checkout  # noqa: F401
 
 from _help import parsed
 from _terminal import arguments_of, import_tyro, run, say
-from fruitlangs.engine.errors import ConfigError, CountingError
+from fruitlangs.engine.errors import ConfigError, CountingError, FruitLangsError
 
 if TYPE_CHECKING:
     import tyro
 
     from fruitlangs.engine.block.ledger import Ledger, TreeState
     from fruitlangs.engine.block.manifest import TreeEntry
+    from fruitlangs.engine.config import EmbedConfig
+    from fruitlangs.engine.language.encoders.encoder import Encoder
 else:
     tyro = import_tyro()
 
@@ -82,7 +86,7 @@ def main() -> None:
         require_sample(sum(tree.trees for tree in trees), arguments.all_trees)
     ledger = Ledger(arguments.out)
     if arguments.dry_run:
-        say(plan(trees, ledger))
+        plan(trees, ledger)
         return
     ledger.write_trees(trees)
     workers = Workers(
@@ -146,35 +150,71 @@ def block_text(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
-    """What would be counted, with the time that it takes on this computer."""
-    from fruitlangs.engine.errors import FruitLangsError
+def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
+    """Say what would be counted, with the time that it takes on this computer.
+
+    Raises:
+        CountingError: some trees cannot be counted.
+    """
+    wrong, total = 0, 0.0
+    for tree in trees:
+        if ledger.state(tree).stage == "done":
+            say(f"{tree.id}: done")
+            continue
+        try:
+            text, seconds = expected(tree)
+        except FruitLangsError as error:
+            text, seconds = str(error), 0.0
+            wrong += 1
+        say(f"{tree.id}: {text}")
+        total += seconds
+    say(f"in all about {duration(total)} with all cores for one tree at a time")
+    if wrong:
+        raise CountingError(f"{wrong} of {len(trees)} trees cannot be counted. The reasons are above")
+
+
+def expected(tree: TreeEntry) -> tuple[str, float]:
+    """What counting a tree takes, in words, and its seconds; 0 if they cannot be estimated.
+
+    Raises:
+        FruitLangsError: the tree cannot be counted, because of its words or its source.
+    """
+    from fruitlangs.engine.language.prompts.relevancy import check_prompts
     from fruitlangs.engine.photo_check.cost import expected_costs
     from fruitlangs.engine.photo_check.photo_files import photo_files
+    from fruitlangs.engine.result_folder import ResultFolder
     from fruitlangs.engine.scene.photos.photo import read_header
     from fruitlangs.engine.scene.source import Source
 
-    lines, total = [], 0.0
-    for tree in trees:
-        state = ledger.state(tree)
-        if state.stage == "done":
-            lines.append(f"{tree.id}: done")
-            continue
-        try:
-            files = photo_files(Source(path=tree.source))
-            header = read_header(files.photos[0]) if files.photos else None
-        except FruitLangsError as error:
-            lines.append(f"{tree.id}: {error}")
-            continue
-        if header is None:
-            lines.append(f"{tree.id}: it has no photo from which its time can be estimated")
-            continue
-        sizes = [(header.width, header.height)] * len(files.photos)
-        costs = expected_costs(sizes, tree.config, posed=files.posed)
-        seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
-        total += seconds
-        lines.append(f"{tree.id}: {len(files.photos)} photos, about {seconds / 60:.0f} min and {most / 2**30:.1f} GB")
-    return "\n".join([*lines, f"in all about {total / 3600:.1f} h with all cores for one tree at a time"])
+    check_prompts(encoder_of(tree.config.embed), tree.prompt, tree.negative)
+    source = Source(path=tree.source)
+    gaussians = tree.source.suffix.lower() == ".ply" and tree.source.is_file()
+    other = gaussians or ResultFolder(tree.source).holds_result() or source.video() is not None
+    files = None if other else photo_files(source)
+    if files is None or not files.photos:
+        return "it has no photo from which its time can be estimated", 0.0
+    header = read_header(files.photos[0])
+    sizes = [(header.width, header.height)] * len(files.photos)
+    costs = expected_costs(sizes, tree.config, posed=files.posed)
+    seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
+    return f"{len(files.photos)} photos, about {duration(seconds)} and {most / 2**30:.1f} GB", seconds
+
+
+@cache
+def encoder_of(config: EmbedConfig) -> Encoder:
+    """The encoder that the settings name, opened once for all trees.
+
+    Raises:
+        ConfigError, EncoderError: there is no such encoder, or its weights cannot be used.
+    """
+    from fruitlangs.engine.language.features.embedder import Embedder
+
+    return Embedder.open(config).encoder
+
+
+def duration(seconds: float) -> str:
+    """'12 min', or from an hour on '1.5 h'."""
+    return f"{math.ceil(seconds / 60)} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
 
 
 def worker(given: list[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,11 +55,29 @@ def test_a_block_is_counted_resumed_and_summed_up(block: Path) -> None:
     assert (out / "trees" / "1" / "fruits.json").stat().st_mtime_ns == before
 
 
-def test_a_dry_run_says_what_it_would_do_and_writes_nothing(block: Path, tmp_path: Path) -> None:
-    done = count(block / "orchard.csv", "--out", tmp_path / "out", "--dry-run")
+def dry_run(folder: Path, *lines: str) -> subprocess.CompletedProcess[str]:
+    (folder / "orchard.csv").write_text("\n".join(["id,source,prompt", *lines, ""]))
+    return count(folder / "orchard.csv", "--out", folder / "out", "--dry-run")
+
+
+def test_a_dry_run_says_what_it_would_do_and_writes_nothing(balls: Path, tmp_path: Path) -> None:
+    (tmp_path / "row.mp4").touch()
+    done = dry_run(tmp_path, f"1,{balls},apple", "2,row.mp4,apple")
     assert done.returncode == 0, done.stderr
-    assert "1: 16 photos, about" in done.stdout
+    assert re.search(r"^1: 16 photos, about \d+ min and", done.stdout)
+    assert "\n2: it has no photo from which its time can be estimated\n" in done.stdout
+    assert re.search(r"\nin all about [1-9]\d* min with all cores", done.stdout)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_fails_if_a_tree_has_a_wrong_word_or_no_source(balls: Path, tmp_path: Path) -> None:
+    done = dry_run(tmp_path, f"1,{balls},aple", "2,missing,apple", f"3,{balls},apple")
+    assert done.returncode == 1
+    assert done.stderr == "error: 2 of 3 trees cannot be counted. The reasons are above\n"
+    word, source, right = done.stdout.splitlines()[:3]
+    assert "does not know the word 'aple'" in word
+    assert "missing does not exist" in source
+    assert right.startswith("3: 16 photos")
 
 
 def test_more_trees_than_the_block_has_are_an_error_before_anything_is_counted(block: Path, tmp_path: Path) -> None:
