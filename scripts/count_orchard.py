@@ -133,13 +133,16 @@ def state_text(state: TreeState, folder: Path) -> str:
 
 def block_text(document: dict[str, Any]) -> str:
     """The sums of a block (`tables.summary`) in words."""
-    block, lines = document["block"], []
-    counted = f"block: {block['count']} visible fruit counted on {document['done']} of {document['trees']} trees"
-    if "likely" in block:
-        counted += f", most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
-    lines.append(counted)
-    for name, row in document["rows"].items():
-        lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
+    if not document["done"]:
+        return "block: no tree was counted"
+    block, prompts, where = document["block"], document.get("prompts"), f"on {document['done']} of {document['trees']}"
+    if prompts:
+        counts = ", ".join(f"{sums['count']} {prompt}" for prompt, sums in prompts.items())
+        lines = [f"block: visible fruit counted {where} trees: {counts}", *map(_sums_text, prompts, prompts.values())]
+    else:
+        likely = f"most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
+        lines = [f"block: {block['count']} visible fruit counted {where} trees, {likely}"]
+    lines += [_sums_text(f"row {name}", sums) for name, sums in document["rows"].items()]
     if document["elsewhere"]:
         lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
     every = document.get("all_trees")
@@ -148,6 +151,13 @@ def block_text(document: dict[str, Any]) -> str:
     elif every:
         lines.append(f"  all {every['trees']} trees: {every['likely']:.0f} ({every['low']:.0f}–{every['high']:.0f})")
     return "\n".join(lines)
+
+
+def _sums_text(name: str, sums: dict[str, Any]) -> str:
+    trees = "1 tree" if sums["trees"] == 1 else f"{sums['trees']} trees"
+    return (
+        f"  {name}: {sums['count']} on {trees}, most likely {sums['likely']:.0f} ({sums['low']:.0f}–{sums['high']:.0f})"
+    )
 
 
 def plan(trees: list[TreeEntry], ledger: Ledger) -> None:

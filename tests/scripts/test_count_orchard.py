@@ -80,6 +80,20 @@ def test_a_dry_run_fails_if_a_tree_has_a_wrong_word_or_no_source(balls: Path, tm
     assert right.startswith("3: 16 photos")
 
 
+def test_the_sums_of_several_prompts_are_said_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    from count_orchard import block_text
+
+    apple, pear = ({"trees": k, "count": 9 * k, "likely": 10.0 * k, "low": 9.0, "high": 12.0 * k} for k in (1, 2))
+    document = {"trees": 4, "done": 3, "rows": {}, "elsewhere": 0, "block": pear, "prompts": {"apple": apple}}
+    document["prompts"]["pear"] = pear
+    assert block_text(document).splitlines() == [
+        "block: visible fruit counted on 3 of 4 trees: 9 apple, 18 pear",
+        "  apple: 9 on 1 tree, most likely 10 (9–12)",
+        "  pear: 18 on 2 trees, most likely 20 (9–24)",
+    ]
+
+
 def test_more_trees_than_the_block_has_are_an_error_before_anything_is_counted(block: Path, tmp_path: Path) -> None:
     done = count(block / "orchard.csv", "--out", tmp_path / "out", "--all-trees", 1)
     assert done.returncode == 1
@@ -106,7 +120,7 @@ def test_a_block_in_which_every_tree_failed_has_tables_and_an_error(tmp_path: Pa
     done = count(tmp_path / "orchard.csv", "--out", tmp_path / "out")
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("error: 1 of 1 trees failed and are not in the sums")
-    assert "block: 0 visible fruit counted on 0 of 1 trees\n" in done.stdout
+    assert "block: no tree was counted\n" in done.stdout
     assert (tmp_path / "out" / "orchard.html").is_file()
 
 
