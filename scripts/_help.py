@@ -59,7 +59,10 @@ def help_text(program: str, default: Any, example: str, *, every: bool) -> str:
     lines += ["Example:", f"  {example}", "", "Arguments:"]
     for field in own:
         lines += _entry(flags[field.name], docs[field.name], _default(default, field))
-    lines += [*_entry("-h, --help", "Show this page."), *_entry("--help-all", "Show every setting.")]
+    lines += _entry("-h, --help", "Show this page.")
+    if not stages:
+        return "\n".join(lines)
+    lines += _entry("--help-all", "Show every setting.")
     if not every:
         return "\n".join([*lines, "", "Common settings:", *_settings(default, stages, ("common",))])
     for stage in stages:

@@ -9,8 +9,10 @@ stays. Exit code 0: every tree is counted; 1: some are not, with a line for each
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,13 +22,15 @@ import _checkout  # noqa: F401
 
 from _help import parsed
 from _terminal import arguments_of, import_tyro, run, say
-from fruitlangs.engine.errors import ConfigError, CountingError
+from fruitlangs.engine.errors import ConfigError, CountingError, FruitLangsError
 
 if TYPE_CHECKING:
     import tyro
 
     from fruitlangs.engine.block.ledger import Ledger, TreeState
     from fruitlangs.engine.block.manifest import TreeEntry
+    from fruitlangs.engine.config import EmbedConfig
+    from fruitlangs.engine.language.encoders.encoder import Encoder
 else:
     tyro = import_tyro()
 
@@ -82,7 +86,7 @@ def main() -> None:
         require_sample(sum(tree.trees for tree in trees), arguments.all_trees)
     ledger = Ledger(arguments.out)
     if arguments.dry_run:
-        say(plan(trees, ledger))
+        plan(trees, ledger)
         return
     ledger.write_trees(trees)
     workers = Workers(
@@ -98,16 +102,17 @@ def main() -> None:
     if before:
         say(f"{before} of {len(trees)} trees are done")
 
-    def settled(own: str, state: TreeState) -> None:
-        say(f"{own}: {state.reason}" if state.stage == "failed" else f"{own}: counted in {state.seconds:.0f} s")
-
     if arguments.executor == "local" and not all_compiled():
         from fruitlangs.engine.compile_ahead import compile_once
 
         say("compiling for this computer (first run only, about a minute)")
         compile_once()
     command = python_command(Path(__file__).resolve())
-    drive(ledger, trees, workers, command, free=available_bytes(), settled=settled)
+
+    def changed(own: str, state: TreeState) -> None:
+        say(f"{own}: {state_text(state, ledger.folder(own).path)}")
+
+    drive(ledger, trees, workers, command, free=available_bytes(), changed=changed)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
@@ -117,15 +122,27 @@ def main() -> None:
         raise CountingError(f"{failed} of {every} trees failed and are not in the sums. See {answer.files[0]}")
 
 
+def state_text(state: TreeState, folder: Path) -> str:
+    """A tree that starts, is done or failed in words. folder: of its result."""
+    from fruitlangs.engine.block.trees import fruit_text
+
+    if state.stage == "running":
+        return "started"
+    return f"{fruit_text(folder)} in {state.seconds:.0f} s" if state.stage == "done" else state.reason
+
+
 def block_text(document: dict[str, Any]) -> str:
     """The sums of a block (`tables.summary`) in words."""
-    block, lines = document["block"], []
-    counted = f"block: {block['count']} visible fruit counted on {document['done']} of {document['trees']} trees"
-    if "likely" in block:
-        counted += f", most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
-    lines.append(counted)
-    for name, row in document["rows"].items():
-        lines.append(f"  row {name}: {row['count']} on {row['trees']} trees ({row['low']:.0f}–{row['high']:.0f})")
+    if not document["done"]:
+        return "block: no tree was counted"
+    block, prompts, where = document["block"], document.get("prompts"), f"on {document['done']} of {document['trees']}"
+    if prompts:
+        counts = ", ".join(f"{sums['count']} {prompt}" for prompt, sums in prompts.items())
+        lines = [f"block: visible fruit counted {where} trees: {counts}", *map(_sums_text, prompts, prompts.values())]
+    else:
+        likely = f"most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
+        lines = [f"block: {block['count']} visible fruit counted {where} trees, {likely}"]
+    lines += [_sums_text(f"row {name}", sums) for name, sums in document["rows"].items()]
     if document["elsewhere"]:
         lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
     every = document.get("all_trees")
@@ -136,35 +153,78 @@ def block_text(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def plan(trees: list[TreeEntry], ledger: Ledger) -> str:
-    """What would be counted, with the time that it takes on this computer."""
-    from fruitlangs.engine.errors import FruitLangsError
+def _sums_text(name: str, sums: dict[str, Any]) -> str:
+    trees = "1 tree" if sums["trees"] == 1 else f"{sums['trees']} trees"
+    return (
+        f"  {name}: {sums['count']} on {trees}, most likely {sums['likely']:.0f} ({sums['low']:.0f}–{sums['high']:.0f})"
+    )
+
+
+def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
+    """Say what would be counted, with the time that it takes on this computer.
+
+    Raises:
+        CountingError: some trees cannot be counted.
+    """
+    wrong, total = 0, 0.0
+    for tree in trees:
+        if ledger.state(tree).stage == "done":
+            say(f"{tree.id}: done")
+            continue
+        try:
+            text, seconds = expected(tree)
+        except FruitLangsError as error:
+            text, seconds = str(error), 0.0
+            wrong += 1
+        say(f"{tree.id}: {text}")
+        total += seconds
+    say(f"in all about {duration(total)} with all cores for one tree at a time")
+    if wrong:
+        raise CountingError(f"{wrong} of {len(trees)} trees cannot be counted. The reasons are above")
+
+
+def expected(tree: TreeEntry) -> tuple[str, float]:
+    """What counting a tree takes, in words, and its seconds; 0 if they cannot be estimated.
+
+    Raises:
+        FruitLangsError: the tree cannot be counted, because of its words or its source.
+    """
+    from fruitlangs.engine.language.prompts.relevancy import check_prompts
     from fruitlangs.engine.photo_check.cost import expected_costs
     from fruitlangs.engine.photo_check.photo_files import photo_files
+    from fruitlangs.engine.result_folder import ResultFolder
     from fruitlangs.engine.scene.photos.photo import read_header
     from fruitlangs.engine.scene.source import Source
 
-    lines, total = [], 0.0
-    for tree in trees:
-        state = ledger.state(tree)
-        if state.stage == "done":
-            lines.append(f"{tree.id}: done")
-            continue
-        try:
-            files = photo_files(Source(path=tree.source))
-            header = read_header(files.photos[0]) if files.photos else None
-        except FruitLangsError as error:
-            lines.append(f"{tree.id}: {error}")
-            continue
-        if header is None:
-            lines.append(f"{tree.id}: it has no photo from which its time can be estimated")
-            continue
-        sizes = [(header.width, header.height)] * len(files.photos)
-        costs = expected_costs(sizes, tree.config, posed=files.posed)
-        seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
-        total += seconds
-        lines.append(f"{tree.id}: {len(files.photos)} photos, about {seconds / 60:.0f} min and {most / 2**30:.1f} GB")
-    return "\n".join([*lines, f"in all about {total / 3600:.1f} h with all cores for one tree at a time"])
+    check_prompts(encoder_of(tree.config.embed), tree.prompt, tree.negative)
+    source = Source(path=tree.source)
+    gaussians = tree.source.suffix.lower() == ".ply" and tree.source.is_file()
+    other = gaussians or ResultFolder(tree.source).holds_result() or source.video() is not None
+    files = None if other else photo_files(source)
+    if files is None or not files.photos:
+        return "it has no photo from which its time can be estimated", 0.0
+    header = read_header(files.photos[0])
+    sizes = [(header.width, header.height)] * len(files.photos)
+    costs = expected_costs(sizes, tree.config, posed=files.posed)
+    seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
+    return f"{len(files.photos)} photos, about {duration(seconds)} and {most / 2**30:.1f} GB", seconds
+
+
+@cache
+def encoder_of(config: EmbedConfig) -> Encoder:
+    """The encoder that the settings name, opened once for all trees.
+
+    Raises:
+        ConfigError, EncoderError: there is no such encoder, or its weights cannot be used.
+    """
+    from fruitlangs.engine.language.features.embedder import Embedder
+
+    return Embedder.open(config).encoder
+
+
+def duration(seconds: float) -> str:
+    """'12 min', or from an hour on '1.5 h'."""
+    return f"{math.ceil(seconds / 60)} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
 
 
 def worker(given: list[str]) -> None:

@@ -28,7 +28,7 @@ WORKER_BYTES = 3 << 30
 MOST_IDLE = 3
 """Workers in a row that may end without any effect although trees wait: those that lack a package do."""
 LONGEST_MINUTES = 60 * 24 * 7
-SettledTree = Callable[[str, TreeState], None]
+ChangedTree = Callable[[str, TreeState], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +65,10 @@ def drive(
     command: Sequence[str],
     *,
     free: int,
-    settled: SettledTree = lambda *_: None,
+    changed: ChangedTree = lambda *_: None,
 ) -> dict[str, TreeState]:
-    """Have every tree of the block counted; returns the states. settled: called for each tree that is done or failed.
+    """Have every tree of the block counted; returns the states. changed: called for each tree that starts, is done or
+    failed.
 
     trees: those that the block must have, to which another command may add some; command: starts a worker, with the
     folder of the block, the name of the run and the executor appended; free: usable bytes. Trees that failed before are
@@ -93,9 +94,9 @@ def drive(
             pause = max(POLL_SECONDS, PATIENCE * (time.monotonic() - began))
             _require_trees(ledger, trees, states)
             for own, state in states.items():
-                if state.stage in ("done", "failed") and state.run == run and reported.get(own) != state:
+                if state.stage != "waiting" and state.run == run and reported.get(own) != state:
                     reported[own] = state
-                    settled(own, state)
+                    changed(own, state)
             if states != before:
                 _report(ledger, states)
             if not any(state.is_open for state in states.values()):

@@ -26,13 +26,13 @@ COLUMNS = {
     "negative": "what to exclude; several separated by |",
     "row": "name of its row",
     "position": "place along the row: a number",
-    "trees": "number of trees, if the source shows a row; or x y z of each trunk",
+    "trees": "number of trees, if the source shows a row; or x y z of each trunk, separated by spaces",
     "latitude": "degrees north",
     "longitude": "degrees east",
     "metres_per_unit": "scale, if known",
     "box": "region to count in: six numbers x y z x y z",
     "preset": "quick, standard or paper",
-    "settings": "more settings: stage.name=value; several separated by | or ;",
+    "settings": "settings, such as train.steps=800; several separated by |",
 }
 """{column: what it holds} of a manifest. A TOML manifest may give each also for all trees."""
 WORDS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}

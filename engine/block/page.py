@@ -33,7 +33,7 @@ def write_page(
     """
     marks, places = _marks(trees)
     text = _template().render(
-        **{"all_trees": None, **document},
+        **{"all_trees": None, "prompts": None, **document},
         title=folder.resolve().name or "orchard",
         table=rows,
         marks=marks,

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ from .totals import Amount, of_all, summed
 from .trees import CountedTree
 
 COLUMNS = (
-    "tree", "row", "position", "latitude", "longitude", "state", "count", "reviewed", "likely", "low", "high",
-    "with_hidden", "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume",
+    "tree", "row", "position", "prompt", "latitude", "longitude", "state", "count", "reviewed", "likely", "low",
+    "high", "with_hidden", "with_hidden_low", "with_hidden_high", "mean_diameter", "diameter_sd", "unit", "volume",
     "fruit_weight_g", "yield_kg", "reason",
 )  # fmt: skip
 ORCHARD_JSON, PLACES = "orchard.json", "orchard.geojson"
@@ -39,7 +39,7 @@ def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[st
     for tree in trees:
         row: dict[str, Any] = dict.fromkeys(COLUMNS)
         entry = tree.entry
-        row |= {"tree": entry.id, "row": entry.row, "position": entry.position}
+        row |= {"tree": entry.id, "row": entry.row, "position": entry.position, "prompt": _prompt(tree)}
         row |= {"latitude": entry.latitude, "longitude": entry.longitude}
         row |= {"state": tree.state.stage, "reason": tree.state.reason}
         if tree.visible is not None:
@@ -64,7 +64,8 @@ def _ends(amount: Amount, name: str) -> dict[str, float]:
 
 
 def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: float | None) -> dict[str, Any]:
-    """The block in numbers: states, sums by row and in all, sizes, weight, and what failed.
+    """The block in numbers: states, sums by row and in all, sizes, weight, and what failed; if the trees have several
+    prompts, also sums by prompt.
 
     all_trees: of the block, of which these are a random sample; None if these are all. Sizes are None with a reason in
     `no_diameters` if results have different units, and the estimate for all trees with one in `no_estimate` if too few
@@ -72,9 +73,6 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
     """
     done = [tree for tree in trees if tree.visible is not None]
     failed = {tree.entry.id: tree.state.reason for tree in trees if tree.state.stage == "failed"}
-    rows: dict[str, Any] = {}
-    for name in dict.fromkeys(tree.entry.row for tree in done if tree.entry.row):
-        rows[name] = _sums([tree for tree in done if tree.entry.row == name])
     diameters = np.concatenate([np.zeros(0), *(tree.diameters for tree in done)])
     results = {(tree.folder, tree.metric) for tree in done}
     metric = bool(done) and all(tree.metric for tree in done)
@@ -86,7 +84,7 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "elsewhere": sum(tree.elsewhere for tree in done),
         "waiting": sum(tree.state.stage in ("waiting", "running") for tree in trees),
         "block": _sums(done),
-        "rows": rows,
+        "rows": _sums_by(lambda tree: tree.entry.row, done),
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters) if comparable else None,
         "no_diameters": "" if comparable or not len(diameters) else NO_SIZES,
@@ -95,6 +93,8 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "density": density,
         "yield_kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
     }
+    if len(set(map(_prompt, trees))) > 1:
+        document["prompts"] = _sums_by(_prompt, done)
     if all_trees is not None:
         amounts = [tree.visible for tree in done if tree.visible is not None]
         document["all_trees"] = {"trees": all_trees}
@@ -103,6 +103,17 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         except ConfigError as error:
             document["all_trees"]["no_estimate"] = str(error)
     return document
+
+
+def _prompt(tree: CountedTree) -> str:
+    """What is counted on a tree, in words."""
+    return " or ".join(tree.entry.prompt)
+
+
+def _sums_by(name: Callable[[CountedTree], str], trees: Sequence[CountedTree]) -> dict[str, Any]:
+    """{name: sums} of the trees with each name; trees whose name is empty are left out."""
+    names = dict.fromkeys(map(name, trees))
+    return {each: _sums([tree for tree in trees if name(tree) == each]) for each in names if each}
 
 
 def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:

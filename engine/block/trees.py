@@ -74,6 +74,16 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
     return found
 
 
+def fruit_text(folder: Path) -> str:
+    """The count of a result in words: '98 fruit', of a row '98 fruit on 6 trees'. Of a damaged one, what is wrong."""
+    try:
+        document = parse_results(folder / FRUITS_JSON)
+    except FormatError as error:
+        return str(error)
+    trees = document.get("trees")
+    return f"{document['count']} fruit" + (f" on {len(trees)} trees" if isinstance(trees, list) and trees else "")
+
+
 def _trees_of(entry: TreeEntry, state: TreeState, folder: Path) -> list[CountedTree]:
     """The tree of a result, or its trees if it is one of a row.
 

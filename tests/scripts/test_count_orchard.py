@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -33,7 +34,8 @@ def test_a_block_is_counted_resumed_and_summed_up(block: Path) -> None:
     first = count(block / "orchard.csv", "--out", out, "--settings", QUICK, "--jobs", 2)
     assert first.returncode == 1
     assert first.stderr.splitlines()[-1].startswith("error: 1 of 3 trees failed and are not in the sums")
-    assert "3: " in first.stdout
+    assert "1: started\n" in first.stdout
+    assert "1: 5 fruit in " in first.stdout
     assert "missing does not exist" in first.stdout
     rows = {row["tree"]: row for row in csv.DictReader((out / "orchard.csv").open())}
     assert [rows[own]["count"] for own in "123"] == ["5", "5", ""]
@@ -53,11 +55,43 @@ def test_a_block_is_counted_resumed_and_summed_up(block: Path) -> None:
     assert (out / "trees" / "1" / "fruits.json").stat().st_mtime_ns == before
 
 
-def test_a_dry_run_says_what_it_would_do_and_writes_nothing(block: Path, tmp_path: Path) -> None:
-    done = count(block / "orchard.csv", "--out", tmp_path / "out", "--dry-run")
+def dry_run(folder: Path, *lines: str) -> subprocess.CompletedProcess[str]:
+    (folder / "orchard.csv").write_text("\n".join(["id,source,prompt", *lines, ""]))
+    return count(folder / "orchard.csv", "--out", folder / "out", "--dry-run")
+
+
+def test_a_dry_run_says_what_it_would_do_and_writes_nothing(balls: Path, tmp_path: Path) -> None:
+    (tmp_path / "row.mp4").touch()
+    done = dry_run(tmp_path, f"1,{balls},apple", "2,row.mp4,apple")
     assert done.returncode == 0, done.stderr
-    assert "1: 16 photos, about" in done.stdout
+    assert re.search(r"^1: 16 photos, about \d+ min and", done.stdout)
+    assert "\n2: it has no photo from which its time can be estimated\n" in done.stdout
+    assert re.search(r"\nin all about [1-9]\d* min with all cores", done.stdout)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_fails_if_a_tree_has_a_wrong_word_or_no_source(balls: Path, tmp_path: Path) -> None:
+    done = dry_run(tmp_path, f"1,{balls},aple", "2,missing,apple", f"3,{balls},apple")
+    assert done.returncode == 1
+    assert done.stderr == "error: 2 of 3 trees cannot be counted. The reasons are above\n"
+    word, source, right = done.stdout.splitlines()[:3]
+    assert "does not know the word 'aple'" in word
+    assert "missing does not exist" in source
+    assert right.startswith("3: 16 photos")
+
+
+def test_the_sums_of_several_prompts_are_said_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    from count_orchard import block_text
+
+    apple, pear = ({"trees": k, "count": 9 * k, "likely": 10.0 * k, "low": 9.0, "high": 12.0 * k} for k in (1, 2))
+    document = {"trees": 4, "done": 3, "rows": {}, "elsewhere": 0, "block": pear, "prompts": {"apple": apple}}
+    document["prompts"]["pear"] = pear
+    assert block_text(document).splitlines() == [
+        "block: visible fruit counted on 3 of 4 trees: 9 apple, 18 pear",
+        "  apple: 9 on 1 tree, most likely 10 (9–12)",
+        "  pear: 18 on 2 trees, most likely 20 (9–24)",
+    ]
 
 
 def test_more_trees_than_the_block_has_are_an_error_before_anything_is_counted(block: Path, tmp_path: Path) -> None:
@@ -86,5 +120,12 @@ def test_a_block_in_which_every_tree_failed_has_tables_and_an_error(tmp_path: Pa
     done = count(tmp_path / "orchard.csv", "--out", tmp_path / "out")
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("error: 1 of 1 trees failed and are not in the sums")
-    assert "block: 0 visible fruit counted on 0 of 1 trees\n" in done.stdout
+    assert "block: no tree was counted\n" in done.stdout
     assert (tmp_path / "out" / "orchard.html").is_file()
+
+
+@pytest.mark.parametrize("page", ["--help", "--help-all"])
+def test_help_has_no_heading_for_settings_that_the_script_does_not_have(page: str) -> None:
+    done = count(page)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].split() == ["-h,", "--help", "Show", "this", "page."]

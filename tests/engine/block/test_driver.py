@@ -85,6 +85,18 @@ def test_workers_count_all_trees(ledger: Ledger) -> None:
     assert ended(ledger, WORKER) == dict.fromkeys("abc", "done")
 
 
+def test_each_tree_is_reported_when_it_starts_and_when_it_is_done(ledger: Ledger) -> None:
+    reported: list[tuple[str, str]] = []
+
+    def changed(own: str, state: TreeState) -> None:
+        reported.append((own, state.stage))
+        (ledger.path / f"seen-{own}").touch()
+
+    wait = "[time.sleep(0.05) for _ in range(200) if not (ledger.path / f'seen-{tree.id}').exists()]"
+    ended(ledger, WORKER.replace("time.sleep(0.5)", wait), changed=changed)
+    assert reported == [(own, stage) for own in "abc" for stage in ("running", "done")]
+
+
 def test_workers_that_die_before_they_count_end_the_command_with_the_last_line_of_their_log(ledger: Ledger) -> None:
     with pytest.raises(OutputError, match=r"3 workers in a row .*_log\.err is: .*No module named 'no_such_module'"):
         ended(ledger, "import no_such_module")
@@ -100,11 +112,11 @@ def test_workers_that_die_with_a_tree_are_replaced(ledger: Ledger, tmp_path: Pat
 
 def test_a_command_whose_trees_another_one_took_away_is_an_error(ledger: Ledger, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"removed or changed 2 of 3 trees of .*, such as 'b'"):
-        ended(ledger, WORKER, settled=lambda *_: ledger.write_trees(entries(tmp_path, "a")))
+        ended(ledger, WORKER, changed=lambda *_: ledger.write_trees(entries(tmp_path, "a")))
 
 
 def test_trees_that_another_command_adds_are_counted_as_well(ledger: Ledger, tmp_path: Path) -> None:
-    found = ended(ledger, WORKER, settled=lambda *_: ledger.write_trees(entries(tmp_path, "abcd")))
+    found = ended(ledger, WORKER, changed=lambda *_: ledger.write_trees(entries(tmp_path, "abcd")))
     assert found == dict.fromkeys("abcd", "done")
 
 

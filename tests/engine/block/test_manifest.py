@@ -79,6 +79,14 @@ def test_a_row_has_a_number_of_trees_or_the_places_of_their_trunks(tmp_path: Pat
     assert (none.trees, none.tree_places) == (0, None)
 
 
+def test_the_manifest_of_the_docs_is_read(tmp_path: Path) -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "batch.md").read_text(encoding="utf-8")
+    one, two, row = read_manifest(written(tmp_path, page.partition("## The manifest")[2].split("```")[1].strip()))
+    assert (one.prompt, two.prompt, row.trees) == (("apple",), ("red apple", "green apple"), 2)
+    assert (two.config.train.steps, two.config.count.threshold) == (800, 0.4)
+    assert row.config.count.tree_places == (0.0, 0.0, 0.0, 2.5, 0.0, 0.0)
+
+
 def test_settings_of_yes_and_no_and_ids_that_only_resemble_those_of_a_row_are_read(tmp_path: Path) -> None:
     lines = "id,source,prompt,trees,settings\nA,a,apple,2,train.antialiased=YES\nA-3,b,apple,1,train.antialiased=no\n"
     row, tree = read_manifest(written(tmp_path, lines))

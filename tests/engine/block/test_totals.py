@@ -26,7 +26,7 @@ from fruitlangs.engine.block.publish import publish_again, publish_block
 from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
 from fruitlangs.engine.block.totals import Amount, of_all, summed
-from fruitlangs.engine.block.trees import CountedTree, read_counts
+from fruitlangs.engine.block.trees import CountedTree, fruit_text, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
 from fruitlangs.engine.errors import ConfigError, OutputError
 
@@ -126,6 +126,32 @@ def test_the_tables_have_a_line_for_each_tree_and_sums_without_failed_ones(tmp_p
     assert document["size_classes_mm"] == {"70-75": 3, "80-85": 3}
 
 
+def test_a_block_of_several_prompts_has_sums_by_prompt_in_place_of_one(tmp_path: Path) -> None:
+    one, two, three, lost = block(tmp_path)
+    assert "prompts" not in summary([one, two, lost], all_trees=None, density=None)
+    pear = replace(three, entry=replace(three.entry, prompt=("pear", "quince")))
+    trees = [one, two, pear, replace(lost, entry=replace(lost.entry, prompt=("fig",)))]
+    rows, document = rows_of(trees, None), summary(trees, all_trees=None, density=None)
+    assert [row["prompt"] for row in rows] == ["apple", "apple", "pear or quince", "fig"]
+    assert {name: sums["count"] for name, sums in document["prompts"].items()} == {"apple": 20, "pear or quince": 10}
+    assert geojson(trees, rows)["features"][2]["properties"]["prompt"] == "pear or quince"
+    page = " ".join(write_page(tmp_path, trees, rows, document).read_text().split())
+    assert '<span class="big">20</span> apple, <span class="big">10</span> pear or quince.</p>' in page
+    assert '<span class="big">30</span>' not in page
+    assert "<td>pear or quince</td><td>1</td><td>10</td> <td>12</td><td>10–16</td> <td>20</td>" in page
+
+
+def test_the_page_says_to_use_the_most_likely_number_if_it_is_above_the_count(tmp_path: Path) -> None:
+    def page(likely: float) -> str:
+        tree = replace(block(tmp_path)[0], visible=Amount(count=10, likely=likely, low=10.0, high=16.0))
+        return write_page(
+            tmp_path, [tree], rows_of([tree], None), summary([tree], all_trees=None, density=None)
+        ).read_text()
+
+    assert "use the most likely number and its interval" in page(11.0)
+    assert "use the most likely number" not in page(10.4)
+
+
 def test_sizes_are_summed_up_only_in_one_unit(tmp_path: Path) -> None:
     metres, lost = block(tmp_path)[0], block(tmp_path)[3]
     unknown = replace(metres, metric=False, diameters=(1.2, 1.3), folder="other")
@@ -215,7 +241,8 @@ def test_a_block_in_which_nothing_is_counted_has_a_page(tmp_path: Path) -> None:
     rows, document = rows_of(lost, None), summary(lost, all_trees=None, density=None)
     write_tables(tmp_path, lost, rows, document)
     page = write_page(tmp_path, lost, rows, document).read_text()
-    assert ">0</span> visible fruit counted on 0 of 1 trees" in page
+    assert "No tree was counted." in page
+    assert "visible fruit" not in page
 
 
 def test_a_tree_without_a_place_has_that_of_its_photos(tmp_path: Path) -> None:
@@ -305,6 +332,19 @@ def test_a_row_has_a_line_for_each_of_its_trees(tmp_path: Path) -> None:
     page = write_page(ledger.path, [one, two], rows_of([one, two], None), document).read_text()
     assert "1 counted fruit belong to no tree of their row and are not in the sums." in page
     assert page.count("<circle") == 2
+
+
+def test_the_count_of_a_result_in_words_names_the_trees_of_a_row(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    path = ledger.result(row).path / "fruits.json"
+    assert fruit_text(path.parent) == "4 fruit on 2 trees"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"trees": []}))
+    assert fruit_text(path.parent) == "4 fruit"
+    path.write_text("{")
+    assert "is not a results file" in fruit_text(path.parent)
 
 
 def test_trees_of_a_row_without_gps_tags_have_the_place_of_their_line(tmp_path: Path) -> None:
