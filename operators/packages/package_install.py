@@ -220,7 +220,7 @@ class _Lines:
         # Without the index of CPU builds pip says that versions are in conflict.
         unanswered = re.findall(r"(?m)^WARNING: Retrying .*: (/\S+)$", text)
         if unanswered:
-            errors.insert(0, f"no server answers for {unanswered[-1]}")
+            errors.insert(0, f"no server replies to {unanswered[-1]}")
         self.code = code
         self.last = (errors or lines or [f"it ended with code {code}"])[0 if errors else -1]
 

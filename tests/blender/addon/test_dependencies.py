@@ -139,7 +139,7 @@ def test_a_missing_wheel_is_named_and_nothing_is_changed(home, tmp_path):
 def test_a_server_that_does_not_answer_is_the_reason_not_what_pip_concludes_from_it():
     retry = "WARNING: Retrying (Retry(total=0, connect=None)) after connection broken by 'NewConnectionError()': "
     text = f"{retry}/whl/cpu/torch/\nERROR: Cannot install torch because these package versions conflict.\n"
-    assert package_install._Lines(1, text).last == "no server answers for /whl/cpu/torch/"
+    assert package_install._Lines(1, text).last == "no server replies to /whl/cpu/torch/"
     assert package_install._Lines(1, text.splitlines()[1]).last.startswith("Cannot install torch")
 
 
