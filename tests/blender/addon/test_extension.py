@@ -189,7 +189,7 @@ def test_blender_validates_installs_and_enables_the_zip(zip_path, tmp_path):
         "assert 'bl_ext.user_default.fruitlangs' in bpy.context.preferences.addons\n"
         f"assert bpy.context.scene.fruitlangs.config.train.steps == {TrainConfig().steps}\n"
         "assert not bpy.ops.fruitlangs.count.poll()\n"
-        "from bl_ext.user_default.fruitlangs.operators import dependencies\n"
+        "from bl_ext.user_default.fruitlangs.operators.packages import dependencies\n"
         "assert Path(bpy.utils.user_resource('EXTENSIONS')) in dependencies.packages_folder().parents\n"
         "if not dependencies.missing_packages():\n"
         f"    bpy.context.scene.fruitlangs.source = {str(SAMPLE)!r}\n"
