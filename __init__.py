@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """FruitLangs counts fruit from photos of trees: a Python package and a Blender extension."""
 
-__version__ = "0.1.0"
+__version__ = "1.0.0-rc.1"
 
 
 def register() -> None:
