@@ -9,7 +9,6 @@ stays. Exit code 0: every tree is counted; 1: some are not, with a line for each
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -23,6 +22,7 @@ import _checkout  # noqa: F401
 from _help import parsed
 from _terminal import arguments_of, import_tyro, run, say
 from fruitlangs.engine.errors import ConfigError, CountingError, FruitLangsError
+from fruitlangs.engine.progress import duration
 
 if TYPE_CHECKING:
     import tyro
@@ -178,7 +178,8 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
             wrong += 1
         say(f"{tree.id}: {text}")
         total += seconds
-    say(f"in all about {duration(total)} with all cores for one tree at a time")
+    if total:
+        say(f"in all about {duration(total)} with all cores for one tree at a time")
     if wrong:
         raise CountingError(f"{wrong} of {len(trees)} trees cannot be counted. The reasons are above")
 
@@ -220,11 +221,6 @@ def encoder_of(config: EmbedConfig) -> Encoder:
     from fruitlangs.engine.language.features.embedder import Embedder
 
     return Embedder.open(config).encoder
-
-
-def duration(seconds: float) -> str:
-    """'12 min', or from an hour on '1.5 h'."""
-    return f"{math.ceil(seconds / 60)} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
 
 
 def worker(given: list[str]) -> None:
