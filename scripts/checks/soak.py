@@ -2,9 +2,9 @@
 
     python scripts/checks/soak.py --counts 200 --processes 4 --out results/soak
 
-The sample is trained for a moment and then counted again and again, with two prompts in turn: memory may not grow, and
-each prompt must give the same fruit each time. Then several processes, whose common cache of kernels is empty, train
-and count it at the same time: all must give the same fruit. Exit code 1 if not.
+The sample is trained for a moment on small photos, and then counted again and again, with two prompts in turn: memory
+may not grow, and each prompt must give the same fruit each time. Then several processes, whose common cache of kernels
+is empty, train and count it at the same time: all must give the same fruit. Exit code 1 if not.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ import numpy as np
 import psutil
 
 from _terminal import report, run
-from fruitlangs.engine.config import Config, TrainConfig
+from fruitlangs.engine.config import Config, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.pipeline import count_scene
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
 COUNT_FRUIT = Path(__file__).resolve().parents[1] / "count_fruit.py"
 PROMPTS = ("apple", "fruit")
-SHORT = TrainConfig(steps=40, max_gaussians=3000)
-FLAGS = ("--prompt", "apple", "--no-blend", "--train.steps", "40", "--train.max-gaussians", "3000")
+SHORT = Config(scene=SceneConfig(max_side=320), train=TrainConfig(steps=40, max_gaussians=3000))
+FLAGS = ("--scene.max-side", "320", "--train.steps", "40", "--train.max-gaussians", "3000")
 WARM = 0.25
 """Share of the counts after which memory may not grow any more."""
 GROWTH = 10.0
@@ -62,7 +62,7 @@ def soak(out: Path, counts: int) -> float:
     Raises:
         CountingError: a count differs from an earlier one of the same prompt.
     """
-    count_scene(SAMPLE, PROMPTS[:1], out / "first", config=Config(train=SHORT))
+    count_scene(SAMPLE, PROMPTS[:1], out / "first", config=SHORT)
     process, used, first = psutil.Process(), list[float](), dict[str, int]()
     for number in range(counts):
         prompt = PROMPTS[number % len(PROMPTS)]
@@ -83,7 +83,17 @@ def together(out: Path, processes: int) -> list[Sequence[object]]:
     folders = [out / f"at-once-{number}" for number in range(processes)]
     running = [
         subprocess.Popen(
-            [sys.executable, str(COUNT_FRUIT), str(SAMPLE), *FLAGS, "--out", str(folder)],
+            [
+                sys.executable,
+                str(COUNT_FRUIT),
+                str(SAMPLE),
+                "--prompt",
+                "apple",
+                "--no-blend",
+                *FLAGS,
+                "--out",
+                str(folder),
+            ],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
