@@ -14,11 +14,11 @@ from ...engine.storage.files import replacing, write_text
 from .code_state import ROOT
 from .records import Record
 from .studies import STUDIES, of_study
-from .tables import TABLES, condition_results, head, summary_line
+from .tables import STUDY_OF, TABLES, condition_results, head, summary_line
 
 DOCUMENTS = ("README.md", "docs/accuracy.md", "benchmarks/RESULTS.md")
 CONDITIONS_PICTURE = ROOT / "docs" / "images" / "conditions.png"
-_BLOCK = re.compile(r"(<!-- table ([a-z-]+) -->\n).*?(\n<!-- end -->)", re.DOTALL)
+_BLOCK = re.compile(r"(<!-- table ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def filled(text: str, records: Sequence[Record]) -> str:
@@ -26,12 +26,13 @@ def filled(text: str, records: Sequence[Record]) -> str:
 
     def block(found: re.Match[str]) -> str:
         name = found[2]
-        parts = [head(name, records)] if name in STUDIES else []
-        if name not in STUDIES or of_study(name, records):
+        study = STUDY_OF.get(name)
+        parts = [head(study, records)] if study else []
+        if not study or of_study(study, records):
             parts.append(TABLES[name](records))
         if name in STUDIES:
             parts.append(summary_line(name, records))
-        return found[1] + "\n\n".join(filter(None, parts)) + found[3]
+        return found[1] + "\n\n".join(filter(None, parts)) + "\n" + found[3]
 
     return _BLOCK.sub(block, text)
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import mean
 
+from ...engine.evaluation.camera_errors import CameraErrors
 from ...engine.evaluation.metrics import CountMetrics
 from ...engine.evaluation.summary import summarise
 from ..ladder.ladder import StageResult
-from ..ladder.pages import table_parts
-from ..ladder.stages import END_TO_END, TRUE_POSES
+from ..ladder.pages import table_parts, visibility_rows
+from ..ladder.stages import END_TO_END, TRUE_MASKS, TRUE_POSES
 from ..markdown import markdown
 from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
@@ -58,44 +59,77 @@ def known_cameras(records: Sequence[Record]) -> str:
 
 
 def photos_alone(records: Sequence[Record]) -> str:
-    """True cameras and photos alone, by scene."""
-    return _photos_alone([f"{species}-small-{seed}" for species in SPECIES for seed in SEEDS], records)
+    """True cameras and photos alone, by species: the scenes that were measured with both."""
+    lines = [["species", "scenes", "F1, true cameras", "F1, photos alone", "worst", "photos placed"]]
+    lines[0] += ["centres / mm", "directions / °"]
+    whole = list[_BothCameras]()
+    for species in SPECIES:
+        pairs = _both_cameras("ladder", [f"{species}-small-{seed}" for seed in SEEDS], records)
+        whole += pairs
+        if pairs:
+            lines.append([species, *_means_of(pairs)])
+    if whole:
+        lines.append(["all", *_means_of(whole)])
+    return markdown(lines)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _BothCameras:
+    """A scene counted with its true cameras and from photos alone. alone: None if nothing could be counted."""
+
+    scene: str
+    known: CountMetrics
+    alone: CountMetrics | None
+    cameras: CameraErrors | None
+
+
+def _both_cameras(study: str, scenes: Sequence[str], records: Sequence[Record]) -> list[_BothCameras]:
+    """The scenes of a study that have both rows."""
+    own = of_study(study, records)
+    found = []
+    for scene in scenes:
+        known = _near(own.get(Trial(scene=scene, stage=TRUE_POSES)))
+        record = own.get(Trial(scene=scene, stage=END_TO_END))
+        if known and record:
+            found.append(_BothCameras(scene=scene, known=known, alone=_near(record), cameras=record.result.cameras))
+    return found
+
+
+def _means_of(pairs: Sequence[_BothCameras]) -> list[str]:
+    """Mean scores and camera errors of scenes; a scene that could not be counted from photos alone has F1 0."""
+    alone = [each.alone.f1 if each.alone else 0.0 for each in pairs]
+    cameras = [each.cameras for each in pairs if each.cameras]
+    return [
+        str(len(pairs)),
+        _score(mean(each.known.f1 for each in pairs)),
+        _score(mean(alone)),
+        _score(min(alone)),
+        f"{sum(each.placed for each in cameras)} of {sum(each.photos for each in cameras)}",
+        *_camera_cells(cameras),
+    ]
+
+
+def _camera_cells(cameras: Sequence[CameraErrors]) -> list[str]:
+    """Errors of centres and directions, median and 90th percentile, each the mean of the scenes."""
+    if not cameras:
+        return ["", ""]
+    centres = [
+        1000.0 * mean(values) for values in zip(*[(each.center, each.center_90) for each in cameras], strict=True)
+    ]
+    turns = [mean(values) for values in zip(*[(each.rotation, each.rotation_90) for each in cameras], strict=True)]
+    return [f"{centres[0]:.1f}, {centres[1]:.1f}", f"{turns[0]:.2f}, {turns[1]:.2f}"]
 
 
 def phone(records: Sequence[Record]) -> str:
-    """The same for photos of a phone's size."""
-    return _photos_alone([scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
-
-
-def _photos_alone(scenes: Sequence[str], records: Sequence[Record]) -> str:
-    by_trial = {record.trial: record for record in records}
-    lines = [["scene", "visible", "counted", "F1", "precision", "F1, photos alone", "placed"]]
+    """True cameras and photos alone by scene, for photos of a phone's size."""
+    pairs = _both_cameras("phone", [scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
+    lines = [["scene", "visible", "counted", "F1", "counted, photos alone", "F1, photos alone", "photos placed"]]
     lines[0] += ["centres / mm", "directions / °"]
-    known, alone = list[float](), list[float]()
-    for scene in scenes:
-        near = _near(by_trial.get(Trial(scene=scene, stage=TRUE_POSES)))
-        record = by_trial.get(Trial(scene=scene, stage=END_TO_END))
-        found, cameras = _near(record), record.result.cameras if record else None
-        if near is None and found is None:
-            continue
-        line = [scene]
-        line += [str(near.visible), str(near.predicted), _score(near.f1), _score(near.precision)] if near else [""] * 4
-        line.append(_score(found.f1) if found else "failed" if record else "")
-        if cameras:
-            line += [
-                f"{cameras.placed} of {cameras.photos}",
-                f"{1000 * cameras.center:.1f}, {1000 * cameras.center_90:.1f}",
-                f"{_short(cameras.rotation)}, {_short(cameras.rotation_90)}",
-            ]
-        else:
-            line += [""] * 3
-        lines.append(line)
-        known += [near.f1] if near else []
-        alone += [found.f1] if found else []
-    ends_of: Mapping[str, Callable[[list[float]], float]] = {"mean": mean, "worst": min}
-    for name, choose in ends_of.items():
-        ends = [_score(choose(values)) if values else "" for values in (known, alone)]
-        lines.append([name, "", "", ends[0], "", ends[1], "", "", ""])
+    for each in pairs:
+        line = [each.scene, str(each.known.visible), str(each.known.predicted), _score(each.known.f1)]
+        line += [str(each.alone.predicted), _score(each.alone.f1)] if each.alone else ["", "failed"]
+        line.append(f"{each.cameras.placed} of {each.cameras.photos}" if each.cameras else "")
+        lines.append([*line, *_camera_cells([each.cameras] if each.cameras else [])])
     return markdown(lines)
 
 
@@ -103,6 +137,13 @@ def ladder(records: Sequence[Record]) -> str:
     """The ablation ladder with all its tables."""
     own = [record.result for record in of_study("ladder", records).values()]
     return "\n\n".join(table_parts(own))
+
+
+def missed(records: Sequence[Record]) -> str:
+    """Share of the fruit that are found, by their largest visible part, on trained Gaussians of the ladder."""
+    own = [record.result for record in of_study("ladder", records).values()]
+    lines = visibility_rows([each for each in own if each.stage in (TRUE_MASKS, TRUE_POSES)])
+    return markdown(lines) if lines else ""
 
 
 def conditions(records: Sequence[Record]) -> str:
@@ -253,14 +294,11 @@ def _score(value: float) -> str:
     return f"{value:.3f}" if not math.isnan(value) else ""
 
 
-def _short(value: float) -> str:
-    return f"{value:.2f}"
-
-
 TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "known-cameras": known_cameras,
     "ladder": ladder,
     "photos-alone": photos_alone,
+    "missed": missed,
     "phone": phone,
     "conditions": conditions,
     "methods": methods,
@@ -268,3 +306,5 @@ TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "intervals": intervals,
 }
 """{name of a block of a document: its table}."""
+STUDY_OF: Mapping[str, str] = {name: name for name in STUDIES} | {"photos-alone": "ladder", "missed": "ladder"}
+"""{table: the study that it is made from}; others have no head."""

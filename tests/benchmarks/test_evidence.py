@@ -170,6 +170,25 @@ def test_an_interval_that_misses_is_not_counted_as_held() -> None:
     assert "| apple | 2 | 1 of 2 | 0.110 | 2 of 2 | 0.250 |" in TABLES["intervals"]([held, missed])
 
 
+def test_a_scene_that_cannot_be_counted_from_photos_alone_has_f1_0_in_the_mean() -> None:
+    cameras = CameraErrors(placed=58, photos=60, center=0.0021, center_90=0.0053, rotation=0.08, rotation_90=0.14)
+    known = record_of(RESULT, "voting")
+    alone = record_of(replace(RESULT, stage=END_TO_END, cameras=cameras), "voting")
+    other = record_of(replace(RESULT, scene="apple-small-103", seed=103), "voting")
+    failed = StageResult(
+        species="apple", seed=103, scene="apple-small-103", stage=END_TO_END, counted=None, failed="no cameras"
+    )
+    table = TABLES["photos-alone"]([known, alone, other, record_of(failed, "voting")])
+    assert "| apple | 2 | 0.904 | 0.452 | 0.000 | 58 of 60 | 2.1, 5.3 | 0.08, 0.14 |" in table
+
+
+def test_tables_that_are_made_from_the_ladder_have_its_head() -> None:
+    for name in ("photos-alone", "missed"):
+        text = filled(f"<!-- table {name} -->\n<!-- end -->\nafter\n<!-- end -->", [record_of(RESULT, "voting")])
+        assert "119 of 120 rows are not measured yet" in text
+        assert "\nafter\n" in text
+
+
 def test_the_picture_of_conditions_is_the_same_each_time(tmp_path: Path) -> None:
     scores = [("as usual", 0.94), ("wind", 0.62), ("bush", 0.92)]
     for name in ("a.png", "b.png"):
