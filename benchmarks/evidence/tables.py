@@ -251,16 +251,19 @@ def _mean_and_worst(errors: Sequence[Sequence[float]]) -> list[str]:
 
 
 def intervals(records: Sequence[Record]) -> str:
-    """How often the 90 % intervals of current rows hold, by species."""
+    """How often the 90 % intervals of current rows hold, by species and by the origin of the cameras."""
     current = [record for record in records if record.trial.method == "voting" and not record.stale]
-    results = [record.result for record in current if record.result.near]
-    lines = [["species", "counts", "visible covered", "width / number", "all covered", "width / number"]]
-    for species in (*SPECIES, "all"):
-        own = [each for each in results if species in (each.species, "all") and each.stage in (TRUE_POSES, END_TO_END)]
+    results = [each.result for each in current if each.trial.stage in (TRUE_POSES, END_TO_END)]
+    groups = {name: [each for each in results if each.species == name] for name in SPECIES}
+    groups["true cameras"] = [each for each in results if each.stage == TRUE_POSES]
+    groups["photos alone"] = [each for each in results if each.stage == END_TO_END]
+    groups["all"] = results
+    lines = [["counts of", "number", "visible covered", "width / fruit", "all covered", "width / fruit"]]
+    for name, own in groups.items():
         of_visible = [(each.interval, each.near.visible) for each in own if each.interval and each.near]
         of_all = [(each.total_interval, each.near.total) for each in own if each.total_interval and each.near]
         if of_visible and of_all:
-            lines.append([species, str(len(own)), *_held(of_visible), *_held(of_all)])
+            lines.append([name, str(len(of_visible)), *_held(of_visible), *_held(of_all)])
     return markdown(lines)
 
 
