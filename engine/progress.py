@@ -22,9 +22,10 @@ def part(progress: Progress, start: float, end: float) -> Progress:
 
 
 def duration(seconds: float, step: int = 1) -> str:
-    """A duration as text: '40 s', '3 min', '1 h 20 min'; seconds are multiples of `step`, except few of them."""
-    if seconds < 90:
+    """A duration as text: '40 s', '3 min', '1 h 20 min'; seconds are multiples of `step`, except few of them. A step of
+    a minute or more gives no seconds."""
+    if seconds < 90 and step < 60:
         few = seconds <= 1.5 * step
         return f"{max(round(seconds) if few else round(seconds / step) * step, 1)} s"
-    minutes = round(seconds / 60)
+    minutes = max(round(seconds / 60), 1)
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -35,6 +35,8 @@ else:
     tyro = import_tyro()
 
 EXAMPLE = "orchard.csv --out results/block"
+MINUTE = 60
+"""Seconds to which the time of a tree is rounded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +181,7 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
         say(f"{tree.id}: {text}")
         total += seconds
     if total:
-        say(f"in all about {duration(total)} with all cores for one tree at a time")
+        say(f"in all about {duration(total, MINUTE)} with all cores for one tree at a time")
     if wrong:
         raise CountingError(f"{wrong} of {len(trees)} trees cannot be counted. The reasons are above")
 
@@ -208,7 +210,7 @@ def expected(tree: TreeEntry) -> tuple[str, float]:
     sizes = [(header.width, header.height)] * len(files.photos)
     costs = expected_costs(sizes, tree.config, posed=files.posed)
     seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
-    return f"{len(files.photos)} photos, about {duration(seconds)} and {most / 2**30:.1f} GB", seconds
+    return f"{len(files.photos)} photos, about {duration(seconds, MINUTE)} and {most / 2**30:.1f} GB", seconds
 
 
 @cache

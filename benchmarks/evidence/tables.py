@@ -113,11 +113,9 @@ def _camera_cells(cameras: Sequence[CameraErrors]) -> list[str]:
     """Errors of centres and directions, median and 90th percentile, each the mean of the scenes."""
     if not cameras:
         return ["", ""]
-    centres = [
-        1000.0 * mean(values) for values in zip(*[(each.center, each.center_90) for each in cameras], strict=True)
-    ]
-    turns = [mean(values) for values in zip(*[(each.rotation, each.rotation_90) for each in cameras], strict=True)]
-    return [f"{centres[0]:.1f}, {centres[1]:.1f}", f"{turns[0]:.2f}, {turns[1]:.2f}"]
+    errors = [(each.center, each.center_90, each.rotation, each.rotation_90) for each in cameras]
+    center, center_90, rotation, rotation_90 = map(mean, zip(*errors, strict=True))
+    return [f"{1000.0 * center:.1f}, {1000.0 * center_90:.1f}", f"{rotation:.2f}, {rotation_90:.2f}"]
 
 
 def phone(records: Sequence[Record]) -> str:

@@ -33,7 +33,10 @@ SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
 COUNT_FRUIT = Path(__file__).resolve().parents[1] / "count_fruit.py"
 PROMPTS = ("apple", "fruit")
 SHORT = Config(scene=SceneConfig(max_side=320), train=TrainConfig(steps=40, max_gaussians=3000))
-FLAGS = ("--scene.max-side", "320", "--train.steps", "40", "--train.max-gaussians", "3000")
+FLAGS = (
+    "--prompt", "apple", "--no-blend", "--scene.max-side", "320",
+    "--train.steps", "40", "--train.max-gaussians", "3000",
+)  # fmt: skip
 WARM = 0.25
 """Share of the counts after which memory may not grow any more."""
 GROWTH = 10.0
@@ -83,17 +86,7 @@ def together(out: Path, processes: int) -> list[Sequence[object]]:
     folders = [out / f"at-once-{number}" for number in range(processes)]
     running = [
         subprocess.Popen(
-            [
-                sys.executable,
-                str(COUNT_FRUIT),
-                str(SAMPLE),
-                "--prompt",
-                "apple",
-                "--no-blend",
-                *FLAGS,
-                "--out",
-                str(folder),
-            ],
+            [sys.executable, str(COUNT_FRUIT), str(SAMPLE), *FLAGS, "--out", str(folder)],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -64,9 +64,9 @@ def test_a_dry_run_says_what_it_would_do_and_writes_nothing(balls: Path, tmp_pat
     (tmp_path / "row.mp4").touch()
     done = dry_run(tmp_path, f"1,{balls},apple", "2,row.mp4,apple")
     assert done.returncode == 0, done.stderr
-    assert re.search(r"^1: 16 photos, about [1-9]\d* (s|min) and", done.stdout)
+    assert re.search(r"^1: 16 photos, about \d+ min and", done.stdout)
     assert "\n2: it has no photo from which its time can be estimated\n" in done.stdout
-    assert re.search(r"\nin all about [1-9]\d* (s|min) with all cores", done.stdout)
+    assert re.search(r"\nin all about [1-9]\d* min with all cores", done.stdout)
     assert not (tmp_path / "out").exists()
 
 
