@@ -6,12 +6,14 @@
 
 With --out every scene (a folder of make_orchard.py, or a preset of it with a seed) is counted in every ablation stage:
 with true masks, poses and geometry instead of estimated ones, which shows what each part loses. DIR gets tables, a page
-with plots and pictures of the worst mistakes; an interrupted run continues. With --truth existing results are measured.
+with plots and pictures of the worst mistakes; an interrupted run continues. With --truth existing results are measured;
+those with cameras that were found from photos are moved to the truth by these cameras.
 F1 is against visible fruit of the counted kinds; a prediction on another true fruit of them is ignored.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -27,14 +29,19 @@ import numpy as np
 from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
 from fruitlangs.benchmarks.ladder.pages import stage_rows, write_pages
+from fruitlangs.benchmarks.ladder.stages import SAME_POSE
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.engine.config import PRESETS, Config, CountConfig, EmbedConfig, Preset, SceneConfig, TrainConfig
-from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.errors import ConfigError, FormatError, SceneError
+from fruitlangs.engine.evaluation.camera_errors import camera_errors, camera_similarity
 from fruitlangs.engine.evaluation.metrics import CountMetrics, count_metrics
-from fruitlangs.engine.evaluation.truth import read_truth, true_labels
+from fruitlangs.engine.evaluation.truth import read_truth, read_views, true_labels
 from fruitlangs.engine.progress import Progress
 from fruitlangs.engine.result_folder import ResultFolder
+from fruitlangs.engine.scene.alignment import Similarity
+from fruitlangs.engine.scene.formats.cameras_json import camera_names, read_cameras
+from fruitlangs.engine.training import CAMERAS
 
 if TYPE_CHECKING:
     import tyro
@@ -135,7 +142,45 @@ def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str
     unit = document["metres_per_unit"] or 1.0
     centers = np.array([fruit["center"] for fruit in fruits], dtype=np.float64).reshape(-1, 3)
     diameters = np.array([fruit["diameter"] / unit for fruit in fruits], dtype=np.float64)
+    moved = to_truth(folder / CAMERAS, truth_file, truth.mean_diameter)
+    if moved is not None:
+        centers, diameters = moved.apply(centers), moved.apply_to_lengths(diameters)
     return [cells(folder.name, count_metrics(centers, diameters, truth, radius)) for radius in RADII]
+
+
+def to_truth(cameras: Path, truth_file: Path, diameter: float) -> Similarity | None:
+    """The similarity from a result's frame to that of the truth, by the cameras that both list; None if the frames are
+    the same, or if one of them lists no cameras. Cameras that were found from photos have a frame of their own.
+
+    Raises:
+        FormatError: the frames differ, and the cameras that both list do not tell how: they are too few, or half of
+            them are off by more than a fruit's mean `diameter`.
+    """
+    true = read_views(truth_file)
+    if not true or not cameras.is_file():
+        return None
+    found = dict(zip((Path(name).name for name in camera_names(cameras)), read_cameras(cameras).cameras, strict=True))
+    same = {
+        view.name: dataclasses.replace(found[view.name], world_to_camera=view.world_to_camera)
+        for view in true
+        if view.name in found
+    }
+    if same and all(
+        np.abs(found[name].world_to_camera - same[name].world_to_camera).max() < SAME_POSE for name in same
+    ):
+        return None
+    unknown = "so the fruit cannot be moved to the truth. Give the truth of the scene that was counted"
+    try:
+        moved, errors = camera_similarity(found, same), camera_errors(found, same)
+    except SceneError as error:
+        raise FormatError(f"{cameras} and {truth_file} share {len(same)} cameras, {unknown}") from error
+    if errors.center > diameter:
+        raise FormatError(f"{cameras} has half of its cameras more than a fruit's diameter off {truth_file}, {unknown}")
+    report(
+        f"{cameras.parent}: moved to the truth by {errors.placed} cameras, which are then off by {errors.center:.4f} "
+        f"(median) and {errors.center_90:.4f} (90th percentile) scene units"
+    )
+    return moved
 
 
 def cells(name: str, metrics: CountMetrics) -> tuple[str, ...]:
