@@ -140,19 +140,26 @@ def block_text(document: dict[str, Any]) -> str:
     block, prompts, where = document["block"], document.get("prompts"), f"on {document['done']} of {document['trees']}"
     if prompts:
         counts = ", ".join(f"{sums['count']} {prompt}" for prompt, sums in prompts.items())
-        lines = [f"block: visible fruit counted {where} trees: {counts}", *map(_sums_text, prompts, prompts.values())]
+        lines = [f"block: visible fruit counted {where} trees: {counts}"]
+        for prompt, sums in prompts.items():
+            lines += [_sums_text(prompt, sums), *(f"  {line}" for line in _parts(sums))]
     else:
         likely = f"most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
-        lines = [f"block: {block['count']} visible fruit counted {where} trees, {likely}"]
-    lines += [_sums_text(f"row {name}", sums) for name, sums in document["rows"].items()]
+        lines = [f"block: {block['count']} visible fruit counted {where} trees, {likely}", *_parts(document)]
     if document["elsewhere"]:
         lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
-    every = document.get("all_trees")
+    return "\n".join(lines)
+
+
+def _parts(numbers: dict[str, Any]) -> list[str]:
+    """The sums of rows, and the estimate for all trees, a line each."""
+    lines = [_sums_text(f"row {name}", sums) for name, sums in numbers["rows"].items()]
+    every = numbers.get("all_trees")
     if every and "no_estimate" in every:
         lines.append(f"  no estimate for all {every['trees']} trees: {every['no_estimate']}")
     elif every:
         lines.append(f"  all {every['trees']} trees: {every['likely']:.0f} ({every['low']:.0f}–{every['high']:.0f})")
-    return "\n".join(lines)
+    return lines
 
 
 def _sums_text(name: str, sums: dict[str, Any]) -> str:

@@ -33,7 +33,8 @@ def write_page(
     """
     marks, places = _marks(trees)
     text = _template().render(
-        **{"all_trees": None, "prompts": None, **document},
+        **{"prompts": None, **document},
+        whole=document,
         title=folder.resolve().name or "orchard",
         table=rows,
         marks=marks,
@@ -41,7 +42,7 @@ def write_page(
         width=WIDTH,
         height=HEIGHT,
         stills=_stills(folder, trees),
-        size=lambda value, unit=document["unit"]: f"{1000.0 * value:.1f} mm" if unit == "m" else f"{value:.4g} {unit}",
+        size=lambda value, unit: f"{1000.0 * value:.1f} mm" if unit == "m" else f"{value:.4g} {unit}",
     )
     write_text(folder / PAGE, text)
     return folder / PAGE

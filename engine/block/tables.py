@@ -6,7 +6,8 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ ORCHARD_JSON, PLACES = "orchard.json", "orchard.geojson"
 DECIMALS = 6
 CLASS_MM = 5
 """Width of a size class."""
+NONE = Amount(count=0, likely=0.0, low=0.0, high=0.0)
 NO_SIZES = "Sizes are not summed up, because the scale of some trees is unknown"
 
 
@@ -64,45 +66,61 @@ def _ends(amount: Amount, name: str) -> dict[str, float]:
 
 
 def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: float | None) -> dict[str, Any]:
-    """The block in numbers: states, sums by row and in all, sizes, weight, and what failed; if the trees have several
-    prompts, also sums by prompt.
+    """The block in numbers: states, what failed, and sums by row and in all, sizes, colours and weight; if the trees
+    have several prompts, these also for each prompt.
 
     all_trees: of the block, of which these are a random sample; None if these are all. Sizes are None with a reason in
     `no_diameters` if results have different units, and the estimate for all trees with one in `no_estimate` if too few
     trees are done.
     """
     done = [tree for tree in trees if tree.visible is not None]
-    failed = {tree.entry.id: tree.state.reason for tree in trees if tree.state.stage == "failed"}
-    diameters = np.concatenate([np.zeros(0), *(tree.diameters for tree in done)])
-    results = {(tree.folder, tree.metric) for tree in done}
-    metric = bool(done) and all(tree.metric for tree in done)
-    comparable = metric or len(results) == 1  # each result without a scale has a unit of its own
     document: dict[str, Any] = {
         "trees": len(trees),
         "done": len(done),
-        "failed": failed,
+        "failed": {tree.entry.id: tree.state.reason for tree in trees if tree.state.stage == "failed"},
         "elsewhere": sum(tree.elsewhere for tree in done),
         "waiting": sum(tree.state.stage in ("waiting", "running") for tree in trees),
         "block": _sums(done),
-        "rows": _sums_by(lambda tree: tree.entry.row, done),
+        **_numbers(done, density),
+        "density": density,
+    }
+    if len(set(map(_prompt, trees))) > 1:
+        prompts = dict.fromkeys(map(_prompt, done))
+        groups = {each: [tree for tree in done if _prompt(tree) == each] for each in prompts}
+        document["prompts"] = {each: {**_sums(own), **_numbers(own, density)} for each, own in groups.items()}
+    if all_trees is not None:
+        document["all_trees"] = _of_all(done, all_trees)
+        for prompt, numbers in document.get("prompts", {}).items():
+            # A tree of another prompt was drawn, too, and bears none of this fruit.
+            numbers["all_trees"] = _of_all(
+                [tree if _prompt(tree) == prompt else replace(tree, visible=NONE) for tree in done], all_trees
+            )
+    return document
+
+
+def _numbers(done: Sequence[CountedTree], density: float | None) -> dict[str, Any]:
+    """Sums by row, sizes, colours and weight of counted trees."""
+    diameters = np.concatenate([np.zeros(0), *(tree.diameters for tree in done)])
+    metric = bool(done) and all(tree.metric for tree in done)
+    # Each result without a scale has a unit of its own.
+    comparable = metric or len({(tree.folder, tree.metric) for tree in done}) == 1
+    return {
+        "rows": _sums_by_row(done),
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters) if comparable else None,
         "no_diameters": "" if comparable or not len(diameters) else NO_SIZES,
         "size_classes_mm": _size_classes(diameters) if metric else None,
         "colours": _colours(done),
-        "density": density,
         "yield_kg": round(density * sum(tree.volume for tree in done), 3) if density is not None and metric else None,
     }
-    if len(set(map(_prompt, trees))) > 1:
-        document["prompts"] = _sums_by(_prompt, done)
-    if all_trees is not None:
-        amounts = [tree.visible for tree in done if tree.visible is not None]
-        document["all_trees"] = {"trees": all_trees}
-        try:
-            document["all_trees"] |= _ends(of_all(amounts, all_trees), "")
-        except ConfigError as error:
-            document["all_trees"]["no_estimate"] = str(error)
-    return document
+
+
+def _of_all(done: Sequence[CountedTree], all_trees: int) -> dict[str, Any]:
+    """The estimate for all trees of the block from the counted ones, or why there is none."""
+    try:
+        return {"trees": all_trees, **_ends(of_all([tree.visible for tree in done if tree.visible], all_trees), "")}
+    except ConfigError as error:
+        return {"trees": all_trees, "no_estimate": str(error)}
 
 
 def _prompt(tree: CountedTree) -> str:
@@ -110,10 +128,10 @@ def _prompt(tree: CountedTree) -> str:
     return " or ".join(tree.entry.prompt)
 
 
-def _sums_by(name: Callable[[CountedTree], str], trees: Sequence[CountedTree]) -> dict[str, Any]:
-    """{name: sums} of the trees with each name; trees whose name is empty are left out."""
-    names = dict.fromkeys(map(name, trees))
-    return {each: _sums([tree for tree in trees if name(tree) == each]) for each in names if each}
+def _sums_by_row(trees: Sequence[CountedTree]) -> dict[str, Any]:
+    """{row: sums} of the trees of each row; trees of no row are left out."""
+    rows = dict.fromkeys(tree.entry.row for tree in trees if tree.entry.row)
+    return {row: _sums([tree for tree in trees if tree.entry.row == row]) for row in rows}
 
 
 def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:

@@ -85,12 +85,17 @@ def test_the_sums_of_several_prompts_are_said_apart(monkeypatch: pytest.MonkeyPa
     from count_orchard import block_text
 
     apple, pear = ({"trees": k, "count": 9 * k, "likely": 10.0 * k, "low": 9.0, "high": 12.0 * k} for k in (1, 2))
-    document = {"trees": 4, "done": 3, "rows": {}, "elsewhere": 0, "block": pear, "prompts": {"apple": apple}}
-    document["prompts"]["pear"] = pear
+    document = {"trees": 4, "done": 3, "rows": {}, "elsewhere": 0, "block": pear}
+    document["prompts"] = {
+        "apple": {**apple, "rows": {"A": apple}},
+        "pear": {**pear, "rows": {}, "all_trees": {"trees": 9, "likely": 60.0, "low": 30.0, "high": 90.0}},
+    }
     assert block_text(document).splitlines() == [
         "block: visible fruit counted on 3 of 4 trees: 9 apple, 18 pear",
         "  apple: 9 on 1 tree, most likely 10 (9–12)",
+        "    row A: 9 on 1 tree, most likely 10 (9–12)",
         "  pear: 18 on 2 trees, most likely 20 (9–24)",
+        "    all 9 trees: 60 (30–90)",
     ]
 
 

@@ -141,6 +141,27 @@ def test_a_block_of_several_prompts_has_sums_by_prompt_in_place_of_one(tmp_path:
     assert "<td>pear or quince</td><td>1</td><td>10</td> <td>12</td><td>10–16</td> <td>20</td>" in page
 
 
+def test_rows_sizes_and_all_trees_are_of_one_prompt_each(tmp_path: Path) -> None:
+    one, two, three, _ = block(tmp_path)
+    pear = replace(three, entry=replace(three.entry, prompt=("pear",), row="A"), diameters=(0.05, 0.06))
+    trees = [one, two, pear]
+    rows, document = rows_of(trees, 900.0), summary(trees, all_trees=30, density=900.0)
+    assert document["rows"]["A"]["count"] == 30
+    apples, pears = document["prompts"]["apple"], document["prompts"]["pear"]
+    assert [group["rows"]["A"]["count"] for group in (apples, pears)] == [20, 10]
+    assert [group["diameters"]["mean"] for group in (apples, pears)] == pytest.approx([0.075, 0.055])
+    assert [group["yield_kg"] for group in (apples, pears)] == pytest.approx([0.72, 0.36])
+    assert pears["size_classes_mm"] == {"50-55": 1, "60-65": 1}
+    # Of three trees drawn at random two bear apples and one bears pears: so do 20 and 10 of 30.
+    assert [group["all_trees"]["likely"] for group in (apples, pears)] == pytest.approx([240.0, 120.0])
+    page = " ".join(write_page(tmp_path, trees, rows, document).read_text().split())
+    assert "<h2>apple</h2>" in page
+    assert "Mean diameter 75.0 mm" in page
+    assert "Mean diameter 55.0 mm" in page
+    assert "Mean diameter 68.3 mm" not in page
+    assert page.count("<th>row</th><th>trees</th>") == 2
+
+
 def test_the_page_says_to_use_the_most_likely_number_if_it_is_above_the_count(tmp_path: Path) -> None:
     def page(likely: float) -> str:
         tree = replace(block(tmp_path)[0], visible=Amount(count=10, likely=likely, low=10.0, high=16.0))
