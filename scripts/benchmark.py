@@ -56,63 +56,24 @@ QUICK = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="four settings in under three minutes")
-    parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, TWO}), help="threads (default 1 2)")
-    parser.add_argument("--gaussians", type=int, nargs="+", default=list(COUNTS), help="numbers of Gaussians")
-    parser.add_argument("--repeats", type=int, default=7, help="runs of each setting, of which the median (default 7)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of the stages there")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and plots there")
-    parser.add_argument(
-        "--curve", type=Path, nargs="+", default=[], metavar="SCENE", help="train, and measure during training"
-    )
-    parser.add_argument("--ablation", type=Path, metavar="SCENE", help="train with one part changed at a time")
-    parser.add_argument("--steps", type=int, help="steps of each training (default: the standard's)")
-    parser.add_argument(
-        "--memory", type=int, nargs=4, metavar=("N", "VIEWS", "W", "H"), help="peak memory of training N Gaussians"
-    )
-    parser.add_argument(
-        "--published",
-        type=Path,
-        metavar="SCENE",
-        help="train a small copy as 3DGS was published, and with ours",
-    )
-    parser.add_argument(
-        "--language", type=Path, nargs=2, metavar=("SCENE", "PLY"), help="features for its Gaussians, and prompts"
-    )
-    parser.add_argument(
-        "--counting",
-        type=int,
-        nargs="+",
-        default=[],
-        metavar="POINTS",
-        help="count simulated crowns of this many points",
-    )
-    parser.add_argument(
-        "--cameras", nargs="+", default=[], metavar="", help="PHOTOS N…: find cameras for its first N photos"
-    )
-    parser.add_argument("--clip", metavar="CHECKPOINT", help="also by masks and this CLIP or SigLIP checkpoint")
-    parser.add_argument("--sam", metavar="CHECKPOINT", help="with --clip: also by the masks of this SAM checkpoint")
-    parser.add_argument("--views", type=int, default=0, help="photos that --language uses (default: all)")
-    options = parser.parse_args()
-    if min([*options.threads, *options.gaussians, options.repeats, *(options.memory or [])]) < 1:
-        raise ConfigError("--threads, --gaussians, --repeats and --memory must be at least 1")
+    options = parse()
     progress = terminal_progress()
     config = TrainConfig() if options.steps is None else TrainConfig(steps=options.steps)
     pages = []
     if options.memory is not None:  # first: the peak is that of the process
         peak, estimate = training_peak(*options.memory)
         pages.append(f"Peak memory {peak / 2**20:.0f} MB, estimated {estimate / 2**20:.0f} MB.")
+    others = (
+        options.curve,
+        options.ablation,
+        options.memory,
+        options.published,
+        options.language,
+        options.counting,
+        options.cameras,
+    )
     rows = []
-    if options.quick or not (
-        options.curve
-        or options.ablation
-        or options.memory
-        or options.published
-        or options.language
-        or options.counting
-        or options.cameras
-    ):
+    if options.quick or not any(others):
         rows = measure(QUICK if options.quick else grid(options), repeats=options.repeats, progress=progress)
         pages.append(stage_table(rows))
     curves = [training_curve(scene, config, progress=progress) for scene in options.curve]
@@ -169,6 +130,56 @@ def grid(options: argparse.Namespace) -> list[Setting]:
         for width, height in SIZES
         for threads in options.threads
     ]
+
+
+def parse() -> argparse.Namespace:
+    """The arguments, or exit 2 with a usage message.
+
+    Raises:
+        ConfigError: a number is below 1.
+    """
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="four settings in under three minutes")
+    parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, TWO}), help="threads (default 1 2)")
+    parser.add_argument("--gaussians", type=int, nargs="+", default=list(COUNTS), help="numbers of Gaussians")
+    parser.add_argument("--repeats", type=int, default=7, help="runs of each setting, of which the median (default 7)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of the stages there")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and plots there")
+    parser.add_argument(
+        "--curve", type=Path, nargs="+", default=[], metavar="SCENE", help="train, and measure during training"
+    )
+    parser.add_argument("--ablation", type=Path, metavar="SCENE", help="train with one part changed at a time")
+    parser.add_argument("--steps", type=int, help="steps of each training (default: the standard's)")
+    parser.add_argument(
+        "--memory", type=int, nargs=4, metavar=("N", "VIEWS", "W", "H"), help="peak memory of training N Gaussians"
+    )
+    parser.add_argument(
+        "--published",
+        type=Path,
+        metavar="SCENE",
+        help="train a small copy as 3DGS was published, and with ours",
+    )
+    parser.add_argument(
+        "--language", type=Path, nargs=2, metavar=("SCENE", "PLY"), help="features for its Gaussians, and prompts"
+    )
+    parser.add_argument(
+        "--counting",
+        type=int,
+        nargs="+",
+        default=[],
+        metavar="POINTS",
+        help="count simulated crowns of this many points",
+    )
+    parser.add_argument(
+        "--cameras", nargs="+", default=[], metavar="", help="PHOTOS N…: find cameras for its first N photos"
+    )
+    parser.add_argument("--clip", metavar="CHECKPOINT", help="also by masks and this CLIP or SigLIP checkpoint")
+    parser.add_argument("--sam", metavar="CHECKPOINT", help="with --clip: also by the masks of this SAM checkpoint")
+    parser.add_argument("--views", type=int, default=0, help="photos that --language uses (default: all)")
+    options = parser.parse_args()
+    if min([*options.threads, *options.gaussians, options.repeats, *(options.memory or [])]) < 1:
+        raise ConfigError("--threads, --gaussians, --repeats and --memory must be at least 1")
+    return options
 
 
 if __name__ == "__main__":
