@@ -18,6 +18,8 @@ MEASURED = ("engine/scene", "engine/splatting", "engine/language", "engine/count
 """The packages that a count of a generated scene depends on, besides the files of `MEASURED_FILES`."""
 CAMERA_SEARCH = "engine/scene/sfm/"
 """What only counts from photos alone depend on."""
+PHOTO_SEARCH = "engine/counting/photos/"
+"""What only counts depend on that search fruit in photos."""
 ONLY_ON_CARDS = ("engine/splatting/gpu/", "engine/splatting/training/card_step.py")
 """What runs only on a graphics card; everything is measured on the CPU."""
 MEASURED_FILES = (
@@ -28,12 +30,13 @@ DATA = ("*.wgsl", "*.json", "*.safetensors")
 
 
 @cache
-def code_hash(preset: str, known_cameras: bool, own: str = "") -> str:
+def code_hash(preset: str, known_cameras: bool, photo_search: bool, own: str = "") -> str:
     """A short hash of the code, the weights and the generator's preset that a count depends on. Comments and docstrings
-    are not part of it, nor is what runs only on a graphics card, nor the search for cameras if they are known. own: a
-    further file that it depends on."""
+    are not part of it, nor is what runs only on a graphics card, nor the search for cameras if they are known, nor that
+    for fruit in photos without `photo_search`. own: a further file that it depends on."""
     files = _files() | ({own: _meaning(ROOT / own)} if own else {})
-    unused = (*ONLY_ON_CARDS, *([CAMERA_SEARCH] if known_cameras else []))
+    searches = ((CAMERA_SEARCH, not known_cameras), (PHOTO_SEARCH, photo_search))
+    unused = (*ONLY_ON_CARDS, *(folder for folder, used in searches if not used))
     files = {name: text for name, text in files.items() if not name.startswith(unused)}
     scene = PRESETS / f"{preset}.toml"
     return text_hash(*files, *files.values(), file_hash(scene) if scene.is_file() else preset)[:12]

@@ -12,7 +12,7 @@ from ...engine.errors import FormatError
 from ...engine.storage.files import write_text
 from ..ladder.ladder import StageResult
 from ..ladder.rows import COLUMNS, cells_of, row_of, table_csv
-from ..ladder.stages import END_TO_END
+from ..ladder.stages import COUNTING_ONLY, END_TO_END, TRUE_GEOMETRY
 from ..two_photos import TWO_PHOTOS
 from .code_state import code_hash, commit, day, machine
 
@@ -33,7 +33,8 @@ class Trial:
     def code(self) -> str:
         """The hash of what it depends on, as it is now."""
         own = "benchmarks/two_photos.py" if self.method == TWO_PHOTOS else ""
-        return code_hash(self.scene.rpartition("-")[0], self.stage != END_TO_END, own)
+        photo_search = self.method == "voting" and self.stage not in (COUNTING_ONLY, TRUE_GEOMETRY)
+        return code_hash(self.scene.rpartition("-")[0], self.stage != END_TO_END, photo_search, own)
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,7 +137,7 @@ def test_code_is_the_same_with_other_comments_and_docstrings_and_differs_with_an
 def test_only_counts_from_photos_alone_depend_on_the_camera_search(monkeypatch: pytest.MonkeyPatch) -> None:
     def hashes() -> list[str]:
         code_state.code_hash.cache_clear()
-        return [code_state.code_hash("apple-small", known_cameras) for known_cameras in (True, False)]
+        return [code_state.code_hash("apple-small", known_cameras, True) for known_cameras in (True, False)]
 
     before, files = hashes(), code_state._files()
     searched = next(name for name in files if name.startswith(code_state.CAMERA_SEARCH))
@@ -145,6 +145,23 @@ def test_only_counts_from_photos_alone_depend_on_the_camera_search(monkeypatch: 
     assert [old == new for old, new in zip(before, hashes(), strict=True)] == [True, False]
     monkeypatch.setattr(code_state, "_files", lambda: {**files, "engine/pipeline.py": "another meaning"})
     assert not set(before) & set(hashes())
+    code_state.code_hash.cache_clear()
+
+
+def test_only_counts_that_search_photos_depend_on_that_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    trials = [
+        Trial(scene="apple-small-101", stage=stage, method=method)
+        for stage, method in (
+            ("counting-only", "voting"), ("true-geometry", "voting"), ("true-masks", "voting"), (TRUE_POSES, "voting"),
+            (TRUE_POSES, "template"), (TRUE_POSES, "fruitnerf"), (TRUE_POSES, "two-photos"),
+        )
+    ]  # fmt: skip
+    before, files = [trial.code for trial in trials], code_state._files()
+    searched = next(name for name in files if name.startswith(code_state.PHOTO_SEARCH))
+    monkeypatch.setattr(code_state, "_files", lambda: {**files, searched: "another meaning"})
+    code_state.code_hash.cache_clear()
+    changed_codes = [old != trial.code for old, trial in zip(before, trials, strict=True)]
+    assert changed_codes == [False, False, True, True, False, False, False]
     code_state.code_hash.cache_clear()
 
 

@@ -46,7 +46,7 @@ STIFF = 0.1
 """Weight, as an error of a pixel's square over a radius' square, that keeps a centre which no view locates."""
 FARTHEST = 1.0
 """Radii that a centre moves at most."""
-AT_ONCE = 1000
+AT_ONCE = 250
 """Spheres whose crops are in memory together."""
 UNSEEN = -9.0
 """Log odds of a sphere that too few views show."""

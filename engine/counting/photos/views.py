@@ -51,13 +51,11 @@ class PhotoViews:
     def of(cls, pictures: Sequence[Picture], maps: Sequence[PhotoMap]) -> PhotoViews:
         """The views of rendered pictures; maps: what the photo of each shows, of any size."""
         sizes = [picture.depth.shape for picture in pictures]
-        shown = [_resized(each.probability, size) for each, size in zip(maps, sizes, strict=True)]
-        off = [_picked(each.offsets, size) for each, size in zip(maps, sizes, strict=True)]
         lengths = [picture.depth.size for picture in pictures]
         cameras = [picture.camera for picture in pictures]
         return cls(
-            np.concatenate([each.reshape(-1) for each in shown]),
-            np.concatenate([each.reshape(-1, 2) for each in off]),
+            np.concatenate([_resized(m.probability, size).reshape(-1) for m, size in zip(maps, sizes, strict=True)]),
+            np.concatenate([_picked(m.offsets, size).reshape(-1, 2) for m, size in zip(maps, sizes, strict=True)]),
             np.concatenate([picture.depth.reshape(-1) for picture in pictures]),
             np.cumsum([0, *lengths[:-1]]),
             np.array(sizes, np.int64),
@@ -74,7 +72,7 @@ class PhotoViews:
         """(S, 3) centres of the fruit that pixels show, `pushes` behind where their depth puts them, at least `step`
         apart, all in scene units. radius: of a fruit; frame: (3, 4) from the world to the axes along which places are
         separated."""
-        found = []
+        found = [np.zeros(0, np.int64)]
         for start, (height, width), pose, lens in zip(self.starts, self.sizes, self.poses, self.lenses, strict=True):
             part = slice(start, start + height * width)
             depths = self.depths[part]
@@ -84,8 +82,9 @@ class PhotoViews:
             rays = (pixels - lens[2:]) / lens[:2] - off * radius / near[:, None]
             rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
             middle = near + radius * np.sqrt(np.maximum(1.0 - (off**2).sum(axis=1), 0.0))
-            found += [(rays * (middle + push)[:, None] - pose[:, 3]) @ pose[:, :3] for push in pushes]
-        return distinct(np.concatenate(found), step, frame)
+            behind = ((rays * (middle + push)[:, None] - pose[:, 3]) @ pose[:, :3] for push in pushes)
+            found += [occupied(places, step, frame) for places in behind]
+        return cube_centers(np.unique(np.concatenate(found)), step, frame)
 
     def score(self, centers: FloatArray, radius: float, disc: FloatArray = DISC) -> FloatArray:
         """(C,) how well spheres of a radius explain what the views show; a first guess."""
@@ -137,12 +136,16 @@ class PhotoViews:
         )
 
 
-def distinct(places: FloatArray, step: float, frame: FloatArray) -> FloatArray:
-    """The centres of the cubes of side `step` that places (S, 3) lie in, see `cubes`; those at FARTHEST cubes from the
-    origin of the frame or more are left out."""
-    scale = float(np.linalg.norm(frame[0, :3]))
+def occupied(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
+    """The numbers of the cubes of side `step` that places (S, 3) lie in, see `cubes`, each once, in order; those at
+    FARTHEST cubes from the origin of the frame or more are left out."""
     steps = _steps(places, step, frame)
-    numbers = np.unique(_numbered(steps[(np.abs(steps) < FARTHEST).all(axis=1)]))
+    return np.unique(_numbered(steps[(np.abs(steps) < FARTHEST).all(axis=1)]))
+
+
+def cube_centers(numbers: IntArray, step: float, frame: FloatArray) -> FloatArray:
+    """(S, 3) the centres of the cubes with these numbers (S,)."""
+    scale = float(np.linalg.norm(frame[0, :3]))
     found = np.stack(np.unravel_index(numbers, SIDES), axis=1) - FARTHEST
     centers: FloatArray = ((found + 0.5) * step * scale - frame[:, 3]) @ frame[:, :3] / scale**2
     return centers

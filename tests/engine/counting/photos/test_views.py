@@ -8,7 +8,7 @@ import pytest
 from fruitlangs.engine.counting.evidence.visibility import Picture
 from fruitlangs.engine.counting.photos.verifier import known_near
 from fruitlangs.engine.counting.photos.view_kernels import DEPTH, DOWN, INSIDE, OTHERS, OWN, PROBABILITY, RIGHT
-from fruitlangs.engine.counting.photos.views import PhotoViews, distinct
+from fruitlangs.engine.counting.photos.views import PhotoViews, cube_centers, occupied
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 from fruitlangs.engine.scene.camera import Camera, looking
 
@@ -66,8 +66,8 @@ def test_places_move_with_the_scene() -> None:
     places = np.random.default_rng(0).normal(size=(500, 3))
     moved = places + [3.0, -2.0, 1.0]
     frame = np.concatenate([np.eye(3), [[-3.0], [2.0], [-1.0]]], axis=1)
-    expected = distinct(places, 0.3, np.eye(3, 4)) + [3.0, -2.0, 1.0]
-    assert np.allclose(distinct(moved, 0.3, frame), expected)
+    expected = cube_centers(occupied(places, 0.3, np.eye(3, 4)), 0.3, np.eye(3, 4)) + [3.0, -2.0, 1.0]
+    assert np.allclose(cube_centers(occupied(moved, 0.3, frame), 0.3, frame), expected)
 
 
 def test_views_that_frame_the_ball_are_chosen(views: PhotoViews) -> None:
