@@ -34,6 +34,9 @@ MASK_BYTES = 120
 """Bytes per pixel of a photo while its masks are found, at three levels."""
 DRAWN_BYTES = 29
 """Bytes per drawn pixel of all views at the peak of counting."""
+SOUGHT_BYTES, SOUGHT_BASE = 27, 400 << 20
+"""Bytes per drawn pixel of all views for what photos show while fruit are searched in them, and bytes of that search's
+network."""
 POINT_BYTES = 180
 """Bytes per sampled surface point at the peak of counting."""
 COUNTED_VALUES = 130
@@ -81,7 +84,8 @@ def counting_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) ->
     """Approximate peak memory of counting, in bytes."""
     drawn = sum(camera.width * camera.height for camera in at_drawing_size(cameras))
     points = min(config.count.sample_budget, 20 * gaussians)
-    return BASE + DRAWN_BYTES * drawn + POINT_BYTES * points + 4 * COUNTED_VALUES * gaussians
+    sought = 0 if config.embed.encoder == "clip" else SOUGHT_BASE + SOUGHT_BYTES * drawn
+    return BASE + DRAWN_BYTES * drawn + sought + POINT_BYTES * points + 4 * COUNTED_VALUES * gaussians
 
 
 def stage_bytes(gaussians: int, config: Config, cameras: Sequence[Camera], *, trained: bool) -> dict[str, int]:

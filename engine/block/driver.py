@@ -23,8 +23,8 @@ STATUS = "status.json"
 POLL_SECONDS = 1.0
 PATIENCE = 10.0
 """Time between two looks at the states, in times that a look takes: 1.4 s for 10,000 trees."""
-WORKER_BYTES = 3 << 30
-"""Memory that a worker gets at least: 60 photos of 1600×1200 with cameras from photos alone take about that."""
+WORKER_BYTES = 7 << 29
+"""Memory that a worker gets at least: 80 photos of 960×720 take about that."""
 MOST_IDLE = 3
 """Workers in a row that may end without any effect although trees wait: those that lack a package do."""
 LONGEST_MINUTES = 60 * 24 * 7
