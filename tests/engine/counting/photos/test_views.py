@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,18 @@ def test_pixels_of_fruit_lead_to_the_centre_of_the_ball(views: PhotoViews) -> No
     places = views.places(RADIUS, (0.0,), 0.02, np.eye(3, 4))
     assert 0 < len(places) < 20
     assert (np.linalg.norm(places, axis=1) < 0.4 * RADIUS).all()
+
+
+def test_the_places_of_all_pixels_are_not_in_memory_together() -> None:
+    pictures, maps = zip(*[picture_of(camera_at(0.0))] * 200, strict=True)
+    views, pushes = PhotoViews.of(pictures, maps), tuple(np.linspace(-0.02, 0.02, 9))
+    tracemalloc.start()
+    places = views.places(RADIUS, pushes, 0.02, np.eye(3, 4))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    pixels = 200 * np.count_nonzero(maps[0].probability)
+    assert len(places) < 100
+    assert most < 0.2 * pixels * len(pushes) * places.itemsize * 3
 
 
 def test_places_move_with_the_scene() -> None:
