@@ -33,7 +33,7 @@ def write_page(
     """
     marks, places = _marks(trees)
     text = _template().render(
-        **{"prompts": None, **document},
+        **document,
         whole=document,
         title=folder.resolve().name or "orchard",
         table=rows,

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ ORCHARD_JSON, PLACES = "orchard.json", "orchard.geojson"
 DECIMALS = 6
 CLASS_MM = 5
 """Width of a size class."""
-NONE = Amount(count=0, likely=0.0, low=0.0, high=0.0)
+NO_FRUIT = Amount(count=0, likely=0.0, low=0.0, high=0.0)
 NO_SIZES = "Sizes are not summed up, because the scale of some trees is unknown"
 
 
@@ -85,15 +85,14 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "density": density,
     }
     if len(set(map(_prompt, trees))) > 1:
-        prompts = dict.fromkeys(map(_prompt, done))
-        groups = {each: [tree for tree in done if _prompt(tree) == each] for each in prompts}
-        document["prompts"] = {each: {**_sums(own), **_numbers(own, density)} for each, own in groups.items()}
+        by_prompt = _grouped(_prompt, done)
+        document["prompts"] = {each: {**_sums(own), **_numbers(own, density)} for each, own in by_prompt.items()}
     if all_trees is not None:
         document["all_trees"] = _of_all(done, all_trees)
         for prompt, numbers in document.get("prompts", {}).items():
             # A tree of another prompt was drawn, too, and bears none of this fruit.
             numbers["all_trees"] = _of_all(
-                [tree if _prompt(tree) == prompt else replace(tree, visible=NONE) for tree in done], all_trees
+                [tree if _prompt(tree) == prompt else replace(tree, visible=NO_FRUIT) for tree in done], all_trees
             )
     return document
 
@@ -105,7 +104,7 @@ def _numbers(done: Sequence[CountedTree], density: float | None) -> dict[str, An
     # Each result without a scale has a unit of its own.
     comparable = metric or len({(tree.folder, tree.metric) for tree in done}) == 1
     return {
-        "rows": _sums_by_row(done),
+        "rows": {row: _sums(own) for row, own in _grouped(lambda tree: tree.entry.row, done).items()},
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters) if comparable else None,
         "no_diameters": "" if comparable or not len(diameters) else NO_SIZES,
@@ -128,10 +127,13 @@ def _prompt(tree: CountedTree) -> str:
     return " or ".join(tree.entry.prompt)
 
 
-def _sums_by_row(trees: Sequence[CountedTree]) -> dict[str, Any]:
-    """{row: sums} of the trees of each row; trees of no row are left out."""
-    rows = dict.fromkeys(tree.entry.row for tree in trees if tree.entry.row)
-    return {row: _sums([tree for tree in trees if tree.entry.row == row]) for row in rows}
+def _grouped(name: Callable[[CountedTree], str], trees: Sequence[CountedTree]) -> dict[str, list[CountedTree]]:
+    """{name: the trees with that name}; trees whose name is empty are left out."""
+    found: dict[str, list[CountedTree]] = {}
+    for tree in trees:
+        if name(tree):
+            found.setdefault(name(tree), []).append(tree)
+    return found
 
 
 def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:

@@ -40,9 +40,10 @@ def test_a_job_has_no_more_memory_than_its_batch_system_gives_it(tmp_path: Path)
     assert available_bytes(tmp_path / "groups", tmp_path / "missing") > 10_000_000
 
 
-def test_a_training_that_does_not_fit_is_refused_with_what_would_fit() -> None:
-    views = cameras(40, 800, 600)
-    config = Config(train=TrainConfig(sh_degree=3))
+@pytest.mark.parametrize(("encoder", "count"), [("clip", 100), ("embedded", 40)])
+def test_a_training_that_does_not_fit_is_refused_with_what_would_fit(encoder: str, count: int) -> None:
+    views = cameras(count, 800, 600)
+    config = Config(train=TrainConfig(sh_degree=3), embed=EmbedConfig(encoder=encoder))  # type: ignore[arg-type]
     needed = max(stage_bytes(200_000, config, views, trained=True).values())
     assert training_bytes(200_000, 3, views) <= needed < 2.6 * 2**30
     require_memory(200_000, config, views, trained=True, free=needed)
@@ -68,6 +69,9 @@ def test_every_stage_is_checked_and_the_largest_is_named() -> None:
         "computing features": 0,
     }
     assert row["counting"] - many["counting"] < 2100 * 2_500_000  # a row of so many photos keeps small views of all
+    clip = Config(embed=EmbedConfig(encoder="clip"))
+    alone = [stage_bytes(1000, clip, cameras(count, 1600, 1200), trained=True)["counting"] for count in (300, 3000)]
+    assert alone[1] - alone[0] < 2100 * 1_300_000
 
 
 def test_photos_above_the_encoders_size_need_little_more_memory_for_features() -> None:
