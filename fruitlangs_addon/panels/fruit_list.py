@@ -11,7 +11,7 @@ from ...operators.blender_data import OWNER
 from ...operators.data.fruit_objects import REJECTED, REVIEW, diameter_head, diameter_number, metres_per_unit
 from .panel_parts import sidebar_width
 
-VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD", None: "BLANK1"}
+VERDICT_ICONS = {"confirmed": "CHECKMARK", "rejected": "X", "added": "ADD"}
 KIND_ICONS = {"single": "MESH_UVSPHERE", "small": "DOT", "compound-part": "META_BALL"}
 WIDTHS = (0.3, 0.37, 0.47)
 """Widths of name, diameter and probability, each as a share of the remaining width; the visible share gets the rest."""
@@ -37,10 +37,7 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         row = layout.row(align=True)
         row.active = item.get(REVIEW) != REJECTED
         texts = cells(item, metres_per_unit(context.scene) is not None)
-        sign = VERDICT_ICONS.get(item.get(REVIEW), "BLANK1")
-        if not _has_room(context) and sign == "BLANK1":
-            sign = KIND_ICONS.get(texts[-1], "BLANK1")
-        _draw_row(row, context, sign, texts)
+        _draw_row(row, context, sign_of(item, _has_room(context)), texts)
 
     def filter_items(self, context: bpy.types.Context, data: Any, property: str) -> tuple[list[int], list[int]]:
         review, items = context.scene.fruitlangs.review, list(getattr(data, property))
@@ -69,6 +66,14 @@ def _draw_row(row: Any, context: bpy.types.Context, sign: str, texts: list[str])
 def _has_room(context: bpy.types.Context) -> bool:
     """Whether the sidebar is wide enough for the name of the kind."""
     return sidebar_width(context) >= WIDE
+
+
+def sign_of(item: Any, wide: bool) -> str:
+    """The icon of a fruit object: the user's decision, else its kind unless there is room for its text (wide)."""
+    verdict = item.get(REVIEW)
+    if verdict is not None:
+        return VERDICT_ICONS.get(verdict, "BLANK1")
+    return "BLANK1" if wide else KIND_ICONS.get(item.get("kind"), "BLANK1")
 
 
 def head(metric: bool) -> list[str]:

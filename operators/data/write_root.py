@@ -46,6 +46,11 @@ def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
     return Matrix.Scale(scene.metres_per_unit or 1.0, 4) @ Matrix(matrix.tolist())
 
 
+def world_scale(root: bpy.types.Object) -> float:
+    """Blender units per unit of the scene frame, as the root shows it in the world."""
+    return float(abs(root.matrix_world.to_3x3().determinant()) ** (1.0 / 3.0))
+
+
 def upright_matrix(scene: Scene) -> FloatArray:
     """(4, 4) rigid transform from the scene frame to an upright one: centre over the origin, ground at z = 0."""
     from ...engine.scene.orientation import upright_rotation

@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-import numpy as np
 
-from ..blender_data import gaussian_attributes, in_scene_frame, owned_object, owned_objects
+from ..blender_data import gaussian_attributes, owned_object, owned_objects
+from ..data.fruit_objects import spot_of
 from ..data.photo_files import PHOTO, SIZE
 from ..data.read_cameras import read_camera
 from ..jobs.jobs import describe_error, editing
@@ -36,11 +36,8 @@ def fruit_sights(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tup
     cameras = photo_cameras(bpy_scene)
     if root is None or not cameras:
         return []
-    placed = np.array(in_scene_frame(item, root), np.float64)
-    # The mesh is a sphere of diameter 1.
-    radius = 0.5 * float(np.linalg.norm(placed[:3, :3], axis=0).mean())
-    views = [read_camera(camera, root) for camera in cameras]
-    sights = best_sights(views, placed[:3, 3], radius, _surface(bpy_scene))
+    spot, views = spot_of(item, root), [read_camera(camera, root) for camera in cameras]
+    sights = best_sights(views, spot.center, spot.axes, _surface(bpy_scene))
     return [(cameras[sight.index], sight) for sight in sights]
 
 
@@ -91,7 +88,7 @@ class _Look:
         self.report(
             {"INFO"},
             f"{item.name} in {name}, photo {place + 1} of {len(cameras)} that show it: {sight.pixels:.0f} pixels wide, "
-            f"{100.0 * sight.share:.0f} % visible",
+            f"{100.0 * sight.share:.0f} % visible{'' if sight.whole else ', cut by the edge of the photo'}",
         )
         return {"FINISHED"}
 
@@ -99,7 +96,7 @@ class _Look:
 class FRUITLANGS_OT_best_photo(_Look, bpy.types.Operator):
     bl_idname = "fruitlangs.best_photo"
     bl_label = "Best Photo"
-    bl_description = "Show the photo with the best view of the active fruit"
+    bl_description = "Show the photo with the best view of the active fruit: whole, not hidden, large and central"
     bl_options = {"UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:

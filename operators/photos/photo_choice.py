@@ -1,4 +1,4 @@
-"""Chooses the photos with the best view of a fruit: large, inside the frame and not behind leaves."""
+"""Chooses the photos with the best view of a fruit: whole, not behind leaves, large and near the middle."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ SAMPLES = 6
 """Points tested on the disc of a fruit, in addition to its centre."""
 SAMPLE_RADIUS = 0.65
 """Their distance from the centre, in radii."""
+OUTLINE = 24
+"""Points tested on the outline of a fruit, which the frame must not cut."""
+CORNER_WEIGHT = 0.5
+"""Weight of a view in the corner of a photo relative to one in its middle, where lenses are sharpest."""
 FRONT = 1.3
 """Whatever stops the light nearer than this, in radii before the centre, is another object."""
 MOST = 24
-"""Number of photos for which occlusion by the Gaussians is tested: those that show the fruit largest."""
+"""Number of photos for which occlusion by the Gaussians is tested, best first; more only if those do not show the
+fruit."""
 LEAST_SHARE = 0.1
 """Least visible share of the tested points; a photo below it does not show the fruit."""
 
@@ -53,40 +58,77 @@ class Sight:
     """The view of a fruit in one photo.
 
     index: of the camera; place: (2,) pixel of the centre of the fruit; pixels: its diameter in the photo; share: of it
-    that is inside the frame and not hidden, 0 to 1.
+    that is inside the frame and not hidden, 0 to 1; whole: whether the frame does not cut it; off_center: distance from
+    the middle of the photo, 1 in its corners.
     """
 
     index: int
     place: NDArray[np.float64]
     pixels: float
     share: float
+    whole: bool
+    off_center: float
 
     @property
-    def score(self) -> float:
-        """Visible pixels of the fruit, as an area."""
-        return self.share * self.pixels**2
+    def rank(self) -> tuple[bool, float, int]:
+        """Smallest for the best view: one that is not cut, then the most visible, largest and most central one.
+
+        The visible share counts like the diameter, so that a view twice as large with a third of the fruit comes after
+        the open one.
+        """
+        weight = 1.0 - (1.0 - CORNER_WEIGHT) * self.off_center**2
+        return not self.whole, -weight * (self.share * self.pixels) ** 2, self.index
 
 
 def best_sights(
-    cameras: Sequence[Camera], center: NDArray[np.float64], radius: float, surface: Surface | None
+    cameras: Sequence[Camera], center: NDArray[np.float64], axes: NDArray[np.float64], surface: Surface | None
 ) -> list[Sight]:
-    """The photos that show a sphere at center (3,), best first; empty if none does. surface: None hides nothing."""
-    framed = [sight for sight in (_in_frame(*each, center, radius) for each in enumerate(cameras)) if sight.share > 0.0]
-    largest = sorted(framed, key=lambda sight: -sight.score)[:MOST]
-    if surface is not None and len(surface):
-        largest = [
-            replace(sight, share=_open_share(cameras[sight.index], center, radius, surface)) for sight in largest
-        ]
-    seen = [sight for sight in largest if sight.share >= LEAST_SHARE]
-    return sorted(seen, key=lambda sight: (-sight.score, sight.index))
+    """The photos that show an ellipsoid, best first; empty if none does.
+
+    center: (3,); axes: (3, 3) its half axes as rows; surface: None hides nothing.
+    """
+    radius = float(np.linalg.norm(axes, axis=1).mean())
+    framed = [_in_frame(index, camera, center, axes) for index, camera in enumerate(cameras)]
+    seen: list[Sight] = []
+    for tested, sight in enumerate(sorted((one for one in framed if one.share > 0.0), key=lambda one: one.rank)):
+        if tested >= MOST and seen:
+            break
+        if surface is not None and len(surface):
+            sight = replace(sight, share=_open_share(cameras[sight.index], center, radius, surface))
+        if sight.share >= LEAST_SHARE:
+            seen.append(sight)
+    return sorted(seen, key=lambda sight: sight.rank)
 
 
-def _in_frame(index: int, camera: Camera, center: NDArray[np.float64], radius: float) -> Sight:
-    """The view of a sphere in a camera without occluders."""
+def _in_frame(index: int, camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float64]) -> Sight:
+    """The view of an ellipsoid in a camera without occluders."""
+    radius = float(np.linalg.norm(axes, axis=1).mean())
     inside = _framed(camera, _disc(camera, center, radius))
     place, depth = camera.project(center)
     pixels = 2.0 * radius * float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / max(float(depth), 1e-12)
-    return Sight(index, place, pixels, float(inside.mean()) if depth > radius else 0.0)
+    share = float(inside.mean()) if depth > radius else 0.0
+    whole = share > 0.0 and bool(_framed(camera, _outline(camera, center, axes)).all())
+    size = np.array([camera.width, camera.height])
+    off_center = float(np.linalg.norm(place - 0.5 * size) / np.linalg.norm(0.5 * size))
+    return Sight(index, place, pixels, share, whole, min(off_center, 1.0))
+
+
+def _outline(camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(OUTLINE, 3) points where the rays of a camera touch an ellipsoid; its half axes if the camera is inside.
+
+    In units of the half axes it is the unit sphere, which is touched on a circle.
+    """
+    origin = np.linalg.solve(axes.T, camera.center - center)
+    distance = float(np.linalg.norm(origin))
+    if distance <= 1.0:
+        return np.concatenate([center + axes, center - axes])
+    along = origin / distance
+    right = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    right /= np.linalg.norm(right)
+    angles = 2.0 * np.pi * np.arange(OUTLINE) / OUTLINE
+    around = np.cos(angles)[:, None] * right + np.sin(angles)[:, None] * np.cross(along, right)
+    circle = along / distance + np.sqrt(1.0 - distance**-2) * around
+    return np.asarray(center + circle @ axes)
 
 
 def _open_share(camera: Camera, center: NDArray[np.float64], radius: float, surface: Surface) -> float:

@@ -34,6 +34,7 @@ from ..data.fruit_objects import (
 from ..data.manual_edits import remember_fruit
 from ..data.stored_review import keep_corrections
 from ..data.write_fruits import label_fruit
+from ..data.write_root import world_scale
 from ..jobs.jobs import busy, describe_error, editing
 from ..tools.pick_tool import PickTool
 from ..viewport.viewport import look_at_point, shown_screens
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 CLOSE = 8.0
 """Distance in diameters from which a fruit is shown."""
+SHOWN = "fruitlangs_shown"
+"""Custom property of a fruit that Next Uncertain showed since its last start."""
 NO_SIZE = "The size of the new fruit is unknown. Enter its diameter below Add first"
 
 
@@ -302,20 +305,27 @@ def new_diameter(bpy_scene: bpy.types.Scene) -> float:
 class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
     bl_idname = "fruitlangs.next_uncertain"
     bl_label = "Next Uncertain"
-    bl_description = "Select the fruit with the lowest probability that is not reviewed yet"
+    bl_description = "Show the fruit that are not reviewed yet one by one, from the lowest probability upwards"
     bl_options = {"UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if busy(cls) or editing(cls, context):
             return False
-        if not any(REVIEW not in item for item in owned_objects(context.scene, "fruit")):
+        if not uncertain(context.scene):
             cls.poll_message_set("Every fruit is reviewed")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        item = next_uncertain(context)
+        ranked = uncertain(context.scene)
+        left = [item for item in ranked if SHOWN not in item]
+        if not left:
+            for item in ranked:
+                del item[SHOWN]
+            self.report({"INFO"}, "Every fruit that is not reviewed was shown. This is the first one again")
+        item = (left or ranked)[0]
+        item[SHOWN] = True
         select_only(context, [item])
         if context.view_layer.objects.active != item:
             self.report(
@@ -325,19 +335,17 @@ class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
             return {"CANCELLED"}
         root = owned_object(context.scene, "root")
         if root is not None:
-            place = root.matrix_world @ Vector(item.location)
-            size = CLOSE * float(item.get("diameter", 0.1))
-            look_at_point(shown_screens(context, context.scene), place, size)
+            spot = spot_of(item, root)
+            place = root.matrix_world @ Vector(spot.center)
+            look_at_point(shown_screens(context, context.scene), place, CLOSE * spot.diameter * world_scale(root))
         self.report({"INFO"}, f"{item.name}: probability {item.get('probability', 1.0):.2f}")
         return {"FINISHED"}
 
 
-def next_uncertain(context: bpy.types.Context) -> bpy.types.Object:
-    """The fruit with the lowest probability that is not reviewed; from such a fruit, the next one."""
-    open_ones = [item for item in owned_objects(context.scene, "fruit") if REVIEW not in item]
-    ranked = sorted(open_ones, key=lambda item: (item.get("probability", 1.0), item.get("id", 0)))
-    active = context.view_layer.objects.active
-    return ranked[(ranked.index(active) + 1) % len(ranked)] if active in ranked else ranked[0]
+def uncertain(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The fruit that are not reviewed, the lowest probability first."""
+    open_ones = [item for item in owned_objects(bpy_scene, "fruit") if REVIEW not in item]
+    return sorted(open_ones, key=lambda item: (item.get("probability", 1.0), item.get("id", 0)))
 
 
 def get_active_fruit(review: Any) -> int:

@@ -10,8 +10,8 @@ from mathutils import Vector
 
 from ...engine.report.words import place
 from ..blender_data import owned_object
-from ..data.fruit_objects import metres_per_unit
 from ..data.stored_audit import read_audit
+from ..data.write_root import world_scale
 from ..viewport.viewport import look_at_point, shown_screens
 from .review import CLOSE, has_root, usual_diameter
 
@@ -48,8 +48,8 @@ def cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
 def usual_size(bpy_scene: bpy.types.Scene) -> float:
     """The diameter of fruit in the world; without fruit, an estimate from the size of the scene."""
     root = owned_object(bpy_scene, "root")
-    guess = 1.0 if root is None else 0.5 * root.empty_display_size
-    return (usual_diameter(bpy_scene) or guess) * (metres_per_unit(bpy_scene) or 1.0)
+    assert root is not None
+    return (usual_diameter(bpy_scene) or 0.5 * root.empty_display_size) * world_scale(root)
 
 
 CLASSES = (FRUITLANGS_OT_look_at_cluster,)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...engine.errors import FruitLangsError
 from ..blender_data import owned_object
 from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, is_made, members, spot_of
+from ..data.write_root import world_scale
 from ..jobs.jobs import busy, describe_error, linked
 from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
@@ -172,7 +173,7 @@ class FRUITLANGS_OT_look_at_example(Listed, bpy.types.Operator):
             return {"CANCELLED"}
         place = root.matrix_world @ Vector(teach.examples[teach.active].place)
         spread = float(means_of(context.scene).std(axis=0).mean()) if owned_object(context.scene, "gaussians") else 1.0
-        distance = float(root.matrix_world.to_scale()[0]) * DISTANCE * spread
+        distance = world_scale(root) * DISTANCE * spread
         look_at_point(shown_screens(context, context.scene), place, distance)
         return {"FINISHED"}
 

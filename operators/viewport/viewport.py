@@ -77,7 +77,7 @@ def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vecto
             view.view_perspective = "PERSP"
         view.view_location = (0.0, 0.0, 0.8 * middle.z)
         view.view_distance = 1.3 * distance
-        space.clip_end = max(space.clip_end, 20.0 * distance)
+        _widen_clipping(space, distance)
 
 
 def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: float) -> None:
@@ -88,6 +88,13 @@ def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: 
             view.view_perspective = "PERSP"
         view.view_location = place
         view.view_distance = distance
+        _widen_clipping(space, distance)
+
+
+def _widen_clipping(space: Any, distance: float) -> None:
+    """Show what is at this distance in a viewport, however small or large the user scaled the scene."""
+    space.clip_start = min(space.clip_start, 0.05 * distance)
+    space.clip_end = max(space.clip_end, 20.0 * distance)
 
 
 def redraw_viewports() -> None:

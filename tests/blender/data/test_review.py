@@ -8,10 +8,12 @@ import bpy
 import numpy as np
 import pytest
 from blender_examples import drawn
+from mathutils import Vector
 
 from fruitlangs.engine.counting.accounts.review import replay
+from fruitlangs.engine.counting.fruit import KIND_TEXTS
 from fruitlangs.engine.errors import CountingError
-from fruitlangs.fruitlangs_addon.panels.fruit_list import cells, head, is_shown, ranks
+from fruitlangs.fruitlangs_addon.panels.fruit_list import KIND_ICONS, cells, head, is_shown, ranks, sign_of
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, spot_of, standing
@@ -311,6 +313,90 @@ def test_next_uncertain_goes_from_the_least_likely_upwards_and_skips_reviewed_fr
     select(1, 2, 3)
     bpy.ops.fruitlangs.confirm_fruit()
     assert not bpy.ops.fruitlangs.next_uncertain.poll()
+
+
+def test_next_uncertain_passes_over_no_less_certain_fruit_after_a_click_on_another(shown):
+    select(3)
+    visited = []
+    for _ in range(3):
+        bpy.ops.fruitlangs.next_uncertain()
+        visited.append(bpy.context.view_layer.objects.active["id"])
+        select(1)
+    assert visited == [2, 3, 1]
+
+
+def test_next_uncertain_returns_to_a_reopened_fruit_that_it_did_not_show(shown):
+    select(2)
+    bpy.ops.fruitlangs.reject_fruit()
+    bpy.ops.fruitlangs.next_uncertain()
+    select(2)
+    bpy.ops.fruitlangs.reopen_fruit()
+    bpy.ops.fruitlangs.next_uncertain()
+    assert bpy.context.view_layer.objects.active["id"] == 2
+
+
+def test_next_uncertain_says_when_it_starts_again(shown, capfd):
+    for _ in range(3):
+        bpy.ops.fruitlangs.next_uncertain()
+    assert "first one again" not in capfd.readouterr().out
+    bpy.ops.fruitlangs.next_uncertain()
+    assert "Every fruit that is not reviewed was shown. This is the first one again" in capfd.readouterr().out
+
+
+def test_a_recount_starts_next_uncertain_from_the_least_certain_again(shown, again, counted):
+    for _ in range(2):
+        bpy.ops.fruitlangs.next_uncertain()
+    again([dataclasses.replace(each, probability=0.1 * each.id) for each in counted.fruit_count.fruits])
+    bpy.ops.fruitlangs.next_uncertain()
+    assert bpy.context.view_layer.objects.active["id"] == 1
+
+
+def test_fruit_that_cannot_be_shown_do_not_stop_next_uncertain(shown):
+    own = bpy.data.collections.new("Excluded")
+    shown.collection.children.link(own)
+    own.objects.link(fruit(2))
+    fruit_collection(shown).objects.unlink(fruit(2))
+    bpy.context.view_layer.layer_collection.children["Excluded"].exclude = True
+    assert bpy.ops.fruitlangs.next_uncertain() == {"CANCELLED"}
+    assert bpy.ops.fruitlangs.next_uncertain() == {"FINISHED"}
+    assert bpy.context.view_layer.objects.active["id"] == 3
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+def test_next_uncertain_frames_the_fruit_at_the_size_that_the_user_scaled_it_to(shown, monkeypatch, scale):
+    shots = []
+    monkeypatch.setattr(
+        "fruitlangs.operators.review.review.look_at_point", lambda _, place, distance: shots.append((place, distance))
+    )
+    root = owned_object(shown, "root")
+    root.scale = [scale * side for side in root.scale]
+    root.location = (7.0, 8.0, 9.0)
+    bpy.context.view_layer.update()
+    bpy.ops.fruitlangs.next_uncertain()
+    place, distance = shots[0]
+    np.testing.assert_allclose(place, fruit(2).matrix_world.translation, rtol=1e-5)
+    assert distance == pytest.approx(8.0 * 0.2 * scale, rel=1e-5)
+
+
+def test_a_viewport_does_not_clip_what_it_is_moved_to():
+    from fruitlangs.operators.viewport.viewport import look_at_point
+
+    screens = [screen for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
+    spaces = [area.spaces.active for screen in screens for area in screen.areas if area.type == "VIEW_3D"]
+    assert spaces
+    for distance in (0.001, 1e5):
+        look_at_point(screens, Vector((0.0, 0.0, 0.0)), distance)
+        assert all(space.clip_start < 0.1 * distance and space.clip_end > 10.0 * distance for space in spaces)
+
+
+def test_the_icon_of_every_kind_is_chosen_by_its_key(shown):
+    for kind, icon in (("single", "MESH_UVSPHERE"), ("small", "DOT"), ("compound-part", "META_BALL")):
+        fruit(1)["kind"] = kind
+        assert sign_of(fruit(1), wide=False) == icon
+        assert sign_of(fruit(1), wide=True) == "BLANK1"
+    assert set(KIND_ICONS) == set(KIND_TEXTS)
+    fruit(1)[REVIEW] = "rejected"
+    assert sign_of(fruit(1), wide=False) == "X"
 
 
 def test_the_list_and_the_viewport_select_each_other(shown):

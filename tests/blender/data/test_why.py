@@ -160,6 +160,18 @@ def test_the_look_goes_to_the_clusters_place_in_the_world(shown, monkeypatch):
     assert places[0][1] == pytest.approx(8.0 * 0.4)  # the median fruit is 0.2 units long, a unit is 2 m
 
 
+def test_a_cluster_is_framed_at_the_size_that_the_user_scaled_the_tree_to(shown, monkeypatch):
+    distances = []
+    monkeypatch.setattr(
+        "fruitlangs.operators.review.show_cluster.look_at_point",
+        lambda screens, place, distance: distances.append(distance),
+    )
+    owned_object(bpy.context.scene, "root").scale *= 100.0
+    bpy.context.view_layer.update()
+    bpy.ops.fruitlangs.look_at_cluster(cluster=FLAT.cluster)
+    assert distances == [pytest.approx(8.0 * 0.4 * 100.0)]
+
+
 @pytest.mark.parametrize("cluster", [DUST.cluster, 77])
 def test_a_cluster_without_a_place_is_not_looked_at(shown, cluster):
     assert bpy.ops.fruitlangs.look_at_cluster(cluster=cluster) == {"CANCELLED"}

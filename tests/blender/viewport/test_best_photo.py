@@ -27,10 +27,12 @@ from fruitlangs.operators.data.read_cameras import read_camera
 from fruitlangs.operators.photos import photo_backgrounds
 from fruitlangs.operators.photos.best_photo import fruit_sights
 from fruitlangs.operators.photos.photo_backgrounds import PROBLEM, background_of, is_awaited, photo_cover, show_photo
-from fruitlangs.operators.photos.photo_choice import Surface, best_sights
+from fruitlangs.operators.photos.photo_choice import MOST, Surface, _outline, best_sights
 from fruitlangs.operators.steps.show_result import show_result, show_scene
 
 RADIUS = 0.1
+BALL = RADIUS * np.eye(3)
+"""The half axes of a round fruit."""
 BEND = 2.0
 """Of a lens: enough that the balls, near the photo's middle, move by pixels."""
 
@@ -55,7 +57,7 @@ def wall(center, half: float) -> Surface:
 
 
 def chosen(cameras, surface=None, center=(0.0, 0.0, 0.0)) -> list[int]:
-    return [sight.index for sight in best_sights(cameras, np.array(center), RADIUS, surface)]
+    return [sight.index for sight in best_sights(cameras, np.array(center), BALL, surface)]
 
 
 def test_the_nearest_photo_is_the_best_and_those_that_look_elsewhere_see_nothing():
@@ -67,7 +69,7 @@ def test_a_nearer_photo_behind_leaves_comes_last_or_not_at_all():
     cameras = [camera_at((2, 0, 0)), camera_at((0, 3, 0))]
     assert chosen(cameras, wall((1.0, 0.0, 0.0), 0.2)) == [1]
     # A wall that covers a half leaves half of the disc.
-    half = best_sights(cameras, np.zeros(3), RADIUS, wall((1.0, 0.22, 0.0), 0.2))
+    half = best_sights(cameras, np.zeros(3), BALL, wall((1.0, 0.22, 0.0), 0.2))
     shares = {sight.index: sight.share for sight in half}
     assert shares[1] == 1.0
     assert 0.2 < shares[0] < 0.8
@@ -81,12 +83,54 @@ def test_what_is_behind_the_fruit_and_its_own_surface_hide_nothing():
 
 def test_a_fruit_that_the_frame_cuts_is_worth_its_part():
     place = camera_at((2, 0, 0)).unproject(np.full((150, 200), 2.0))[75, 199]  # a pixel at the frame's edge
-    sights = best_sights([camera_at((2, 0, 0))], place, RADIUS, None)
+    sights = best_sights([camera_at((2, 0, 0))], place, BALL, None)
     assert 0.3 < sights[0].share < 0.8
 
 
+def test_a_nearer_photo_that_cuts_the_fruit_comes_after_all_that_show_it_whole():
+    # The near photo has the fruit four times as large, with its outline just over the left edge, the far one whole.
+    near, far = camera_at((1, 0, 0), (0, -0.42, 0)), camera_at((4, 0, 0))
+    sights = best_sights([near, far], np.zeros(3), BALL, None)
+    assert [sight.index for sight in sights] == [1, 0]
+    assert [sight.whole for sight in sights] == [True, False]
+    assert sights[1].share == 1.0  # every tested point of the disc is inside: only the outline tells
+    assert chosen([near]) == [0]
+
+
+def test_the_end_of_a_long_fruit_that_the_frame_cuts_is_noticed():
+    camera = camera_at((2, 0, 0), (0, 0, -0.6))
+    long = np.diag([RADIUS, RADIUS, 2.0 * RADIUS])
+    assert best_sights([camera], np.zeros(3), BALL, None)[0].whole
+    assert not best_sights([camera], np.zeros(3), long, None)[0].whole
+
+
+def test_the_outline_is_where_rays_touch_the_ellipsoid():
+    camera, axes = camera_at((2, 1, 0.5)), np.array([[0.0, 0.3, 0.1], [0.2, 0.0, 0.0], [0.0, -0.05, 0.15]])
+    for point in _outline(camera, np.zeros(3), axes):
+        unit = np.linalg.solve(axes.T, point)
+        assert np.linalg.norm(unit) == pytest.approx(1.0)
+        assert unit @ np.linalg.solve(axes.T, point - camera.center) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_of_equal_views_the_central_one_is_better_and_of_two_distances_the_near_one():
+    side, middle, far = camera_at((2, 0, 0), (0, 0.6, 0)), camera_at((2, 0, 0)), camera_at((2.6, 0, 0))
+    assert chosen([far, side, middle]) == [2, 1, 0]
+
+
+def test_an_open_view_is_better_than_one_twice_as_large_that_is_mostly_hidden():
+    near, far = camera_at((2, 0, 0)), camera_at((0, 4, 0))
+    sights = best_sights([near, far], np.zeros(3), BALL, wall((1.0, 0.19, 0.0), 0.2))
+    assert [sight.index for sight in sights] == [1, 0]
+    assert sights[1].share * sights[1].pixels ** 2 > sights[0].share * sights[0].pixels ** 2
+
+
+def test_a_fruit_is_searched_in_every_photo_until_one_shows_it():
+    hidden = [camera_at((2 + 0.01 * index, 0, 0)) for index in range(MOST)]
+    assert chosen([*hidden, camera_at((0, 6, 0))], wall((1.0, 0.0, 0.0), 0.2)) == [MOST]
+
+
 def test_how_wide_a_fruit_is_in_a_photo_is_reported_in_its_pixels():
-    assert best_sights([camera_at((2, 0, 0))], np.zeros(3), RADIUS, None)[0].pixels == pytest.approx(20.0)
+    assert best_sights([camera_at((2, 0, 0))], np.zeros(3), BALL, None)[0].pixels == pytest.approx(20.0)
 
 
 @pytest.fixture
@@ -134,6 +178,14 @@ def test_an_import_loads_no_photo_and_looking_loads_only_one(shown):
     assert backed == [shown.camera]
     assert shown.camera.data.show_background_images
     assert len(bpy.data.images) == 1
+
+
+def test_a_photo_that_cuts_the_fruit_says_so(shown, capfd):
+    bpy.ops.fruitlangs.best_photo()
+    assert "cut by the edge of the photo" not in capfd.readouterr().out
+    bpy.context.view_layer.objects.active.scale *= 20.0
+    bpy.ops.fruitlangs.best_photo()
+    assert "cut by the edge of the photo" in capfd.readouterr().out
 
 
 def test_previous_goes_back_and_the_round_closes(shown):
