@@ -15,6 +15,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "tree_height": (0, 20),
     "trees": (1, 50),
     "fruits": (0, math.inf),
+    "load_variety": (0, 1),
     "clump": (0, 12),
     "spread": (-math.inf, 0.6),
     "fallen": (0, math.inf),
@@ -68,7 +69,7 @@ def _check_together(config: OrchardConfig) -> None:
         raise OrchardError(f"clump is {config.clump}: give a mean of 1 or more, or 0 for the species' own")
     if 0 < config.tree_height < 0.5:
         raise OrchardError(f"tree_height is {config.tree_height}: give 0.5 m or more, or 0 for the species' own")
-    if (config.trees + config.neighbours) * (config.fruits + config.fallen) > MOST_FRUIT:
+    if (config.trees + config.neighbours) * (max(config.fruits, config.hanging) + config.fallen) > MOST_FRUIT:
         raise OrchardError(f"more than {MOST_FRUIT} fruit do not fit into 16-bit masks: ask for fewer")
     if config.aim == "part" and (config.path in ALONG or config.trees > 1):
         raise OrchardError("aim part looks at one tree: use path ring, wave or half-ring and one tree, or aim tree")

@@ -12,6 +12,9 @@ GENERATOR_VERSION = "4"
 FIRST_TRAINING_SEED = 1000
 """Seeds from here on are reserved for training the encoder."""
 
+LOADS = 5
+"""With load_variety, this many consecutive seeds bear different numbers of fruit, evenly spread."""
+
 FORMS = ("spindle", "wall", "vase", "bush")
 """Training systems of the tree."""
 PATHS = ("ring", "wave", "half-ring", "row", "flight")
@@ -47,6 +50,10 @@ class OrchardConfig:
 
     fruits: int = 120
     """Number of fruit hanging on each tree."""
+
+    load_variety: float = 0.0
+    """How much the number of hanging fruit varies between seeds, relative to fruits, from 0 to 1. At 0.5, trees of any
+    five consecutive seeds bear 0.5, 0.75, 1, 1.25 and 1.5 times as many."""
 
     clump: float = 0.0
     """Mean number of fruit in a clump, at least 1; 0: as the species clumps."""
@@ -132,6 +139,12 @@ class OrchardConfig:
 
     light_variety: float = 0.25
     """How much sun, sky and exposure vary between seeds, from 0 to 1."""
+
+    @property
+    def hanging(self) -> int:
+        """Number of fruit hanging on each tree of this seed."""
+        step = self.seed % LOADS - LOADS // 2
+        return round(self.fruits * (1.0 + self.load_variety * step / (LOADS // 2)))
 
     def digest(self) -> str:
         """A short hash of the generator's version and every setting that is not the default.

@@ -140,7 +140,7 @@ def _bear(
         habit = replace(habit, middle=part.center, reach=0.8 * part.reach)
     bearers = [Fruiting(rng, species, tree, crop, habit=habit, tree=i) for i, tree in enumerate(trees, start=1)]
     for bearer in bearers:
-        bearer.hang(config.fruits)
+        bearer.hang(config.hanging)
     for bearer, x in zip(bearers, feet, strict=True):
         bearer.drop(config.fallen, ground.relief, 0.42 * species.tree_height, float(x))
     return crop.fruits

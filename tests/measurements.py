@@ -19,6 +19,7 @@ RESULT = StageResult(
     ece=0.02,
     interval=(88, 101),
     total_interval=(100, 130),
+    total_estimate=112.5,
     psnr=23.4,
     ssim=0.7,
     views=60,

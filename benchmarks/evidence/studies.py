@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from ...engine.config import Preset
 from ..ladder.stages import END_TO_END, STAGES, TRUE_POSES
 from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
 
 SPECIES = ("apple", "plum", "lemon", "pear", "peach", "mango", "cherry", "orange")
 SEEDS = (101, 102, 103)
+LOADED = ("apple", "plum", "orange", "pear")
+"""Species whose trees bear from half to one and a half times the usual fruit."""
+LOAD_SEEDS = (304, 305, 302, 301, 303)
+"""Seeds of such trees: five consecutive ones span the whole range; those that bear most and least come first."""
 CONDITIONS: Mapping[str, str] = {
     "": "as usual: spindle, red, 60 photos",
     "wall": "limbs in the plane of the row",
@@ -39,11 +44,13 @@ CONDITIONS: Mapping[str, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Trials that belong together: every scene (a preset with a seed) in every stage by every method."""
+    """Trials that belong together: every scene (a preset with a seed) in every stage by every method. training: preset
+    of the training settings."""
 
     scenes: tuple[str, ...]
     stages: tuple[str, ...]
     methods: tuple[str, ...] = ("voting",)
+    training: Preset = "standard"
 
     @property
     def trials(self) -> list[Trial]:
@@ -77,15 +84,18 @@ STUDIES: Mapping[str, Study] = {
         methods=("voting", "template", "fruitnerf"),
     ),
     "two-photos": Study(
-        scenes=(
-            *(f"{species}-small:{seed}" for seed in SEEDS for species in SPECIES),
-            *("-".join(("apple-small", name)) + ":101" for name in CONDITIONS if name),
-        ),
+        scenes=tuple(f"{species}-load:{seed}" for seed in LOAD_SEEDS for species in LOADED),
         stages=(TRUE_POSES,),
         methods=("voting", TWO_PHOTOS),
+        training="quick",
     ),
 }
 """{name: study}, the most important first."""
+
+
+def training_of(trial: Trial) -> Preset:
+    """The preset of the training settings of a trial; all trials of a scene share it."""
+    return next((study.training for study in STUDIES.values() if trial in study.trials), "standard")
 
 
 def of_study(name: str, records: Iterable[Record]) -> dict[Trial, Record]:

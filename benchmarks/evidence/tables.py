@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import mean
 
+import numpy as np
+
 from ...engine.evaluation.camera_errors import CameraErrors
 from ...engine.evaluation.metrics import CountMetrics
 from ...engine.evaluation.summary import summarise
@@ -185,43 +187,61 @@ def methods(records: Sequence[Record]) -> str:
 
 
 def two_photos(records: Sequence[Record]) -> str:
-    """Errors of numbers of all fruit on a tree, by species and for trees unlike those that the factor is from."""
+    """Errors of the number of all fruit on trees that bear different numbers, and how much of the differences between
+    trees of a species each method shows."""
     trees = _two_ways(records)
-    usual = [tree for tree in trees if not tree.condition]
-    lines = [["trees", "factor from", "two photos × factor", "our count × factor", "our count alone"]]
+    errors = [["trees", "fruit", "mean of the other trees", "two photos × factor", "our count × factor"]]
+    errors[0] += ["our estimate of all fruit"]
+    shares = [["trees", "two photos", "our count", "our estimate of all fruit"]]
+    groups = {name: [tree for tree in trees if tree.species == name] for name in SPECIES}
+    groups = {name: own for name, own in groups.items() if len(own) > 1}
     whole = list[list[float]]()
-    for species in SPECIES:
-        own = [tree for tree in usual if tree.species == species]
-        errors = [tree.errors([other for other in own if other is not tree]) for tree in own if len(own) > 1]
-        whole += errors
-        if errors:
-            lines.append([f"{len(own)} {species}", "the others", *_mean_and_worst(errors)])
-    if whole:
-        lines.append([f"**all {len(whole)}**", "", *_mean_and_worst(whole)])
-    apples = [tree for tree in usual if tree.species == "apple"]
-    unlike = [tree.errors(apples) for tree in trees if tree.condition and apples]
-    if unlike:
-        name = f"{len(unlike)} apple trees or captures that differ"
-        lines.append([name, "usual apple trees", *_mean_and_worst(unlike)])
-    return markdown(lines)
+    for name, own in groups.items():
+        errors_of_species = [tree.errors([other for other in own if other is not tree]) for tree in own]
+        whole += errors_of_species
+        totals = [tree.total for tree in own]
+        errors.append([f"{len(own)} {name}", f"{min(totals)}–{max(totals)}", *_mean_and_worst(errors_of_species)])
+        if len(own) > 2:
+            shares.append([f"{len(own)} {name}", *map(_score, _explained([own]))])
+    if not whole:
+        return markdown(errors)
+    errors.append([f"**all {len(whole)}**", "", *_mean_and_worst(whole)])
+    shares.append([f"**all {len(whole)}**", *map(_score, _explained(list(groups.values())))])
+    return f"{markdown(errors)}\n\n{markdown(shares)}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _TwoWays:
-    """A tree counted in two photos and by us. condition: what differs from the usual tree; total: all its fruit."""
+    """A tree counted in two photos and by us. total: all its fruit; estimate: ours of all fruit."""
 
     species: str
-    condition: str
     seen: int
     counted: int
+    estimate: float
     total: int
 
-    def errors(self, trees: Sequence[_TwoWays]) -> list[float]:
-        """Relative errors of the total: by two photos and by us, with factors from other trees, and without one."""
-        total = sum(tree.total for tree in trees)
-        by_photos = self.seen * total / max(sum(tree.seen for tree in trees), 1)
-        by_count = self.counted * total / max(sum(tree.counted for tree in trees), 1)
-        return [abs(number / self.total - 1.0) for number in (by_photos, by_count, self.counted)]
+    @property
+    def numbers(self) -> tuple[float, float, float]:
+        """Seen in two photos, counted by us, and our estimate of all fruit."""
+        return self.seen, self.counted, self.estimate
+
+    def errors(self, others: Sequence[_TwoWays]) -> list[float]:
+        """Relative errors of the total: of the mean of other trees, by two photos and by our count with factors from
+        these, and of our estimate."""
+        total = sum(tree.total for tree in others)
+        by_photos = self.seen * total / max(sum(tree.seen for tree in others), 1)
+        by_count = self.counted * total / max(sum(tree.counted for tree in others), 1)
+        numbers = (total / len(others), by_photos, by_count, self.estimate)
+        return [abs(number / self.total - 1.0) for number in numbers]
+
+
+def _explained(species: Sequence[Sequence[_TwoWays]]) -> list[float]:
+    """R², the squared correlation with the true total between trees of a species, of each method's numbers. Numbers of
+    different species are compared after division by the species' mean."""
+    parts = [np.array([(tree.total, *tree.numbers) for tree in own], np.float64) for own in species]
+    relative = np.vstack([part / np.maximum(part.mean(axis=0), 1e-9) - 1.0 for part in parts])
+    with np.errstate(invalid="ignore"):
+        return [float(value) for value in np.corrcoef(relative.T)[0, 1:] ** 2]
 
 
 def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
@@ -229,14 +249,15 @@ def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
     own = of_study(TWO_PHOTOS, records)
     found = []
     for trial, record in own.items():
-        near = _near(own.get(replace(trial, method="voting")))
-        if trial.method != TWO_PHOTOS or near is None or record.result.counted is None:
+        ours = own.get(replace(trial, method="voting"))
+        near = _near(ours)
+        if trial.method != TWO_PHOTOS or ours is None or near is None or record.result.counted is None:
             continue
         tree = _TwoWays(
             species=record.result.species,
-            condition=trial.scene.rpartition("-")[0].partition("-small-")[2],
             seen=record.result.counted,
             counted=near.predicted,
+            estimate=ours.result.total_estimate or math.nan,
             total=near.total,
         )
         found.append(tree)
@@ -249,27 +270,55 @@ def _mean_and_worst(errors: Sequence[Sequence[float]]) -> list[str]:
 
 
 def intervals(records: Sequence[Record]) -> str:
-    """How often the 90 % intervals of current rows hold, by species and by the origin of the cameras."""
-    current = [record for record in records if record.trial.method == "voting" and not record.stale]
-    results = [each.result for each in current if each.trial.stage in (TRUE_POSES, END_TO_END)]
+    """How often the 90 % intervals hold, by species and by the origin of the cameras: of rows of the present code or,
+    if there are none, of earlier code."""
+    own = [each for each in records if each.trial.method == "voting" and each.trial.stage in (TRUE_POSES, END_TO_END)]
+    current = [record.result for record in own if not record.stale]
+    results = current or [record.result for record in own]
     groups = {name: [each for each in results if each.species == name] for name in SPECIES}
     groups["true cameras"] = [each for each in results if each.stage == TRUE_POSES]
     groups["photos alone"] = [each for each in results if each.stage == END_TO_END]
     groups["all"] = results
-    lines = [["counts of", "number", "visible covered", "width / fruit", "all covered", "width / fruit"]]
-    for name, own in groups.items():
-        of_visible = [(each.interval, each.near.visible) for each in own if each.interval and each.near]
-        of_all = [(each.total_interval, each.near.total) for each in own if each.total_interval and each.near]
-        if of_visible and of_all:
-            lines.append([name, str(len(of_visible)), *_held(of_visible), *_held(of_all)])
-    return markdown(lines)
+    lines = [["counts of", "counts", "different trees", "visible covered", "width / fruit"]]
+    lines[0] += ["all covered", "width / fruit"]
+    for name, members in groups.items():
+        whole = [each for each in members if each.interval and each.total_interval and each.near]
+        if whole:
+            trees = {_tree(each) for each in whole}
+            lines.append([name, str(len(whole)), str(len(trees)), *_held(whole, of_all=False)])
+            lines[-1] += _held(whole, of_all=True)
+    table = markdown(lines)
+    return table if current or not results else f"**Stale**: measured with earlier code.\n\n{table}"
 
 
-def _held(pairs: Sequence[tuple[tuple[float, float], int]]) -> list[str]:
-    """How many numbers lie in their intervals, and the intervals' mean width."""
-    held = sum(low <= number <= high for (low, high), number in pairs)
-    width = mean((high - low) / max(number, 1) for (low, high), number in pairs)
-    return [f"{held} of {len(pairs)}", _score(width)]
+def _tree(result: StageResult) -> tuple[str, int | None]:
+    """Counts of the same species and seed are of one tree, whatever the condition, the cameras or the photos' size."""
+    return result.species, result.seed
+
+
+def _held(results: Sequence[StageResult], *, of_all: bool) -> list[str]:
+    """How many numbers lie in their intervals, with the 95 % interval of that share, and the intervals' mean width."""
+    by_tree: dict[tuple[str, int | None], list[bool]] = {}
+    widths = []
+    for each in results:
+        interval = each.total_interval if of_all else each.interval
+        assert each.near
+        assert interval
+        number = each.near.total if of_all else each.near.visible
+        by_tree.setdefault(_tree(each), []).append(interval[0] <= number <= interval[1])
+        widths.append((interval[1] - interval[0]) / max(number, 1))
+    low, high = share_interval([mean(held) for held in by_tree.values()])
+    number_held = sum(map(sum, by_tree.values()))
+    return [f"{number_held} of {len(results)} ({100 * low:.0f}–{100 * high:.0f} %)", _score(mean(widths))]
+
+
+def share_interval(shares: Sequence[float]) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share, from the share of each independent tree: counts of one tree err together, so a
+    tree counts once."""
+    n, share, z = len(shares), mean(shares), 1.96
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
+    return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
 def summary_line(name: str, records: Sequence[Record]) -> str:

@@ -41,9 +41,9 @@ class StageResult:
 
     counted: number of fruit, None if it failed; near, far: measured at half a diameter and at one, None without a
     truth; classes: errors by visible fraction at half a diameter; ece: calibration error of the fruit's probabilities;
-    interval, total_interval: of visible and of all fruit, if there are any; psnr, ssim: of held-out photos, if a scene
-    was trained; views: number of views; cameras: errors of estimated cameras; seconds by stage; failed: why there is
-    no count; mistakes: name of the picture of the worst ones.
+    interval, total_interval: of visible and of all fruit, if there are any; total_estimate: most likely number of all
+    fruit; psnr, ssim: of held-out photos, if a scene was trained; views: number of views; cameras: errors of estimated
+    cameras; seconds by stage; failed: why there is no count; mistakes: name of the picture of the worst ones.
     """
 
     species: str
@@ -57,6 +57,7 @@ class StageResult:
     ece: float = math.nan
     interval: tuple[float, float] | None = None
     total_interval: tuple[float, float] | None = None
+    total_estimate: float | None = None
     psnr: float | None = None
     ssim: float | None = None
     views: int = 0
@@ -142,6 +143,7 @@ def _counted(row: StageResult, counted: Counted) -> StageResult:
         counted=len(counted.centers),
         interval=counted.interval,
         total_interval=counted.total_interval,
+        total_estimate=counted.total_estimate,
         psnr=counted.psnr,
         ssim=counted.ssim,
         views=counted.views,

@@ -24,8 +24,8 @@ CLASSES = tuple(f"{name}_{100 * low:.0f}" for low in VISIBILITY_EDGES[:-1] for n
 """True fruit whose largest visible fraction starts at so many percent, and how many of them were found."""
 COLUMNS = (
     "species", "seed", "ablation_stage", "scene", *COUNTS, *RATIOS, "f1_at_1", *ERRORS, "ece", "interval_low",
-    "interval_high", "total_low", "total_high", "psnr", "ssim", "views", *(f"cameras_{name}" for name in OF_CAMERAS),
-    *CLASSES, "failed",
+    "interval_high", "total_estimate", "total_low", "total_high", "psnr", "ssim", "views",
+    *(f"cameras_{name}" for name in OF_CAMERAS), *CLASSES, "failed",
 )  # fmt: skip
 INTEGERS = {"radius", "predicted", "visible", "total", "matched", "ignored", "doubles", "merges", "count_error"}
 
@@ -44,8 +44,9 @@ def cells_of(row: StageResult) -> dict[str, str]:
     values: dict[str, float | int | str | None] = {
         "species": row.species, "seed": row.seed, "ablation_stage": row.stage, "scene": row.scene,
         "predicted": row.counted, "f1_at_1": row.far.f1 if row.far else None, "ece": row.ece,
-        "interval_low": low_high[0], "interval_high": low_high[1], "total_low": total[0], "total_high": total[1],
-        "psnr": row.psnr, "ssim": row.ssim, "views": row.views, "failed": row.failed,
+        "interval_low": low_high[0], "interval_high": low_high[1], "total_estimate": row.total_estimate,
+        "total_low": total[0], "total_high": total[1], "psnr": row.psnr, "ssim": row.ssim, "views": row.views,
+        "failed": row.failed,
     }  # fmt: skip
     for name in (*COUNTS[1:], *RATIOS, *ERRORS):
         values[name] = getattr(near, name) if near else None
@@ -101,6 +102,7 @@ def row_of(cells: Mapping[str, str]) -> StageResult:
         ece=number("ece"),
         interval=pair("interval_low", "interval_high"),
         total_interval=pair("total_low", "total_high"),
+        total_estimate=number("total_estimate") if cells["total_estimate"] else None,
         psnr=number("psnr") if cells["psnr"] else None,
         ssim=number("ssim") if cells["ssim"] else None,
         views=int(cells["views"] or 0),

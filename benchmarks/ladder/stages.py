@@ -61,8 +61,9 @@ class Counted:
     """The count of one stage, in the frame of the truth.
 
     centers: (P, 3); diameters, probabilities: (P,); interval, total_interval: of visible and of all fruit, None
-    without one; psnr, ssim: of held-out photos, None without training; views: number of views; cameras: errors of
-    estimated cameras, None if the true ones were used; seconds by stage.
+    without one; total_estimate: most likely number of all fruit, None without one; psnr, ssim: of held-out photos, None
+    without training; views: number of views; cameras: errors of estimated cameras, None if the true ones were used;
+    seconds by stage.
     """
 
     centers: FloatArray
@@ -70,6 +71,7 @@ class Counted:
     probabilities: FloatArray
     interval: tuple[float, float] | None = None
     total_interval: tuple[float, float] | None = None
+    total_estimate: float | None = None
     psnr: float | None = None
     ssim: float | None = None
     views: int = 0
@@ -306,6 +308,7 @@ def _counted(found: FruitCount, views: int) -> Counted:
         probabilities=np.array([fruit.probability for fruit in found.fruits], dtype=np.float64),
         interval=found.interval,
         total_interval=found.total_interval,
+        total_estimate=found.total,
         views=views,
     )
 

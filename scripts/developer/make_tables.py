@@ -24,12 +24,12 @@ import _checkout  # noqa: F401  puts the checkout on the path
 from _terminal import import_tyro, report, run, terminal_progress
 from fruitlangs.benchmarks.evidence.documents import write_documents
 from fruitlangs.benchmarks.evidence.records import Record, Trial, merged, read_records, record_of, write_records
-from fruitlangs.benchmarks.evidence.studies import STUDIES
+from fruitlangs.benchmarks.evidence.studies import STUDIES, training_of
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
 from fruitlangs.benchmarks.ladder.stages import TRUE_POSES
 from fruitlangs.benchmarks.orchards import scene_folder
 from fruitlangs.benchmarks.two_photos import TWO_PHOTOS, count_in_two_photos
-from fruitlangs.engine.config import Config
+from fruitlangs.engine.config import PRESETS, Config
 from fruitlangs.engine.errors import ConfigError, FruitLangsError
 
 if TYPE_CHECKING:
@@ -91,13 +91,13 @@ def open_trials(studies: Sequence[str], records: Sequence[Record]) -> dict[str, 
 def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
     """Count a scene as the trials say; a stage that fails is a record with its reason."""
     folder = scene_folder(scene, out / "scenes", report=report)
+    trained = replace(Config(), train=PRESETS[training_of(trials[0])])
     records = []
     for method in dict.fromkeys(trial.method for trial in trials):
         if method == TWO_PHOTOS:
-            records.append(record_of(seen_in_two_photos(folder, out / folder.name), method))
+            records.append(record_of(seen_in_two_photos(folder, out / folder.name, trained), method))
             continue
-        config: Any = Config()
-        config = replace(config, count=replace(config.count, method=method))
+        config: Any = replace(trained, count=replace(trained.count, method=method))
         stages = [trial.stage for trial in trials if trial.method == method]
         progress = terminal_progress()
         rows = climb(folder, out / folder.name, config=config, stages=stages, report=report, progress=progress)
@@ -106,9 +106,9 @@ def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
     return records
 
 
-def seen_in_two_photos(folder: Path, out: Path) -> StageResult:
+def seen_in_two_photos(folder: Path, out: Path, config: Config) -> StageResult:
     """Count fruit in two photos of a scene whose result is in `out`, or is made there."""
-    (row,) = climb(folder, out, config=Config(), stages=[TRUE_POSES])
+    (row,) = climb(folder, out, config=config, stages=[TRUE_POSES])
     counted = None if row.failed else count_in_two_photos(out / TRUE_POSES, [row.species])
     return StageResult(
         species=row.species, seed=row.seed, scene=row.scene, stage=TRUE_POSES, counted=counted, failed=row.failed

@@ -19,8 +19,8 @@ from fruitlangs.benchmarks.evidence.records import (
     record_of,
     write_records,
 )
-from fruitlangs.benchmarks.evidence.studies import CONDITIONS, STUDIES
-from fruitlangs.benchmarks.evidence.tables import TABLES
+from fruitlangs.benchmarks.evidence.studies import CONDITIONS, STUDIES, training_of
+from fruitlangs.benchmarks.evidence.tables import TABLES, share_interval
 from fruitlangs.benchmarks.ladder.ladder import StageResult
 from fruitlangs.benchmarks.ladder.rows import cells_of, row_of
 from fruitlangs.benchmarks.ladder.stages import END_TO_END, STAGES, TRUE_POSES
@@ -184,7 +184,43 @@ def test_only_what_is_missing_or_stale_is_measured() -> None:
 def test_an_interval_that_misses_is_not_counted_as_held() -> None:
     held = record_of(RESULT, "voting")
     missed = record_of(replace(RESULT, scene="apple-small-103", seed=103, interval=(101, 110)), "voting")
-    assert "| apple | 2 | 1 of 2 | 0.110 | 2 of 2 | 0.250 |" in TABLES["intervals"]([held, missed])
+    table = TABLES["intervals"]([held, missed])
+    assert "| apple | 2 | 2 | 1 of 2 (9–91 %) | 0.110 | 2 of 2 (34–100 %) | 0.250 |" in table
+
+
+def test_counts_of_one_tree_in_several_conditions_are_one_tree_behind_a_coverage() -> None:
+    scenes = [("apple-small-102", TRUE_POSES), ("apple-small-wind-102", TRUE_POSES), ("apple-small-102", END_TO_END)]
+    held = [record_of(replace(RESULT, scene=scene, stage=stage), "voting") for scene, stage in scenes]
+    pear = record_of(replace(RESULT, species="pear", scene="pear-small-102"), "voting")
+    table = TABLES["intervals"]([*held, pear])
+    assert "| apple | 3 | 1 | 3 of 3 (21–100 %) |" in table
+    assert "| all | 4 | 2 | 4 of 4 (34–100 %) |" in table
+
+
+def test_a_share_of_few_trees_is_uncertain_as_wilson_has_it() -> None:
+    assert share_interval([1.0, 1.0, 1.0, 0.0]) == pytest.approx((0.3006, 0.9544), abs=1e-4)
+    assert share_interval([0.5] * 4) == pytest.approx((0.1500, 0.8500), abs=1e-4)
+
+
+def test_without_a_row_of_the_present_code_the_intervals_are_those_of_earlier_code_and_marked_stale() -> None:
+    other = record_of(replace(RESULT, scene="apple-small-103", seed=103), "voting")
+    early = changed(record_of(RESULT, "voting"), code="0123")
+    table = TABLES["intervals"]([early])
+    assert table.startswith("**Stale**")
+    assert "| apple | 1 | 1 |" in table
+    assert "Stale" not in TABLES["intervals"]([early, other])
+    assert "| apple | 1 | 1 |" in TABLES["intervals"]([early, other])
+
+
+def test_a_scene_is_trained_with_the_same_settings_in_all_studies() -> None:
+    trainings: dict[str, set[str]] = {}
+    for study in STUDIES.values():
+        for trial in study.trials:
+            trainings.setdefault(trial.scene, set()).add(study.training)
+            assert training_of(trial) == study.training
+    assert {len(each) for each in trainings.values()} == {1}
+    assert training_of(STUDIES["two-photos"].trials[0]) == "quick"
+    assert training_of(Trial(scene="mine-1", stage=TRUE_POSES)) == "standard"
 
 
 def test_a_scene_that_cannot_be_counted_from_photos_alone_has_f1_0_in_the_mean() -> None:

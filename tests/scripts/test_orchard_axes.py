@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from fruitlangs.orchard.plants.foliage import Leaves, turned
 from fruitlangs.orchard.plants.tree import grow
 from fruitlangs.orchard.scene_file import find_scene, presets, read_scene
 from fruitlangs.orchard.shapes.ground import lay_ground
-from fruitlangs.orchard.species import SPECIES
+from fruitlangs.orchard.species import SPECIES, UNNAMED
 from fruitlangs.orchard.surroundings.distractors import hang_tags
 from fruitlangs.orchard.surroundings.objects import SIZES, pattern
 from fruitlangs.orchard.surroundings.things import WORDS
@@ -81,6 +81,31 @@ def test_spread_sets_the_deviation_of_diameters() -> None:
 
     assert deviation(0.0) < 1e-9
     assert 0.2 < deviation(0.3) < 0.4
+
+
+def test_five_consecutive_seeds_bear_from_half_to_one_and_a_half_times_the_fruit() -> None:
+    configs = [OrchardConfig(load_variety=0.5, fruits=20, fallen=1, leaves=20, seed=seed) for seed in range(300, 305)]
+    assert [config.hanging for config in configs] == [10, 15, 20, 25, 30]
+    assert [len(plant(config).fruits) for config in configs] == [11, 16, 21, 26, 31]
+
+
+def test_without_load_variety_every_seed_bears_the_same_number_of_fruit() -> None:
+    assert {OrchardConfig(fruits=20, seed=seed).hanging for seed in range(10)} == {20}
+
+
+def test_more_fruit_than_masks_hold_are_refused_for_the_seed_that_bears_most() -> None:
+    check(OrchardConfig(load_variety=0.5, fruits=31_000, fallen=0, seed=302))
+    with pytest.raises(OrchardError, match="16-bit"):
+        check(OrchardConfig(load_variety=0.5, fruits=31_000, fallen=0, seed=304))
+
+
+@pytest.mark.parametrize("species", [name for name in SPECIES if name not in UNNAMED])
+def test_every_named_species_has_a_preset_whose_trees_bear_different_numbers(species: str) -> None:
+    config = read_scene(find_scene(f"{species}-load")).config
+    loads = [replace(config, seed=seed).hanging for seed in range(301, 306)]
+    assert (config.species, config.views) == (species, 30)
+    assert max(loads) >= 2.9 * min(loads)
+    assert len(set(loads)) == 5
 
 
 def test_a_row_has_trees_along_x_each_with_its_own_fruit() -> None:
