@@ -35,8 +35,8 @@ def audit_reason(entry: AuditEntry, metres_per_unit: float | None) -> str:
 def count_text(fruit_count: FruitCount) -> str:
     """The count with its intervals: '114 visible fruit (90 % interval 105–122). About 121 with hidden fruit (108–140)'.
 
-    If the most likely number differs from the count, it is given too, with the reason why the interval starts at the
-    count.
+    If the most likely number differs from the count, it is given too; if it is larger and the interval starts at the
+    count, so is the reason.
     """
     count = f"{fruit_count.count} visible fruit"
     if fruit_count.interval is None or fruit_count.total is None or fruit_count.total_interval is None:

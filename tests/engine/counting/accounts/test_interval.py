@@ -93,6 +93,13 @@ def test_the_count_lies_within_its_interval_and_no_more_are_visible_than_there_a
     assert sure.total >= n
 
 
+def test_the_interval_of_visible_fruit_starts_below_a_count_with_candidates_that_may_be_false():
+    certain = estimate(Evidence(120.0, 0.0, np.zeros(len(COVARIATES))), 100)
+    uncertain = estimate(Evidence(100.0, 20.0, np.array([0.2, TRAINED, 0.0])), 110)
+    assert certain.visible[0] == 100 < certain.total_interval[0]
+    assert uncertain.visible[0] < 110
+
+
 def test_the_interval_of_all_fruit_is_never_narrower_than_that_of_the_visible_ones():
     faint = Evidence(1000.0, 50.0, np.array([0.05, TRAINED, 0.0]))
     sure = estimate(faint, 1000)
