@@ -20,6 +20,7 @@ from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.accounts.zero import Quality
 from .counting.count import count_fruit
 from .counting.fruit import FruitCount
+from .counting.photos.verifier import require_trained_for
 from .counting.published.template_shape import read_template
 from .errors import ConfigError, FruitLangsError, OutputError
 from .language.encoders.encoder import Encoder, sees_fruit
@@ -32,7 +33,7 @@ from .language.prompts.selection import select
 from .photo_size import width_notices
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
-from .reconstruction import Reconstruction, reconstruct, reopen
+from .reconstruction import Reconstruction, reconstruct, reopen, with_fitting_photos
 from .report.results import known_fruit
 from .result_folder import ResultFolder
 from .scale import scaled
@@ -86,6 +87,8 @@ def count_scene(
     encoder = embedder.encoder
     check_prompts(encoder, prompts, negatives)  # an unknown word must not cost a training run
     words = taught_words(encoder, [*prompts, *negatives])
+    if sees_fruit(encoder):
+        require_trained_for(encoder.fruit_identity)
     template: dict[str, str] = {}
     if config.count.template:
         read_template(Path(config.count.template))  # nor must an invalid template
@@ -207,6 +210,7 @@ def _before_prompts(
                 given=run.config.changed() if run.given is None else run.given,
                 encoder_id=encoder.identity,
             )
+            made = with_fitting_photos(made, encoder, run.cache, run.log, progress)
         else:
             made = reconstruct(opened, imported, run, progress)
     return scaled(made, encoder, run.config.units, run.log)

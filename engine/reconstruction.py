@@ -13,8 +13,9 @@ import numpy as np
 
 from .config import Config, decisive, without_effect
 from .errors import ConfigError, FruitLangsError, SceneError
-from .language.encoders.encoder import sees_fruit, sees_whole
+from .language.encoders.encoder import Encoder, sees_fruit, sees_whole
 from .language.features.features import Features, load_features, save_features
+from .language.features.lift import record_photos
 from .language.features.photo_features import (
     PhotoFeatures,
     PhotoFeaturesRecorder,
@@ -42,6 +43,8 @@ from .training import CAMERAS, FEATURES, GAUSSIANS, Run, RunLog, trained
 PHOTOS = "photos.safetensors"
 FORMER_IMPORTED = "foreign"
 """Key of `provenance.imported` in results of earlier versions."""
+ENCODING = ("scene", "language", "splatting", "compiled")
+"""Packages whose code encodes photos and lifts features into Gaussians."""
 FIXED = ("scene", "photos", "train", "embed")
 """Stages whose settings an earlier result keeps, except `scene.up`."""
 
@@ -145,7 +148,8 @@ def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run
     scene = source.read(config.scene)
     if reduction(scene.images) <= 1.0:
         return run
-    key = stage_key(("scene",), source.hash(), encoder.identity, config.scene, decisive(config.train))
+    settings = config.scene, decisive(config.train)
+    key = stage_key((*ENCODING, "photo_size"), source.hash(), encoder.identity, *settings)
     record = run.cache / f"size-{key}.json"
     if record.is_file():
         decided = json.loads(record.read_text(encoding="utf-8"))
@@ -211,14 +215,15 @@ def _photos(files: Files) -> PhotoFeatures | None:
 def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress, kept: bool) -> Path:
     """The file of the features for these Gaussians, named by `key`; computed if it does not exist. kept: with features
     of the photos' pixels, in a file next to it."""
-    embed_key = stage_key(("language", "splatting"), key, run.embedder.key, *run.device)
+    embed_key = stage_key(ENCODING, key, run.embedder.key, *run.device)
     features_file = run.cache / f"embed-{embed_key}" / FEATURES
     with run.log.timed("embed"):
         if features_file.is_file():
             run.log.reused.append("embed")
         else:
-            encoder = run.embedder.encoder
-            recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity) if kept else None
+            encoder, recorder = run.embedder.encoder, None
+            if kept and sees_fruit(encoder):
+                recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
             lifted = run.embedder.lift(gaussians, scene, run.cache, recorder=recorder, progress=progress)
             if recorder is not None:
                 save_photo_features(features_file.with_name(PHOTOS), recorder.kept())
@@ -286,7 +291,7 @@ def _with_photos(
     Raises:
         SceneError: they are missing, cannot be read, or have changed.
     """
-    if origin.get("imported", {}).get("cameras") == PLACED:
+    if _was_placed(origin):
         return rendered_again(gaussians, scene)
     path = Path(origin["source"])
     if not path.exists():
@@ -299,6 +304,42 @@ def _with_photos(
         )
     photos = source.read(stored.scene)
     return dataclasses.replace(photos, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit)
+
+
+def with_fitting_photos(
+    made: Reconstruction, encoder: Encoder, cache: Path, log: RunLog, progress: Progress = silent
+) -> Reconstruction:
+    """An earlier result with features of its photos' pixels that belong to this encoder.
+
+    Those that other weights made are computed again from the photos, in `cache`. Without the photos the result has
+    none, and a notice says so.
+
+    Raises:
+        SceneError: a photo cannot be read.
+        OutputError: `cache` cannot be written.
+    """
+    if not sees_fruit(encoder) or _was_placed(made.origin) or (made.photos is not None and made.photos.are_of(encoder)):
+        return made
+    scene = made.scene
+    if len(scene.images) != len(scene.cameras):
+        log.notices.append(
+            "the result keeps no features of its photos that this version's networks can use, and the photos are "
+            "missing: fruit that Gaussians lose were not counted. Give the folder of the photos as SCENE to count them"
+        )
+        return dataclasses.replace(made, files=dataclasses.replace(made.files, photos=None), photos=None)
+    settings = dataclasses.replace(made.config.scene, up=None)
+    key = stage_key(ENCODING, made.origin["inputs_sha256"], encoder.fruit_identity, settings)
+    path = cache / f"pixels-{key}" / PHOTOS
+    if not path.is_file():
+        with log.timed("embed"):
+            save_photo_features(path, record_photos(scene, encoder, progress=progress))
+    files = dataclasses.replace(made.files, photos=path)
+    return dataclasses.replace(made, files=files, photos=_photos(files))
+
+
+def _was_placed(origin: Mapping[str, Any]) -> bool:
+    """Whether a result has no photos, because cameras were placed around imported Gaussians."""
+    return bool(origin.get("imported", {}).get("cameras") == PLACED)
 
 
 def _require_same(folder: Path, stored: Config, config: Config, given: Collection[str]) -> None:

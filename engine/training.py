@@ -99,9 +99,9 @@ def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
     embedder, config = run.embedder, run.config
     # The up direction does not affect training, only where a walk is cut.
     settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
-    key = stage_key(("scene", "splatting"), inputs, *settings, *run.device)
+    key = stage_key(("scene", "splatting", "compiled", "training"), inputs, *settings, *run.device)
     if embedder.trains:
-        key = stage_key(("language",), key, embedder.key)
+        key = stage_key(("scene", "splatting", "language", "compiled"), key, embedder.key)
     with run.log.timed("train"):
         walk = cut(scene, photos=SECTION_PHOTOS, sections=config.scene.sections)
         if walk is not None and embedder.trains:

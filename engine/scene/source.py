@@ -137,7 +137,7 @@ class Source:
 
     def _stills_folder(self, video: Path, cache: Path) -> Path:
         """The folder in `cache` of a video's stills, whether it exists or not."""
-        key = stage_key(("scene",), self._file_hash(video), _version("av"))
+        key = stage_key(("scene", "compiled"), self._file_hash(video), _version("av"))
         return cache / f"video-{key}"
 
     def posed(
@@ -190,7 +190,7 @@ class Source:
 
     def _model(self, photos: Path, cache: Path, config: PhotosConfig) -> Source:
         """The photos with their model in `cache`, whether it exists or not."""
-        key = stage_key(("scene",), self._hash(list_photos(photos), photos), config, _version("pycolmap"))
+        key = stage_key(("scene", "compiled"), self._hash(list_photos(photos), photos), config, _version("pycolmap"))
         # Otherwise they are where a model's masks are expected.
         masks = photos / "masks" if (photos / "masks").is_dir() else None
         return Source(path=cache / f"photos-{key}" / "model", images=photos, masks=masks, _hash_of=self._hash_of)

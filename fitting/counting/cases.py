@@ -118,7 +118,7 @@ def encoded(
     gaussians: Gaussians, scene: Scene, species: str, encoder: EmbeddedEncoder
 ) -> tuple[torch.Tensor, list[PhotoMap] | None]:
     """What the encoder says of a species: the probability (N,) of the Gaussians, and the maps of the photos."""
-    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
+    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
     photos = encode_photos(scene, encoder, recorder)
     features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
     probability = relevancy(features, encoder, [species])

@@ -25,6 +25,7 @@ from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.photos.search import search_photos
 from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network
 from fruitlangs.engine.evaluation.metrics import count_metrics
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import halved, write_tensors
 from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, calibrate, fit, mined, prepared
 
@@ -68,7 +69,8 @@ def main(options: Options) -> None:
             calibrate(network, checked)
             say(table(checked, network))
         used = {"trees": [tree.name for tree in learnt], "calibrated on": [tree.name for tree in checked]}
-        write_tensors(options.out, halved(network.state_dict()), {"format": FORMAT, **used})
+        header = {"format": FORMAT, "encoder": EmbeddedEncoder.open().fruit_identity, **used}
+        write_tensors(options.out, halved(network.state_dict()), header)
 
 
 def table(trees: list[Tree], network: Network) -> str:

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from fruitlangs.engine.errors import OutputError
+from fruitlangs.engine.storage import keys
 from fruitlangs.engine.storage.files import files_hash, replacing, require_writable, write_tensors, write_text
 
 
@@ -51,3 +52,28 @@ def test_the_hash_of_files_depends_on_names_and_bytes_but_not_on_the_folder(tmp_
     assert hashed("a", "x", "1") == hashed("b", "x", "1")
     assert hashed("a", "x", "1") != hashed("a", "y", "1")
     assert hashed("a", "x", "1") != hashed("a", "x", "2")
+
+
+def test_a_key_of_code_that_is_not_there_is_refused() -> None:
+    with pytest.raises(ValueError, match="engine/nowhere has no code"):
+        keys.stage_key(("nowhere",), "input")
+
+
+@pytest.mark.parametrize("changed", ["package/inner/code.py", "package/weights.safetensors", "module.py"])
+def test_a_key_changes_with_the_code_and_the_weights_that_it_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: str
+) -> None:
+    monkeypatch.setattr(keys, "_ENGINE", tmp_path)
+
+    def key() -> str:
+        keys._code_hash.cache_clear()
+        return keys.stage_key(("package", "module"), "input")
+
+    for name in ("package/inner/code.py", "package/weights.safetensors", "module.py", "other.py"):
+        write_text(tmp_path / name, "before")
+    before = key()
+    write_text(tmp_path / "other.py", "after")
+    assert key() == before
+    write_text(tmp_path / changed, "after")
+    assert key() != before
+    keys._code_hash.cache_clear()

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from fruitlangs.engine.reconstruction import ENCODING
+
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = (
     # The engine, from the ground up.
@@ -151,6 +153,39 @@ def test_modules_of_a_package_do_not_import_each_other_in_a_circle() -> None:
 
     for module in files:
         visit(module, ())
+
+
+WITHOUT_EFFECT = {
+    "child_process", "config", "errors", "progress", "setting", "storage", "user_folders"
+}  # fmt: skip
+"""Parts of the engine whose code changes no output of a stage; settings are part of the keys themselves."""
+
+
+def keyed_rooms(path: Path) -> list[list[str]]:
+    """The packages and modules that each call of `stage_key` in a file names; none for a key that another one is in."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    found = [node.args[0] for node in calls if isinstance(node.func, ast.Name) and node.func.id == "stage_key"]
+    rooms = [eval(ast.unparse(each), {"ENCODING": ENCODING}) for each in found]
+    return [list(each) for each in rooms if each]
+
+
+def run_by(rooms: list[str]) -> set[str]:
+    """The parts of the engine that packages import, directly or not; what joins the stages is followed no further."""
+    folders = [ROOT / "engine" / room for room in rooms if (ROOT / "engine" / room).is_dir()]
+    waiting, seen = [path for path in SOURCES if any(path.is_relative_to(each) for each in folders)], set[Path]()
+    while waiting:
+        path = waiting.pop()
+        if path not in seen:
+            seen.add(path)
+            modules = [ROOT.joinpath(*module).with_suffix(".py") for module in imported_modules(path)]
+            waiting += [module for module in modules if module.is_file()]
+    return {path.relative_to(ROOT / "engine").with_suffix("").parts[0] for path in seen}
+
+
+def test_the_key_of_a_stage_names_all_code_that_the_stage_runs() -> None:
+    rooms = [each for path in SOURCES for each in keyed_rooms(path)]
+    assert len(rooms) >= 8
+    assert [each for each in rooms if run_by(each) - WITHOUT_EFFECT - set(each)] == []
 
 
 def test_no_folder_holds_more_than_16_modules() -> None:

@@ -15,10 +15,14 @@ from safetensors.numpy import load_file
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.counting.fruit import Fruit
-from fruitlangs.engine.errors import Cancelled, ConfigError, CountingError, OutputError, VocabularyError
+from fruitlangs.engine.errors import Cancelled, ConfigError, CountingError, EncoderError, OutputError, VocabularyError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.features.photo_features import load_photo_features, save_photo_features
 from fruitlangs.engine.pipeline import Result, clumped, count_scene, reconstruct_scene
+from fruitlangs.engine.reconstruction import PHOTOS
+from fruitlangs.engine.storage.files import file_hash
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "orchard_tree"
 CONTRACT = ["gaussians.ply", "features.safetensors", "fruits.json", "fruits.csv", "fruits.glb", "fruits.ply"]
@@ -113,6 +117,74 @@ def test_a_result_folder_answers_without_its_photos_as_with_them(counted_balls: 
     again = count_scene(tmp_path / "moved", ["apple"], tmp_path / "again", config=balls_config())
     assert document(again.out)["fruits"] == document(counted_balls.out)["fruits"]
     assert list((again.out / "pictures").iterdir()) == []
+
+
+@pytest.fixture
+def of_another_version(counted_balls: Result, tmp_path: Path) -> Path:
+    """The balls' result as a version with another network for offsets left it, and no cache."""
+    folder = tmp_path / "older"
+    shutil.copytree(counted_balls.out, folder, ignore=shutil.ignore_patterns("cache"))
+    kept = load_photo_features(folder / PHOTOS)
+    other = replace(kept, offsets=-kept.offsets, encoder_id=kept.encoder_id.replace("offsets-", "offsets-0"))
+    save_photo_features(folder / PHOTOS, other)
+    content = document(folder)
+    content["provenance"]["source"] = counted_balls.origin["source"]
+    content["files"][PHOTOS] = file_hash(folder / PHOTOS)
+    (folder / "fruits.json").write_text(json.dumps(content))
+    return folder
+
+
+def without_photos(folder: Path) -> None:
+    """Make a result forget where its photos are."""
+    content = document(folder)
+    content["provenance"]["source"] = str(folder / "gone")
+    (folder / "fruits.json").write_text(json.dumps(content))
+
+
+def test_features_of_photos_by_other_weights_are_computed_again(
+    counted_balls: Result, of_another_version: Path, tmp_path: Path
+) -> None:
+    again = count_scene(of_another_version, ["apple"], tmp_path / "again", config=balls_config())
+    assert (again.out / PHOTOS).read_bytes() == (counted_balls.out / PHOTOS).read_bytes()
+    assert document(again.out)["fruits"] == document(counted_balls.out)["fruits"]
+
+
+def test_features_that_were_computed_again_are_reused(of_another_version: Path, tmp_path: Path) -> None:
+    first = count_scene(of_another_version, ["apple"], tmp_path / "again", config=balls_config())
+    (kept,) = (first.out / "cache").glob(f"pixels-*/{PHOTOS}")
+    written = kept.stat().st_mtime_ns
+    count_scene(of_another_version, ["pear"], tmp_path / "again", config=balls_config())
+    assert kept.stat().st_mtime_ns == written
+
+
+def test_features_of_photos_by_other_weights_are_not_joined_where_the_photos_are_missing(
+    of_another_version: Path, tmp_path: Path
+) -> None:
+    without_photos(of_another_version)
+    again = count_scene(of_another_version, ["apple"], tmp_path / "again", config=balls_config())
+    assert any("fruit that Gaussians lose were not counted" in notice for notice in again.notices)
+    assert PHOTOS not in document(again.out)["files"]
+    assert not (again.out / PHOTOS).exists()
+
+
+def test_a_result_without_features_of_photos_gets_them_from_its_photos(
+    counted_balls: Result, of_another_version: Path, tmp_path: Path
+) -> None:
+    content = document(of_another_version)
+    del content["files"][PHOTOS]
+    (of_another_version / PHOTOS).unlink()
+    (of_another_version / "fruits.json").write_text(json.dumps(content))
+    again = count_scene(of_another_version, ["apple"], tmp_path / "again", config=balls_config())
+    assert (again.out / PHOTOS).read_bytes() == (counted_balls.out / PHOTOS).read_bytes()
+
+
+def test_a_verifier_of_other_networks_is_refused_before_anything_is_trained(
+    balls: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(EmbeddedEncoder, "fruit_identity", "embedded-1+offsets-2")
+    with pytest.raises(EncoderError, match=r"trained for embedded-\w+\+offsets-\w+, not for embedded-1\+offsets-2"):
+        count_scene(balls, ["apple"], tmp_path / "out", config=balls_config())
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_later_count_calls_a_fruit_what_an_earlier_one_called_it(counted_balls: Result, tmp_path: Path) -> None:

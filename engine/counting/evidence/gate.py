@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import FormatError
 from .candidates import Candidates, SurfaceIndex
 from .claims import members
 from .size import FruitSize
@@ -60,8 +61,14 @@ class Gate:
 
     @classmethod
     def read(cls, path: Path) -> Gate:
-        """The classifier from the JSON of `document`."""
+        """The classifier from the JSON of `document`.
+
+        Raises:
+            FormatError: it was fitted to other features, or to the same in another order.
+        """
         document = json.loads(path.read_text(encoding="utf-8"))
+        if document["features"] != list(WEIGHED):
+            raise FormatError(f"{path} was fitted to other features. Fit it again with scripts/developer/fit_gate.py")
         names = ("low", "high", "center", "scale", "linear", "quadratic")
         return cls(**{name: np.array(document[name], np.float64) for name in names}, bias=float(document["bias"]))
 

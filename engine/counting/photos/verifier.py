@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
+from ...errors import EncoderError
 from ...storage.files import read_tensors
 from .surroundings import Surroundings
 from .view_kernels import CHANNELS
@@ -170,17 +171,44 @@ def read_network(path: Path) -> Network:
     """The network that `scripts/developer/fit_verifier.py` wrote.
 
     Raises:
-        ValueError: the file is missing, damaged or of another version.
+        EncoderError: the file is missing, damaged or of another version.
     """
-    tensors, header = read_tensors(path)
-    if header["format"] != FORMAT:
-        raise ValueError(f"{path} holds {header['format']}")
-    network = Network()
-    network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
-    return network.eval()
+    return _read(path)[0]
 
 
 @cache
 def stored_network() -> Network:
     """The network that comes with the package."""
     return read_network(STORED)
+
+
+def require_trained_for(encoder_id: str, path: Path = STORED) -> None:
+    """Refuse to verify fruit in maps of networks that the verifier was not trained for: its crops show their offsets.
+
+    encoder_id: `fruit_identity` of the encoder that makes the maps.
+
+    Raises:
+        EncoderError: the file is missing, damaged, or was trained for other networks.
+    """
+    trained_for = _read(path)[1]
+    if trained_for != encoder_id:
+        raise EncoderError(
+            f"The weights {path} were trained for {trained_for}, not for {encoder_id}. Install the package again, or "
+            "train them again with scripts/developer/fit_verifier.py"
+        )
+
+
+@cache
+def _read(path: Path) -> tuple[Network, str]:
+    """The network in a file, ready for inference, and the `fruit_identity` of the encoder that it was trained for."""
+    try:
+        tensors, header = read_tensors(path)
+        if header["format"] != FORMAT:
+            raise ValueError(f"it holds {header['format']}")
+        network = Network()
+        network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+        return network.eval(), str(header["encoder"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise EncoderError(
+            f"The weights {path} cannot be read ({str(error).splitlines()[0]}). Install the package again"
+        ) from error

@@ -28,7 +28,7 @@ from ..taught.word import TaughtWord
 from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import ColourSplit, FruitView, Question, TaughtQuestion
 from .network import Network, at_pixels, levels_at, resized
-from .offsets import OffsetNetwork, stored_offsets
+from .offsets import OffsetNetwork, offsets_identity, stored_offsets
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-2"
@@ -99,6 +99,10 @@ class EmbeddedEncoder:
         """(H, W, 3) sRGB → (H', W', D), of the photo's size unless its longer side is above MAX_SIDE."""
         pixels = _pixels(image)
         return _features(self.concept_logits(pixels), pixels)
+
+    @property
+    def fruit_identity(self) -> str:
+        return f"{self.identity}+{offsets_identity()}"
 
     @property
     def embedding_size(self) -> int:

@@ -147,6 +147,12 @@ class FruitEncoder(DenseEncoder, Protocol):
     """An encoder that distinguishes single fruit in a photo."""
 
     @property
+    def fruit_identity(self) -> str:
+        """Name and fingerprint of all weights that `encode_fruit` uses, more than those of `identity`; what was kept of
+        photos with another one cannot be used with this encoder."""
+        ...
+
+    @property
     def embedding_size(self) -> int:
         """E, the length of the embedding."""
         ...

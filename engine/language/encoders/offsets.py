@@ -6,6 +6,7 @@ where its centre is, also where only a part of it shows. Trained by `scripts/dev
 
 from __future__ import annotations
 
+import hashlib
 from functools import cache
 from pathlib import Path
 
@@ -62,6 +63,19 @@ def stored_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
         EncoderError: the weights are missing, damaged, or made for another encoder.
     """
     return read_offsets(encoder, path).fuse()
+
+
+@cache
+def offsets_identity(path: Path = STORED) -> str:
+    """Name and fingerprint of the network in a file.
+
+    Raises:
+        EncoderError: the file is missing.
+    """
+    try:
+        return f"offsets-{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
+    except OSError as error:
+        raise EncoderError(f"The weights {path} are missing ({error.strerror}). Install the package again") from error
 
 
 def read_offsets(encoder: str, path: Path) -> OffsetNetwork:

@@ -14,10 +14,10 @@ from ...scene.camera import Camera, Scene
 from ...scene.photos.resample import shrink_mask
 from ...splatting.gaussians import Gaussians
 from ...splatting.rendering.rasterize import accumulate
-from ..encoders.encoder import DenseEncoder, sees_fruit
+from ..encoders.encoder import DenseEncoder, FruitEncoder, sees_fruit
 from .features import Features
 from .pairing import paired
-from .photo_features import PhotoFeaturesRecorder
+from .photo_features import PhotoFeatures, PhotoFeaturesRecorder, Wanted
 
 
 def lift_features(
@@ -82,3 +82,17 @@ def encode_photos(
         if recorder is not None and view is not None:
             recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels)
         yield features.contiguous()
+
+
+def record_photos(
+    scene: Scene, encoder: FruitEncoder, wanted: Wanted | None = None, *, progress: Progress = silent
+) -> PhotoFeatures:
+    """What the encoder says about the pixels of all photos of a scene. wanted: as of `PhotoFeaturesRecorder`.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity, wanted)
+    for number, _ in enumerate(encode_photos(scene, encoder, recorder)):
+        progress((number + 1) / len(scene.images), f"Encoding photo {number + 1} of {len(scene.images)}")
+    return recorder.kept()

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from ...errors import FormatError
 from ...storage.files import read_tensors, write_tensors
-from ..encoders.encoder import FruitView
+from ..encoders.encoder import Encoder, FruitView, sees_fruit
 from ..encoders.network import resized
 
 FORMAT = "fruitlangs-photo-features-3"
@@ -37,8 +37,8 @@ class PhotoFeatures:
     shapes: (V, 2) int64 height and width of what was kept of each photo; counts: (V,) int64 kept pixels of each;
     places: (n,) int32 row · width + column of each; values: (n, D) uint8, unit features in steps of 1 / STEPS;
     offsets: (n, 2) int8, where on its fruit each pixel lies, see `OffsetNetwork`, in steps of 1 / OFFSET_STEPS;
-    colours: (n, 3) uint8 sRGB; encoder_id: identity of the encoder; embedding: (n, E) float16 for taught words, not
-    stored, None without.
+    colours: (n, 3) uint8 sRGB; encoder_id: `fruit_identity` of the encoder; embedding: (n, E) float16 for taught words,
+    not stored, None without.
     """
 
     shapes: Tensor
@@ -52,6 +52,10 @@ class PhotoFeatures:
 
     def __len__(self) -> int:
         return len(self.counts)
+
+    def are_of(self, encoder: Encoder) -> bool:
+        """Whether the weights of this encoder made them."""
+        return sees_fruit(encoder) and self.encoder_id == encoder.fruit_identity
 
     def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor, Tensor, Tensor]]:
         """Of each photo its height and width, the places (k,) of its kept pixels, their unit features (k, D), their
@@ -81,8 +85,8 @@ class PhotoFeaturesRecorder:
     """Keeps what `PhotoFeatures` needs of one photo after the other."""
 
     def __init__(self, kinds: Tensor, encoder_id: str, wanted: Wanted | None = None) -> None:
-        """kinds: (K, D) orthonormal text vectors of the kinds of fruit; wanted: which pixels are kept, with their
-        embedding; without it those that may be fruit of any kind."""
+        """kinds: (K, D) orthonormal text vectors of the kinds of fruit; encoder_id: `fruit_identity` of the encoder;
+        wanted: which pixels are kept, with their embedding; without it those that may be fruit of any kind."""
         self._kinds, self._encoder_id, self._wanted = kinds, encoder_id, wanted
         self._embedding: list[Tensor] = []
         self._shapes: list[tuple[int, int]] = []

@@ -46,7 +46,8 @@ def segmented_views(
         OutputError: `cache` cannot be written.
         Cancelled: `progress` asked for it.
     """
-    folder = cache / f"segments-{stage_key(('language',), segmenter.identity, encoder.identity)}"
+    key = stage_key(("scene", "language", "splatting", "compiled"), segmenter.identity, encoder.identity)
+    folder = cache / f"segments-{key}"
     for index, (camera, photo) in enumerate(zip(scene.cameras, scene.images, strict=True)):
         mine = part(progress, index / len(scene.cameras), (index + 1) / len(scene.cameras))
         place = f"view {index + 1} of {len(scene.cameras)}"

@@ -10,12 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ...errors import EncoderError
 from ...progress import Progress, silent
 from ...scene.camera import Scene
 from ..encoders.encoder import Encoder, FruitEncoder
 from ..features.features import Features
-from ..features.lift import encode_photos
-from ..features.photo_features import PhotoFeatures, PhotoFeaturesRecorder
+from ..features.lift import record_photos
+from ..features.photo_features import PhotoFeatures
 from .prior import kind_shares, weighed_by
 from .relevancy import answers_of, check_encoder, check_taught, taught_words, telling_words, understood, union
 
@@ -38,10 +39,15 @@ def photo_probabilities(
     because of other objects the photos keep no features. For taught words the photos are those of `photos_for`.
 
     Raises:
-        EncoderError: the features were made by another encoder.
+        EncoderError: the features, or those of the photos, were made by another encoder.
         VocabularyError: an unknown word, or no prompt.
     """
     check_encoder(features, encoder)
+    if not photos.are_of(encoder):
+        raise EncoderError(
+            f"The features of the photos were made by {photos.encoder_id}, which this version does not have. Count "
+            "again from the photos"
+        )
     sought = _Asked(encoder, prompts, features, sought=True)
     if not bool((sought.words.named.any(1) | sought.words.taught).all()):
         return None
@@ -79,10 +85,7 @@ def photos_for(
     if len(scene.images) != len(scene.cameras):
         return None
     sought = _Asked(encoder, prompts, features, sought=True)
-    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity, sought.probability)
-    for number, _ in enumerate(encode_photos(scene, encoder, recorder)):
-        progress((number + 1) / len(scene.images), f"Looking for taught words in photo {number + 1}")
-    return recorder.kept()
+    return record_photos(scene, encoder, sought.probability, progress=progress)
 
 
 class _Asked:

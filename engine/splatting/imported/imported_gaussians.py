@@ -58,7 +58,7 @@ def import_gaussians(
         SceneError: the cameras see next to nothing of it, or their photos show something else.
     """
     sha256 = _hash(file)
-    key = stage_key(("scene", "splatting"), inputs, sha256, config)
+    key = stage_key(("scene", "splatting", "compiled"), inputs, sha256, config)
     folder = cache / f"imported-{key}"
     record_file = folder / "imported.json"
     reused = record_file.is_file()

@@ -10,7 +10,7 @@ import torch
 
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
-from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, save_offsets, stored_offsets
+from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, offsets_identity, save_offsets, stored_offsets
 from fruitlangs.fitting.encoder.offset_learning import OffsetPicture, learn_offsets
 
 SIDE, MIDDLE, RADIUS = 160, np.array([70.0, 90.0]), 18.0
@@ -67,6 +67,24 @@ def test_weights_for_another_encoder_are_refused(tmp_path: Path) -> None:
     assert stored_offsets("one", path).training is False
     with pytest.raises(EncoderError, match=r"fit_offsets\.py"):
         stored_offsets("other", path)
+
+
+def test_the_identity_of_what_an_encoder_sees_of_fruit_names_both_of_its_networks(encoder: EmbeddedEncoder) -> None:
+    assert encoder.fruit_identity == f"{encoder.identity}+{offsets_identity()}"
+
+
+def test_the_identity_of_offsets_changes_with_their_weights(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("one", "same", "other")]
+    network = OffsetNetwork()
+    for path, encoder in zip(paths, ("a", "a", "b"), strict=True):
+        save_offsets(path, network, encoder)
+    one, same, other = map(offsets_identity, paths)
+    assert one == same != other
+
+
+def test_the_identity_of_missing_offsets_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(EncoderError, match="Install the package again"):
+        offsets_identity(tmp_path / "gone")
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing"])

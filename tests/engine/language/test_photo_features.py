@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from taught_words import word_of
 
-from fruitlangs.engine.errors import Cancelled, FormatError
+from fruitlangs.engine.errors import Cancelled, EncoderError, FormatError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.encoder import FruitView
 from fruitlangs.engine.language.features.features import Features
@@ -44,7 +44,7 @@ def photo_of(encoder: EmbeddedEncoder, height: int = 6, width: int = 8) -> torch
 
 
 def kept(encoder: EmbeddedEncoder, *photos: torch.Tensor) -> PhotoFeatures:
-    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.identity)
+    recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
     for photo in photos:
         recorder.keep(FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0)), pixels_of(photo))
     return recorder.kept()
@@ -120,7 +120,14 @@ def test_what_is_written_is_read(encoder: EmbeddedEncoder, tmp_path: Path) -> No
     after = load_photo_features(tmp_path / "photos.safetensors")
     for name in TENSORS:
         assert torch.equal(getattr(before, name), getattr(after, name))
-    assert after.encoder_id == encoder.identity
+    assert after.encoder_id == encoder.fruit_identity
+
+
+def test_features_of_photos_by_other_weights_are_refused(encoder: EmbeddedEncoder) -> None:
+    photo = photo_of(encoder)
+    other = replace(kept(encoder, photo), encoder_id=encoder.identity)
+    with pytest.raises(EncoderError, match="Count again from the photos"):
+        photo_probabilities(other, features_of(encoder, photo), encoder, ["apple"])
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing", None])

@@ -25,6 +25,7 @@ from fruitlangs.engine.counting.evidence.visibility import ViewEvidence
 from fruitlangs.engine.counting.geometry.cells import Cells
 from fruitlangs.engine.counting.geometry.random_streams import even_turns
 from fruitlangs.engine.counting.geometry.sphere import Spheres, unit_directions
+from fruitlangs.engine.errors import FormatError
 
 WHOLE = {
     "coverage": 0.6, "solidity": 1.0, "thinness": 0.3, "residual": 0.05, "agreement": 0.75, "share": 1.0, "free": 1.0,
@@ -167,3 +168,11 @@ def test_what_is_stored_weighs_all_features_and_was_fitted_on_seeds_for_training
     assert np.array(document["quadratic"]).shape == (len(WEIGHED), len(WEIGHED))
     assert not np.tril(document["quadratic"], -1).any()
     assert min(int(scene.split()[1]) for scene in document["fitted on"]) >= 1000
+
+
+def test_a_gate_fitted_to_other_features_is_refused(tmp_path: Path) -> None:
+    document = json.loads(STORED.read_text(encoding="utf-8"))
+    document["features"][:2] = reversed(document["features"][:2])
+    (tmp_path / "gate.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(FormatError, match=r"fitted to other features.*fit_gate\.py"):
+        Gate.read(tmp_path / "gate.json")
