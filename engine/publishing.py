@@ -89,7 +89,7 @@ def publish(
                 result = dataclasses.replace(result, set_id=set_id(files))
                 for name, write in writers.items():
                     write(staging / name, result)
-            write_text(staging / SOURCE, result.origin["source"])
+            write_text(staging / SOURCE, folder.source_text(Path(result.origin["source"])))
             document = fruits_document(
                 result.fruit_count,
                 config=dataclasses.asdict(made.config),

@@ -17,7 +17,8 @@ from .storage.files import file_hash, require_writable, write_text
 from .storage.lock import only_writer
 
 CACHE, SOURCE = "cache", "cache/source.txt"
-"""The folder of a result that stays on this computer, and the file in it that contains the path of the source."""
+"""The folder of a result that stays on this computer, and the file in it that contains the path of the source: absolute
+in its first line, and relative to the folder in its second if it is on the same drive."""
 SPOOL = "spool"
 """The folder in the cache of pixels that a run has decoded."""
 _STAGING, _OLD, _SWAP = "publish", "old", "swap.json"
@@ -91,15 +92,24 @@ class ResultFolder:
     def source(self, document: Mapping[str, Any]) -> Path:
         """The path of the source of the result: from the cache, else next to the folder.
 
-        Results of version 0.1 contain its absolute path themselves.
+        If it was moved together with the folder, its relative path leads to it. Results of version 0.1 contain its
+        absolute path themselves.
         """
         stored = Path(document["provenance"]["source"])
         if stored.is_absolute():
             return stored
         try:
-            return Path((self.path / SOURCE).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError):
+            absolute, *relative = (self.path / SOURCE).read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError):  # missing, empty or not text
             return self.path.parent / stored
+        moved = [path for path in (self.path / text for text in relative) if path.exists()]
+        return moved[0].resolve() if moved and not Path(absolute).exists() else Path(absolute)
+
+    def source_text(self, source: Path) -> str:
+        """The content of the file that `source` reads."""
+        with suppress(ValueError):  # another drive
+            return f"{source.absolute()}\n{Path(os.path.relpath(source, self.path.resolve())).as_posix()}\n"
+        return f"{source.absolute()}\n"
 
     @contextmanager
     def staging(self) -> Iterator[Path]:

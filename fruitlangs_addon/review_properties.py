@@ -16,6 +16,7 @@ from bpy.props import (
 )
 
 from ..operators.review.review import get_active_fruit, set_active_fruit
+from ..operators.settings.settings import RELATIVE
 
 
 class FRUITLANGS_PG_spot(bpy.types.PropertyGroup):
@@ -40,7 +41,7 @@ class FRUITLANGS_PG_decision(bpy.types.PropertyGroup):
 class FRUITLANGS_PG_aside(bpy.types.PropertyGroup):
     """The log of a source that is not shown now."""
 
-    source: StringProperty(name="Source", description="Absolute path of the source")
+    source: StringProperty(name="Source", subtype="DIR_PATH", options=RELATIVE, description="Path of the source")
     mark: StringProperty(name="Mark", description="A file of the source and its hash, which identify a moved source")
     log: CollectionProperty(type=FRUITLANGS_PG_decision)
 

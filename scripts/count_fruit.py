@@ -94,6 +94,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
             asked=asked_words(result.origin["prompts"], result.origin["negatives"]),
             set_id=result.set_id,
             threshold=result.config.count.threshold,
+            folder=result.out,
         )
 
     return {"scene.blend": write}

@@ -10,6 +10,7 @@ from ...engine.scene.video.frames import VIDEO_SUFFIXES
 from ...operators.blender_data import owned_object
 from ...operators.jobs.jobs import running
 from ...operators.settings.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
+from ...operators.settings.settings import is_on_another_drive
 from ...operators.steps.check_photos import FRUITLANGS_OT_check_photos, FRUITLANGS_OT_show_sheet
 from ...operators.steps.import_scene import FRUITLANGS_OT_import_scene
 from ...operators.tools.level import FRUITLANGS_OT_set_ground
@@ -19,6 +20,7 @@ from .panel_parts import StepPanel, draw_job, draw_text
 from .settings_panels import settings_panels
 
 VIDEOS = tuple(VIDEO_SUFFIXES)
+ANOTHER_DRIVE = "The scene is on another drive than the .blend. Keep it where it is, or choose it again after moving it"
 
 
 class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
@@ -37,6 +39,8 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
             column.label(text="Video: Import Scene chooses stills", icon="FILE_MOVIE")
         if not draw_job(layout, FRUITLANGS_OT_import_scene.title, context):
             layout.operator(FRUITLANGS_OT_import_scene.bl_idname, icon="IMPORT")
+        if is_on_another_drive(settings.source):
+            draw_text(layout, ANOTHER_DRIVE, context, icon="INFO")
         draw_check(layout, context)
         result = settings.result
         if result.cameras:

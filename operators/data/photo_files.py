@@ -15,12 +15,13 @@ import bpy
 
 from ...engine.errors import SceneError
 from ..blender_data import OWNER
+from ..settings.settings import PHOTO_FILE, known_path, stored_path
 
 if TYPE_CHECKING:
     from ...engine.scene.camera import Camera, Photo
     from ...engine.scene.photos.photo import FilePhoto
 
-PHOTO, FILE, LENS, SIZE, ASPECT = "photo", "photo_file", "photo_lens", "photo_size", "pixel_aspect"
+PHOTO, FILE, LENS, SIZE, ASPECT = "photo", PHOTO_FILE, "photo_lens", "photo_size", "pixel_aspect"
 """Custom properties of a camera: name and file of its photo, its lens if the file is distorted, the camera's width and
 height in pixels, and fx / fy."""
 UNREAD = (".heic", ".heif")
@@ -40,7 +41,7 @@ def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> N
     if path is None:
         return
     found: Any = photo
-    item[FILE] = str(path)
+    item[FILE] = stored_path(path.absolute())
     if not found.is_as_stored or path.suffix.lower() in UNREAD:
         lens = found.lens
         item[LENS] = json.dumps(
@@ -68,10 +69,12 @@ def photo_path(item: bpy.types.Object) -> Path:
     """
     if not item.get(FILE):
         raise SceneError(f"There was no photo for the camera {item.name}. Import the scene again with its photos")
-    kept = Path(item[FILE])
-    if kept.is_file():
+    kept = known_path(item[FILE])
+    if kept is not None and kept.is_file():
         return kept
-    tails = [PurePath(*kept.parts[start:]) for start in range(1, len(kept.parts))]
+    kept = kept or Path(item[FILE])
+    parts = [part for part in kept.parts[1:] if part != ".."]
+    tails = [PurePath(*parts[start:]) for start in range(len(parts))]
     found = next((base / tail for base in _bases() for tail in tails if (base / tail).is_file()), None)
     if found is None:
         raise SceneError(
@@ -87,7 +90,7 @@ def _bases() -> list[Path]:
         folder = Path(bpy.data.filepath).parent
         found += [folder, *list(folder.parents)[:NEAR_BLEND]]
     sources = {scene.fruitlangs.source for scene in bpy.data.scenes if hasattr(scene, "fruitlangs")}
-    return found + [Path(bpy.path.abspath(source)) for source in sorted(sources) if source]
+    return found + [folder for folder in map(known_path, sorted(sources)) if folder is not None]
 
 
 def viewed_file(item: bpy.types.Object) -> Path:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ...engine.errors import OutputError
 from ...engine.storage.files import replacing
-from ..blender_data import OWNER, new_object, owned_collection
+from ..blender_data import OWNER, new_object, owned_collection, owned_objects
+from ..settings.settings import PHOTO_FILE, relative_path
 from ..viewport.appearance import set_threshold
 from ..viewport.gaussian_nodes import THRESHOLD
 from ..viewport.viewport import look_at_scene, show_colors
@@ -68,13 +69,15 @@ def write_blend(
     asked: str = "",
     set_id: str = "",
     threshold: float = THRESHOLD,
+    folder: Path | None = None,
 ) -> None:
     """Write a result as a .blend of its own, with light and a camera, ready to be opened or rendered.
 
     For the command line: it starts from an empty file, so it refuses to run in a window. The file is written completely
     or not at all, and no .blend1 is left. set_id names the set of result files it belongs to (see `fruits.json`); it
     becomes the scene's custom property `fruitlangs_set_id`. asked: the prompt, from `asked_words`; threshold:
-    probability above which Gaussians are highlighted.
+    probability above which Gaussians are highlighted; folder: where the file is moved to later, None for where it is
+    written; the photos are found from there.
 
     Raises:
         OutputError: the file cannot be written, or a window is open.
@@ -92,6 +95,9 @@ def write_blend(
     look_at_scene(bpy.data.screens, bpy_scene)
     if set_id:
         bpy_scene[SET_ID] = set_id
+    for item in owned_objects(bpy_scene, "camera"):
+        if PHOTO_FILE in item:
+            item[PHOTO_FILE] = relative_path(Path(item[PHOTO_FILE]), (folder or path.parent).absolute())
     save_blend(path)
 
 

@@ -18,11 +18,10 @@ from bpy.app.handlers import persistent
 from ..blender_data import OWNER, areas_of
 from ..data.photo_files import has_photo, ready_file, remove_backgrounds, undistorting, viewed_file
 from ..jobs.jobs import describe_error
-from ..settings.settings import stored_path
+from ..settings.settings import PHOTO_PROBLEM, stored_path
 from ..viewport.viewport import Drawing, in_window, redraw_viewports
 
-PROBLEM = "photo_problem"
-"""Custom property of a camera: why its photo is not shown."""
+PROBLEM = PHOTO_PROBLEM
 WAIT = 0.1
 """Seconds between two checks whether a photo is undistorted."""
 

@@ -1,59 +1,172 @@
-"""Keeps paths relative to the .blend valid when it is saved to another folder; Blender does this only for its own."""
+"""Keeps paths in the .blend relative to it, wherever it is saved; Blender does this only for its own.
+
+A folder that is moved together with the .blend is found again, and no home folder is passed on with a file. On another
+drive a path stays absolute.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
 
-from .settings import path_names, relative_path, stage_classes
+from ..blender_data import OWNER
+from .settings import PHOTO_FILE, PHOTO_PROBLEM, relative_path
 
-CHOSEN, REACHED = ("source", "out", "gaussians"), ("folder", "features", "exported", "source", "work")
-CHECKED, ORCHARD = ("source",), ("folder",)
-"""The path properties of `scene.fruitlangs` and of its result, photo check and block; those among the stages' settings
-are found separately."""
+PATH_SUBTYPES = ("FILE_PATH", "DIR_PATH")
+MESSAGES = {"result": "notices", "answer": "problem", "teach": "saved"}
+"""{group of `scene.fruitlangs`: its text that may contain a path}."""
+
+
+@dataclass(frozen=True)
+class StoredPath:
+    """A path in the .blend: a property of a property group, a custom property, or the file of an image."""
+
+    owner: Any
+    name: str
+    custom: bool = False
+
+    @property
+    def text(self) -> str:
+        return str(self.owner[self.name] if self.custom else getattr(self.owner, self.name))
+
+    def write(self, text: str) -> None:
+        """Replace it; an equal text is not written, because that would count as a change."""
+        if text == self.text:
+            return
+        if self.custom:
+            self.owner[self.name] = text
+            return
+        if isinstance(self.owner, bpy.types.Image):
+            # Blender writes the whole buffer, which still has the end of a longer path.
+            setattr(self.owner, self.name, "-" * len(self.text))
+        setattr(self.owner, self.name, text)
 
 
 @persistent
 def rebase_paths(file: str, _unused: Any = None) -> None:
     """Before saving as `file`: make paths relative to its folder."""
-    if file and bpy.data.filepath:
-        _rebase(Path(bpy.data.filepath).parent, Path(file).parent)
+    if file:
+        _hide_temporary()
+        _shorten_messages()
+        _rebase(_opened_folder(), Path(file).parent)
 
 
 @persistent
 def restore_paths(file: str, _unused: Any = None) -> None:
-    """After saving a copy or a failed save: restore the paths, because the open file did not move."""
-    if file and bpy.data.filepath:
-        _rebase(Path(file).parent, Path(bpy.data.filepath).parent)
+    """After saving, saving a copy or a failed save: make paths relative to the open file."""
+    if file:
+        _rebase(Path(file).parent, _opened_folder())
+        _show_temporary()
 
 
-def _rebase(old: Path, new: Path) -> None:
-    """Make the panel's paths relative to the folder `new` instead of `old`."""
-    if old == new:
-        return
-    for bpy_scene in bpy.data.scenes:
-        if bpy_scene.library is None:
-            settings = bpy_scene.fruitlangs
-            stages = [(getattr(settings.config, stage), path_names(kind)) for stage, kind in stage_classes().items()]
-            own = [
-                (settings, CHOSEN),
-                (settings.result, REACHED),
-                (settings.check, CHECKED),
-                (settings.block, ORCHARD),
-            ]
-            for group, names in (*own, *stages):
-                _rebase_texts(group, names, old, new)
+def _opened_folder() -> Path | None:
+    """The folder of the open file; None if it was never saved."""
+    return Path(bpy.data.filepath).parent if bpy.data.filepath else None
 
 
-def _rebase_texts(group: Any, names: Sequence[str], old: Path, new: Path) -> None:
-    for name in names:
-        text = getattr(group, name)
+def _rebase(old: Path | None, new: Path | None) -> None:
+    """Make paths relative to the folder `new` that are absolute or relative to the folder `old`; absolute if `new` is
+    None. Without `old`, relative paths stay as they are."""
+    for stored in stored_paths():
+        text = stored.text
         if text.startswith("//"):
-            setattr(group, name, relative_path(Path(bpy.path.abspath(text, start=str(old))), new))
+            if old is None or old == new:
+                continue
+            text = bpy.path.abspath(text, start=str(old))
+        if Path(text).is_absolute():  # otherwise it is empty, or the name of a network on a hub
+            stored.write(os.path.normpath(text) if new is None else relative_path(Path(text), new))
+
+
+def stored_paths() -> Iterator[StoredPath]:
+    """All paths of this extension in the open file."""
+    for bpy_scene in bpy.data.scenes:
+        if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
+            yield from _paths_of(bpy_scene.fruitlangs)
+    for item in bpy.data.objects:
+        if item.get(OWNER) == "camera" and item.get(PHOTO_FILE) and item.library is None:
+            yield StoredPath(item, PHOTO_FILE, custom=True)
+    for image in _photos():
+        yield StoredPath(image, "filepath_raw")  # `filepath` would load it again
+
+
+def _photos() -> list[bpy.types.Image]:
+    """The photos that are shown behind cameras."""
+    return [image for image in bpy.data.images if image.get(OWNER) == "photo" and image.library is None]
+
+
+def _paths_of(group: Any) -> Iterator[StoredPath]:
+    """The paths of a property group and of the groups in it."""
+    for each in group.bl_rna.properties:
+        if _is_path(each):
+            yield StoredPath(group, each.identifier)
+        elif _has_paths(each):
+            value = getattr(group, each.identifier)
+            for part in value if each.type == "COLLECTION" else (value,):
+                yield from _paths_of(part)
+
+
+def _is_path(prop: Any) -> bool:
+    return prop.type == "STRING" and prop.subtype in PATH_SUBTYPES
+
+
+def _has_paths(prop: Any) -> bool:
+    """Whether a property is a property group, or a collection of them, that contains paths."""
+    return prop.type in ("POINTER", "COLLECTION") and _contains_paths(prop.fixed_type)
+
+
+@cache  # saving asks for every fruit of every decision
+def _contains_paths(struct: Any) -> bool:
+    own = struct.base is not None and struct.base.identifier == "PropertyGroup"
+    return own and any(_is_path(each) or _has_paths(each) for each in struct.properties)
+
+
+# Undistorted photos are in Blender's temporary folder, which is gone in the next session: {image: its file}, while the
+# .blend is written without them.
+_temporary: dict[bpy.types.Image, str] = {}
+
+
+def temporary_folder() -> Path:
+    """Blender's folder of temporary files."""
+    return Path(bpy.app.tempdir)
+
+
+def _hide_temporary() -> None:
+    for image in _photos():
+        if Path(bpy.path.abspath(image.filepath_raw)).is_relative_to(temporary_folder()):
+            _temporary[image] = bpy.path.abspath(image.filepath_raw)
+            StoredPath(image, "filepath_raw").write("")
+
+
+def _show_temporary() -> None:
+    for image, file in _temporary.items():
+        image.filepath_raw = file
+    _temporary.clear()
+
+
+def _shorten_messages() -> None:
+    """Write the home folder as ~ in messages, which a file that is passed on contains too."""
+    for message in _messages():
+        message.write(message.text.replace(str(Path.home()), "~"))
+
+
+def _messages() -> Iterator[StoredPath]:
+    for bpy_scene in bpy.data.scenes:
+        if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
+            settings = bpy_scene.fruitlangs
+            for group, name in MESSAGES.items():
+                yield StoredPath(getattr(settings, group), name)
+            yield StoredPath(settings, "error")
+            yield from (StoredPath(finding, "text") for finding in settings.check.findings)
+    for item in bpy.data.objects:
+        if item.get(PHOTO_PROBLEM) and item.library is None:
+            yield StoredPath(item, PHOTO_PROBLEM, custom=True)
 
 
 HANDLERS = {"save_pre": rebase_paths, "save_post": restore_paths, "save_post_fail": restore_paths}
@@ -67,6 +180,7 @@ def register_handlers() -> None:
 
 def unregister_handlers() -> None:
     """Take back what `register_handlers` added."""
+    _contains_paths.cache_clear()
     for name, function in HANDLERS.items():
         handlers = getattr(bpy.app.handlers, name)
         if function in handlers:

@@ -7,6 +7,7 @@ the command line's flag.
 from __future__ import annotations
 
 import dataclasses
+import os
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -35,6 +36,8 @@ PLY = ".ply"
 """Suffix of a file of Gaussians or coloured points."""
 SCENE_FILES = (PLY, *sorted(VIDEO_SUFFIXES))
 """Suffixes of files that are a scene."""
+PHOTO_FILE, PHOTO_PROBLEM = "photo_file", "photo_problem"
+"""Custom properties of a camera: the file of its photo, from `stored_path`, and why it is not shown."""
 MEASURES = {
     "scene": ("up",),
     "units": ("length", "points", "cameras", "object", "metres_per_unit"),
@@ -328,8 +331,20 @@ def stored_path(path: Path) -> str:
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """`path` relative to a .blend in `folder`; absolute on another drive."""
-    try:
-        return bpy.path.relpath(str(path), start=str(folder))
-    except ValueError:
-        return str(path)
+    """`path` relative to a .blend in `folder`; absolute on another drive, and where symbolic links would lead a
+    relative path elsewhere."""
+    target = path.resolve()
+    for found, start in ((target, folder.resolve()), (path, folder)):
+        try:
+            text = str(bpy.path.relpath(str(found), start=str(start)))
+        except ValueError:  # another drive
+            break
+        steps = folder / text.removeprefix("//")
+        if steps.resolve() == target == Path(os.path.normpath(steps)).resolve():
+            return text
+    return str(path)
+
+
+def is_on_another_drive(text: str) -> bool:
+    """Whether a path of the panel cannot be relative to the saved .blend."""
+    return bool(text and bpy.data.filepath) and not stored_path(_absolute(text)).startswith("//")

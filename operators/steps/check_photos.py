@@ -88,6 +88,9 @@ def load_sheet(path: Path) -> bpy.types.Image:
     earlier = bpy.data.images.get(SHEET)
     image = bpy.data.images.load(str(path))
     image.pack()
+    image.filepath_raw = f"//{path.name}"  # the temporary file is in the user's home on some systems
+    for packed in image.packed_files:
+        packed.filepath = image.filepath_raw
     if earlier is not None:
         earlier.user_remap(image)
         bpy.data.images.remove(earlier)

@@ -33,7 +33,8 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
     settings.result.mark = source_mark(true) or settings.result.mark
     for index in reversed(range(len(review.aside))):
         kept = review.aside[index]
-        if is_same_source(Path(kept.source), kept.mark, source):
+        known = known_path(kept.source)
+        if known is not None and is_same_source(known, kept.mark, source):
             _move_log(kept.log, review.log)
             review.aside.remove(index)
     return notices
@@ -45,7 +46,7 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
     forget_count(bpy_scene)
     if decisions:
         kept = settings.review.aside.add()
-        kept.source, kept.mark = str(source), settings.result.mark
+        kept.source, kept.mark = settings.result.source, settings.result.mark
         _move_log(settings.review.log, kept.log)
     measured = _forget_measures(bpy_scene) or owned_object(bpy_scene, "region") is not None
     for role in ("gaussians", "points", "region"):

@@ -69,6 +69,7 @@ def test_the_sheet_is_stored_in_the_blend(checked):
     image = bpy.data.images[check_photos.SHEET]
     assert image.packed_file is not None
     assert min(image.size) > 24
+    assert image.filepath == image.packed_files[0].filepath == "//fruitlangs_contact_sheet.jpg"  # no temporary folder
 
 
 def test_findings_of_another_scene_are_not_shown(checked, tmp_path):

@@ -65,6 +65,31 @@ def test_a_result_of_a_transforms_file_finds_its_photos_again(copied: Path) -> N
     assert again.notices == []
 
 
+def test_a_result_that_is_moved_with_its_photos_finds_them_and_one_that_is_moved_alone_too(
+    counted: Path, few_photos: Path, tmp_path: Path
+) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    photos = Path(shutil.copytree(few_photos, here / "photos"))
+    folder = ResultFolder(Path(shutil.copytree(counted, here / "photos_fruit")))
+    (folder.path / "cache" / "source.txt").write_text(folder.source_text(photos), encoding="utf-8")
+    assert folder.source(folder.read(verify=False)) == photos
+    here.rename(there)
+    moved = ResultFolder(there / "photos_fruit")
+    assert moved.source(moved.read(verify=False)) == there / "photos"
+    alone = ResultFolder(there / "deep" / "photos_fruit")
+    (alone.path / "cache").mkdir(parents=True)
+    (alone.path / "cache" / "source.txt").write_text(alone.source_text(there / "photos"), encoding="utf-8")
+    (there / "deep" / "photos_fruit").rename(tmp_path / "photos_fruit")
+    alone = ResultFolder(tmp_path / "photos_fruit")
+    assert alone.source(moved.read(verify=False)) == there / "photos"
+
+
+def test_a_count_writes_both_ways_to_its_source(counted: Path, few_photos: Path) -> None:
+    absolute, relative = (counted / "cache" / "source.txt").read_text(encoding="utf-8").splitlines()
+    assert Path(absolute) == few_photos / "transforms.json"
+    assert (counted / relative).resolve() == few_photos / "transforms.json"
+
+
 def test_cameras_that_training_moved_are_those_of_the_next_prompt_too(few_photos: Path, tmp_path: Path) -> None:
     config = Config(train=TrainConfig(steps=20, max_gaussians=3000, holdout_every=0, refine_poses=True), count=NOTHING)
     first = count_scene(few_photos, ["fruit"], tmp_path, config=config)

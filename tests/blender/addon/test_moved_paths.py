@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import bpy
 import pytest
+from blender_examples import drawn
 
+from fruitlangs.fruitlangs_addon.panels.step_scene import ANOTHER_DRIVE, FRUITLANGS_PT_scene
+from fruitlangs.operators.blender_data import owned_object, owned_objects
+from fruitlangs.operators.data.photo_files import photo_path
 from fruitlangs.operators.settings import moved_paths
-from fruitlangs.operators.settings.settings import read_config, source_folder, stored_file
+from fruitlangs.operators.settings.settings import (
+    PHOTO_FILE,
+    PHOTO_PROBLEM,
+    is_of_another,
+    read_config,
+    relative_path,
+    source_folder,
+    stored_file,
+)
+from fruitlangs.operators.steps.show_result import show_result
+from fruitlangs.operators.steps.shown_source import enter_source
 
 
 @pytest.fixture
@@ -92,3 +109,121 @@ def test_enabling_twice_leaves_one_handler_and_disabling_none(extension):
     assert registered() == [1, 1, 1]
     extension.unregister()
     assert registered() == [0, 0, 0]
+
+
+@pytest.fixture
+def unsaved(extension, counted_balls, balls, tmp_path, monkeypatch):
+    """The balls' count shown in a file that was never saved; its photos are in a folder of the user's home."""
+    home = tmp_path / "home" / "ana"
+    monkeypatch.setenv("HOME", str(home))
+    photos = Path(shutil.copytree(balls, home / "row" / "tree"))
+    settings = bpy.context.scene.fruitlangs
+    settings.source, settings.out = f"{photos}/", str(home / "row" / "tree_fruit")
+    origin = {**counted_balls.origin, "source": str(photos)}
+    show_result(bpy.context, bpy.context.scene, dataclasses.replace(counted_balls, origin=origin))
+    for item in owned_objects(bpy.context.scene, "camera"):
+        item[PHOTO_FILE] = str(photos / Path(item[PHOTO_FILE]).relative_to(balls))
+    return photos
+
+
+def shown_paths() -> list[str]:
+    """What the open file has of a path that leaves the folder of the .blend or is absolute."""
+    return [stored.text for stored in moved_paths.stored_paths() if stored.text.startswith(("/", "//.."))]
+
+
+def test_the_first_save_makes_every_path_relative(unsaved):
+    settings = bpy.context.scene.fruitlangs
+    aside = settings.review.aside.add()
+    aside.source = str(unsaved.parent / "other")
+    bpy.context.view_layer.objects.active = owned_object(bpy.context.scene, "fruit")
+    bpy.ops.fruitlangs.best_photo()
+    settings.result.folder = settings.result.features = ""  # of another folder here
+    assert len(shown_paths()) > 10
+    bpy.ops.wm.save_as_mainfile(filepath=str(unsaved.parent / "a.blend"))
+    assert (settings.source, settings.out, settings.result.source) == ("//tree", "//tree_fruit", "//tree")
+    assert aside.source == "//other"
+    assert bpy.data.images[0].filepath.startswith("//tree/images/")
+    assert all(item[PHOTO_FILE].startswith("//tree/") for item in owned_objects(bpy.context.scene, "camera"))
+    assert [text for text in shown_paths() if not text.startswith("//")] == []
+
+
+def test_a_folder_that_is_moved_with_its_blend_is_found_with_photos_and_decisions(unsaved, tmp_path):
+    settings = bpy.context.scene.fruitlangs
+    settings.review.log.add().action = "confirm"
+    bpy.ops.wm.save_as_mainfile(filepath=str(unsaved.parent / "a.blend"))
+    moved = tmp_path / "elsewhere"
+    unsaved.parent.rename(moved)
+    bpy.ops.wm.open_mainfile(filepath=str(moved / "a.blend"))
+    bpy_scene = bpy.context.scene
+    assert source_folder(bpy_scene.fruitlangs) == moved / "tree"
+    assert not is_of_another(bpy_scene.fruitlangs, moved / "tree")
+    assert {photo_path(item).parent for item in owned_objects(bpy_scene, "camera")} == {moved / "tree" / "images"}
+    assert enter_source(bpy_scene, moved / "tree") == []
+    assert len(bpy_scene.fruitlangs.review.log) == 1
+
+
+def test_no_home_folder_is_in_a_file_that_is_saved_next_to_its_photos(unsaved, monkeypatch):
+    settings = bpy.context.scene.fruitlangs
+    settings.error = settings.result.notices = settings.teach.saved = f"{Path.home()}/words cannot be read"
+    settings.check.findings.add().text = f"{Path.home()}/row/tree/1.jpg is blurred"
+    owned_object(bpy.context.scene, "camera")[PHOTO_PROBLEM] = f"{Path.home()}/row/1.jpg is gone"
+    settings.result.folder = settings.result.features = ""
+    file = unsaved.parent / "a.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file), compress=False)
+    content = file.read_bytes().replace(str(file).encode(), b"")  # Blender writes the name of every file into it
+    assert b"tree/images" in content
+    assert str(Path.home()).encode() not in content
+    assert settings.error == "~/words cannot be read"
+
+
+def test_a_photo_in_blenders_temporary_folder_is_shown_on_and_not_in_the_file(unsaved, monkeypatch, tmp_path):
+    temporary = tmp_path / "home" / "ana" / "blender_a1b2"
+    temporary.mkdir()
+    shutil.copy(next((unsaved / "images").iterdir()), temporary / "undistorted.png")
+    image = bpy.data.images.load(str(temporary / "undistorted.png"))
+    image["fruitlangs"], image.use_fake_user = "photo", True
+    monkeypatch.setattr(moved_paths, "temporary_folder", lambda: temporary)
+    file = unsaved.parent / "a.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file), compress=False)
+    assert image.filepath == str(temporary / "undistorted.png")
+    assert b"blender_a1b2" not in file.read_bytes()
+
+
+def test_a_copy_of_a_file_that_was_never_saved_leaves_its_paths_absolute(unsaved):
+    before = [stored.text for stored in moved_paths.stored_paths()]
+    file = unsaved.parent / "copy.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
+    after = [stored.text for stored in moved_paths.stored_paths()]
+    assert [text.rstrip("/") for text in after] == [text.rstrip("/") for text in before]
+    bpy.ops.wm.open_mainfile(filepath=str(file))
+    assert bpy.context.scene.fruitlangs.source == "//tree"
+
+
+def test_a_path_that_is_typed_later_is_relative_after_the_next_save(saved, tmp_path):
+    saved.out = str(tmp_path / "here" / "tree_fruit")
+    saved.config.embed.clip = "openai/clip-vit-base-patch16"
+    bpy.ops.wm.save_mainfile()
+    assert (saved.out, saved.config.embed.clip) == ("//tree_fruit", "openai/clip-vit-base-patch16")
+
+
+def test_a_path_on_another_drive_stays_absolute_and_the_panel_says_so(unsaved, monkeypatch):
+    def other_drive(*_args: Any, **_kwargs: Any) -> str:
+        raise ValueError("path is on mount 'C:', start on mount 'D:'")
+
+    assert ANOTHER_DRIVE not in drawn(FRUITLANGS_PT_scene).texts
+    monkeypatch.setattr(bpy.path, "relpath", other_drive)
+    bpy.ops.wm.save_as_mainfile(filepath=str(unsaved.parent / "a.blend"))
+    assert bpy.context.scene.fruitlangs.source.rstrip("/") == str(unsaved)
+    assert ANOTHER_DRIVE in drawn(FRUITLANGS_PT_scene).texts
+    monkeypatch.undo()
+    assert ANOTHER_DRIVE not in drawn(FRUITLANGS_PT_scene).texts
+
+
+def test_a_relative_path_is_right_through_symbolic_links(tmp_path):
+    (tmp_path / "disk" / "deep" / "tree").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "deep")
+    assert relative_path(tmp_path / "disk" / "deep" / "tree", tmp_path / "link") == "//tree"
+    assert relative_path(tmp_path / "link" / "tree", tmp_path / "disk" / "deep") == "//tree"
+    (tmp_path / "photos").mkdir()
+    # From the link, .. leads to tmp_path for Blender and to the disk for the file system.
+    assert relative_path(tmp_path / "photos", tmp_path / "link") == str(tmp_path / "photos")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.language.vocabulary import FRUITS
 from fruitlangs.engine.scene.camera import Camera, Scene, looking
-from fruitlangs.operators.blender_data import get_attribute
+from fruitlangs.operators.blender_data import get_attribute, owned_objects
+from fruitlangs.operators.data.photo_files import photo_path
 from fruitlangs.operators.data.write import save_blend, write_blend, write_result
 from fruitlangs.operators.data.write_cameras import middle_view
 from fruitlangs.operators.data.write_gaussians import ASKED, asked_words
@@ -21,6 +23,7 @@ from fruitlangs.operators.data.write_points import write_points
 from fruitlangs.operators.data.write_root import looked_at, write_root
 from fruitlangs.operators.viewport.fruit_colours import LABEL_HUES
 
+PARTS = ("scene", "gaussians", "probability", "fruit_count")
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 
 
@@ -275,6 +278,18 @@ def test_a_saved_result_reloads_equal(counted, tmp_path):
     assert bpy.data.objects["apple.003"].parent == bpy.data.objects["FruitLangs"]
     assert bpy.context.scene.camera is not None
     assert [item.type for item in bpy.data.objects].count("LIGHT") == 1
+
+
+def test_a_saved_result_names_its_photos_relative_to_where_it_will_be(counted_balls, balls, tmp_path):
+    out = balls.parent / "balls_fruit"
+    path = tmp_path / "staging" / "scene.blend"
+    write_blend(path, *(getattr(counted_balls, name) for name in PARTS), folder=out)
+    out.mkdir(exist_ok=True)
+    shutil.move(path, out / "scene.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(out / "scene.blend"))
+    item = owned_objects(bpy.context.scene, "camera")[0]
+    assert item["photo_file"].startswith("//../balls/images/")
+    assert photo_path(item).parent == balls / "images"
 
 
 def test_a_saved_result_opens_in_colour_and_facing_the_tree(counted, tmp_path):
