@@ -36,7 +36,8 @@ from .storage.keys import stage_key
 
 GAUSSIANS, FEATURES, CAMERAS = "gaussians.ply", "features.safetensors", "cameras.json"
 RECORD = "training.json"
-QUALITIES = ("psnr", "ssim")
+QUALITIES = ("psnr", "ssim", "reduced_psnr", "reduced_ssim")
+"""Numbers of `ViewScore` in the results of a training, of every held-out photo and as means."""
 
 
 class RunLog:
@@ -131,10 +132,11 @@ def _report(results: Mapping[str, Any], run: Run) -> None:
     elif stopped:
         run.log.notices.append(f"the graphics card did not train to the end: {stopped[0]}")
     for number, each in enumerate(sections, start=1):
-        if Quality.of(each).poor:
+        quality = Quality.of(each)
+        if quality.poor:
             of = f" of section {number} of {len(sections)} (from {each['first']} on)" if "first" in each else ""
             run.log.notices.append(
-                f"held-out photos{of} are reproduced poorly (SSIM {each['ssim']:.2f}): the cameras and the "
+                f"held-out photos{of} are reproduced poorly ({quality}): the cameras and the "
                 "count may be wrong. Check the pictures, and take more photos in smaller steps"
             )
 
@@ -259,10 +261,10 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
         "steps": training.steps,
         "gaussians": len(training.gaussians),
         "device": training.device,
-        "psnr": _rounded(training.psnr),
-        "ssim": _rounded(training.ssim),
+        **{name: _rounded(training.mean_score(name)) for name in QUALITIES},
         "held_out": [
-            {"view": view.name, "psnr": _rounded(view.psnr), "ssim": _rounded(view.ssim)} for view in training.held_out
+            {"view": view.name, **{name: _rounded(getattr(view, name)) for name in QUALITIES}}
+            for view in training.held_out
         ],
     }
     write_text(folder / RECORD, json.dumps(results))

@@ -37,15 +37,22 @@ all 16 scenes of the ladder with fruit of 12 to 17 pixels, their surfaces gave t
 
 @dataclass(frozen=True)
 class Quality:
-    """How well the Gaussians reproduce held-out photos; None if that is not measured. psnr: dB."""
+    """How well the Gaussians reproduce held-out photos; None if that is not measured. psnr: dB.
+
+    Both are measured on photos reduced to one size (`training.scores`), for which the limits hold.
+    """
 
     psnr: float | None = None
     ssim: float | None = None
 
     @staticmethod
     def of(training: Mapping[str, Any]) -> Quality:
-        """The quality in the results of a training, as in the provenance."""
-        return Quality(training.get("psnr"), training.get("ssim"))
+        """The quality in the results of a training, as in the provenance.
+
+        Earlier versions measured in photos of full size only, which gives lower numbers: too careful, never too bold.
+        """
+        psnr, ssim = (training.get(f"reduced_{name}", training.get(name)) for name in ("psnr", "ssim"))
+        return Quality(psnr, ssim)
 
     @property
     def poor(self) -> bool:

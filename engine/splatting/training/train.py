@@ -19,31 +19,22 @@ from ...progress import Progress, silent
 from ...scene.camera import Camera, Scene
 from ..gaussians import PARAMETERS, Gaussians
 from ..gpu.adapters import Adapter
-from ..rendering.rasterize import accumulate, render
+from ..rendering.rasterize import accumulate
 from .card_step import CardStep
 from .checkpoint import TrainingState, read_checkpoint, training_key, write_checkpoint
 from .densify import GradientStats
-from .exposure import Exposures, fitted
+from .exposure import Exposures
 from .extra_channels import ExtraChannels
 from .initialise import first_gaussians
-from .losses import psnr, ssim
 from .parameters import Parameters
 from .photos import PhotoShelf, Picture
 from .poses import Poses
 from .schedule import Schedule, view_at
+from .scores import ViewScore, score_view
 from .step import Step, Stepper
 
 CPU = "CPU"
 """The name of the CPU as a device."""
-
-
-@dataclass(frozen=True)
-class ViewScore:
-    """Quality of a held-out photo: PSNR in dB, SSIM."""
-
-    name: str
-    psnr: float
-    ssim: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +57,16 @@ class Training:
     @property
     def psnr(self) -> float | None:
         """Mean over held-out photos, in dB; None without any."""
-        return float(np.mean([score.psnr for score in self.held_out])) if self.held_out else None
+        return self.mean_score("psnr")
 
     @property
     def ssim(self) -> float | None:
         """Mean over held-out photos; None without any."""
-        return float(np.mean([score.ssim for score in self.held_out])) if self.held_out else None
+        return self.mean_score("ssim")
+
+    def mean_score(self, name: str) -> float | None:
+        """Mean of one number of `ViewScore` over held-out photos; None without any."""
+        return float(np.mean([getattr(score, name) for score in self.held_out])) if self.held_out else None
 
 
 Watch = Callable[[Gaussians, Scene], None]
@@ -377,16 +372,4 @@ def _scores(
     gaussians: Gaussians, shelf: PhotoShelf, views: Sequence[int], config: TrainConfig
 ) -> tuple[ViewScore, ...]:
     names = [photo.name for photo in shelf.scene.images]
-    return tuple(_score(gaussians, shelf.picture(view), names[view], config) for view in views)
-
-
-def _score(gaussians: Gaussians, picture: Picture, name: str, config: TrainConfig) -> ViewScore:
-    with torch.no_grad():
-        color = render(gaussians, picture.camera).color
-    if config.exposure:
-        color = torch.from_numpy(fitted(color.numpy(), picture.pixels, picture.mask))
-    return ViewScore(
-        name=name,
-        psnr=psnr(color, picture.pixels, mask=picture.mask),
-        ssim=ssim(color, picture.pixels, mask=picture.mask),
-    )
+    return tuple(score_view(gaussians, shelf.picture(view), names[view], exposure=config.exposure) for view in views)

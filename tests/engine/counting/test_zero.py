@@ -194,6 +194,12 @@ def test_quality_without_held_out_photos_is_no_cause() -> None:
     assert not Quality(18.4, 0.51).blurred  # a scene of the ladder that is counted
 
 
+def test_a_reconstruction_is_judged_by_its_photos_at_one_size() -> None:
+    training = {"psnr": 16.0, "ssim": 0.39, "reduced_psnr": 19.0, "reduced_ssim": 0.61}
+    assert Quality.of(training) == Quality(19.0, 0.61)
+    assert Quality.of(training | {"reduced_psnr": None, "reduced_ssim": None}) == Quality(None, None)
+
+
 def test_a_count_in_a_blurred_reconstruction_says_so(tree: sim.Simulation) -> None:
     assert "PSNR 17.7 dB, SSIM 0.55" in counted(tree, quality=BLURRED).notices[0]
     assert list(counted(tree, quality=GOOD).notices) == []
