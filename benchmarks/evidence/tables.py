@@ -20,6 +20,8 @@ from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
 from .studies import CONDITIONS, SEEDS, SPECIES, STUDIES, of_study
 
+MIN_TREES = 10
+"""The share of fewer trees is too uncertain to be given an interval."""
 METHODS = {"voting": "ours", "template": "the paper's template", "fruitnerf": "FruitNeRF's clustering"}
 
 
@@ -297,7 +299,8 @@ def _tree(result: StageResult) -> tuple[str, int | None]:
 
 
 def _held(results: Sequence[StageResult], *, of_all: bool) -> list[str]:
-    """How many numbers lie in their intervals, with the 95 % interval of that share, and the intervals' mean width."""
+    """How many numbers lie in their intervals, of enough trees with the 95 % interval of that share, and the intervals'
+    mean width."""
     by_tree: dict[tuple[str, int | None], list[bool]] = {}
     widths = []
     for each in results:
@@ -307,9 +310,11 @@ def _held(results: Sequence[StageResult], *, of_all: bool) -> list[str]:
         number = each.near.total if of_all else each.near.visible
         by_tree.setdefault(_tree(each), []).append(interval[0] <= number <= interval[1])
         widths.append((interval[1] - interval[0]) / max(number, 1))
-    low, high = share_interval([mean(held) for held in by_tree.values()])
-    number_held = sum(map(sum, by_tree.values()))
-    return [f"{number_held} of {len(results)} ({100 * low:.0f}–{100 * high:.0f} %)", _score(mean(widths))]
+    text = f"{sum(map(sum, by_tree.values()))} of {len(results)}"
+    if len(by_tree) >= MIN_TREES:
+        low, high = share_interval([mean(held) for held in by_tree.values()])
+        text += f" ({100 * low:.0f}–{100 * high:.0f} %)"
+    return [text, _score(mean(widths))]
 
 
 def share_interval(shares: Sequence[float]) -> tuple[float, float]:

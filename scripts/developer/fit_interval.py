@@ -1,12 +1,13 @@
 """Fit the intervals of a count, and write engine/counting/accounts/interval.json.
 
     python scripts/developer/fit_interval.py --renders RENDERS
+    python scripts/developer/fit_interval.py --stored    # only print the coverages on the stored examples
 
 Simulated crowns of the six named settings and of random settings, and, with RENDERS, Gaussians trained on all and on
 half of the photos of its rendered trees, are searched for fruit; the number of true fruit over the sum of the
 candidates' probabilities is then predicted from what a scene shows. Prints in how many scenes the 90 % intervals cover
-the truth, each by ratios that were fitted without it. Visible fruit are those that three views show and others that
-were found.
+the truth, each by a ratio that was fitted and stretched without all scenes of its tree. Visible fruit are those that
+three views show and others that were found. What each scene shows is kept in fitting/counting/interval_examples.csv.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -28,6 +30,7 @@ from scipy.optimize import minimize
 
 from _terminal import import_tyro, run
 from fruitlangs.benchmarks.counting.simulated import SETTINGS, any_setting
+from fruitlangs.benchmarks.evidence.tables import share_interval
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.accounts.interval import (
     ALONE,
@@ -36,14 +39,21 @@ from fruitlangs.engine.counting.accounts.interval import (
     STORED,
     TRAINED,
     WITH_PHOTOS,
-    Evidence,
     Ratio,
     evidence_of,
 )
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
+from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.storage.files import write_text
 from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, halved_cases, rendered_cases, searched
+from fruitlangs.fitting.counting.examples import (
+    STORED_EXAMPLES,
+    Example,
+    merged_examples,
+    read_examples,
+    write_examples,
+)
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
@@ -70,20 +80,12 @@ class Options:
     """Crowns of random settings, of seeds from 0 on, to test the fitted intervals on."""
     renders: Path | None = None
     """Folder of rendered trees, written by `make_orchard.py --scenes`."""
+    examples: Path = STORED_EXAMPLES
+    """Table of what each scene shows; scenes that are searched replace its rows."""
+    stored: bool = False
+    """Search no scene and write nothing: print the coverages on the rows of the table."""
     out: Path = STORED
     """File to write."""
-
-
-@dataclass(frozen=True, eq=False)
-class Example:
-    """One scene. kind, family: as in `Case`; visible: true fruit that views show, and others that were found; total:
-    all true fruit."""
-
-    kind: str
-    family: str
-    evidence: Evidence
-    visible: int
-    total: int
 
 
 Truth = Callable[[Example], int]
@@ -92,19 +94,16 @@ TRUTHS: dict[str, Truth] = {"visible": lambda example: example.visible, "total":
 
 def main(options: Options) -> None:
     check_seed(options.first)
-    named = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
-    drawn = drawn_cases(options.first + 1000, options.drawn)
-    rendered = (rendered_cases(options.renders), halved_cases(options.renders)) if options.renders else ()
-    cases = itertools.chain(named, drawn, *rendered)
-    examples = [found for case in cases for found in example(case)]
+    earlier = read_examples(options.examples)
+    if options.stored and not earlier:
+        raise ConfigError(f"{options.examples} has no examples. Leave out --stored to search scenes")
+    examples = earlier if options.stored else searched_examples(options)
+    fitted = {part: fitted_part(examples, photos) for part, photos in ((ALONE, False), (WITH_PHOTOS, True))}
+    if options.stored:
+        return
+    write_examples(merged_examples(earlier, examples), options.examples)
     document = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
-    for part, own in ((ALONE, False), (WITH_PHOTOS, True)):
-        if chosen := [each for each in examples if each.evidence.photos == own]:
-            fitted = {name: fit(chosen, truth) for name, truth in TRUTHS.items()}
-            print(table(chosen, {name: without for name, (_, without) in fitted.items()}))
-            families = sorted({each.family for each in chosen})
-            ratios = {name: ratio.document() for name, (ratio, _) in fitted.items()}
-            document[part] = {**ratios, "fitted on": families}
+    document.update({part: each for part, each in fitted.items() if each})
     write_text(options.out, json.dumps(document, indent=1) + "\n")
     unseen = [found for case in drawn_cases(0, options.test_seeds) for found in example(case)]
     for name, truth in TRUTHS.items():
@@ -112,6 +111,27 @@ def main(options: Options) -> None:
             ratio = Ratio.read(document[ALONE][name])
             held = np.mean([holds(ratio, each, truth(each)) for each in unseen])
             print(f"{name}: the interval holds the truth in {held:.0%} of {len(unseen)} crowns of unseen settings")
+
+
+def fitted_part(examples: Sequence[Example], photos: bool) -> dict[str, Any]:
+    """The part of interval.json for scenes whose fruit were searched in photos, or not; empty without examples. Prints
+    the coverages."""
+    chosen = [each for each in examples if each.evidence.photos == photos]
+    if not chosen:
+        return {}
+    fitted = {name: fit(chosen, truth) for name, truth in TRUTHS.items()}
+    print(table(chosen, {name: without for name, (_, without) in fitted.items()}))
+    ratios = {name: ratio.document() for name, (ratio, _) in fitted.items()}
+    return {**ratios, "fitted on": sorted({each.family for each in chosen})}
+
+
+def searched_examples(options: Options) -> list[Example]:
+    """Simulated crowns and rendered trees, searched for fruit."""
+    named = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
+    drawn = drawn_cases(options.first + 1000, options.drawn)
+    rendered = (rendered_cases(options.renders), halved_cases(options.renders)) if options.renders else ()
+    cases = itertools.chain(named, drawn, *rendered)
+    return [found for case in cases for found in example(case)]
 
 
 def drawn_cases(first: int, number: int) -> itertools.chain[Case]:
@@ -135,38 +155,77 @@ def example(case: Case) -> list[Example]:
 
 
 def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Ratio]]:
-    """The ratio of maximum likelihood, and by family those fitted without it; crowns and rendered trees have the same
-    weight.
+    """The ratio, and by family the ratio that was fitted and stretched without it."""
+    families = sorted({example.family for example in examples})
+    without = {family: stretched(_others(examples, family), truth) for family in families}
+    return stretched(examples, truth), without
 
-    All are stretched until nine tenths of the scenes are covered, each by a ratio fitted without its family, with
+
+def stretched(examples: Sequence[Example], truth: Truth) -> Ratio:
+    """The ratio of maximum likelihood; crowns and rendered trees have the same weight.
+
+    It is stretched until nine tenths of the examples are covered, each by a ratio fitted without its family, with
     separate stretches for true surfaces and trained scenes.
     """
     families = sorted({example.family for example in examples})
-    without = {family: _fit([e for e in examples if e.family != family], truth) for family in families}
+    without = {family: _fit(_others(examples, family), truth) for family in families}
     needed = np.array([_needed(without[e.family], e, truth(e)) for e in examples])
     trained = np.array([e.evidence.faint > TRAINED / 2.0 for e in examples])
     parts = [needed[part] if part.sum() >= FEWEST else needed for part in (~trained, trained)]
     stretches = np.array([np.quantile(part, COVERAGE, method="higher") for part in parts])
-    stretched = {family: replace(ratio, stretches=stretches) for family, ratio in without.items()}
-    return replace(_fit(examples, truth), stretches=stretches), stretched
+    return replace(_fit(examples, truth), stretches=stretches)
+
+
+def _others(examples: Sequence[Example], family: str) -> list[Example]:
+    return [example for example in examples if example.family != family]
 
 
 def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
-    n, weights = len(COVARIATES), _weights(examples)
-    covariates = np.array([e.evidence.covariates for e in examples])
-    variance_share = np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples])
-    ratios = np.array([_log_ratio(e, truth(e)) for e in examples])
-
-    def loss(x: FloatArray) -> float:
-        errors = ratios - x[0] - covariates @ x[1 : n + 1]
-        squares = np.exp(2.0 * x[n + 1]) + variance_share + ((x[n + 2 :] * covariates) ** 2).sum(axis=1)
-        terms = 0.5 * np.log(squares) + 0.5 * errors**2 / squares
-        return float(weights @ terms + HELD * ((x[1 : n + 1] ** 2).sum() + (x[n + 2 :] ** 2).sum()))
-
+    n = len(COVARIATES)
+    loss = Loss.of(examples, truth)
     bounds = [(-0.5, 0.5), *[(0.0, 2.0)] * n, (-5.0, 0.0), *[(0.0, 3.0)] * n]
     starts = [np.array([0.0, *[0.1] * n, np.log(0.03), *[slope] * n]) for slope in (0.03, 0.2)]
-    x = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x
+    found = [minimize(loss.with_gradient, start, jac=True, bounds=bounds) for start in starts]
+    x = min(found, key=lambda each: each.fun).x
     return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), x[n + 2 :], np.ones(2))
+
+
+@dataclass(frozen=True, eq=False)
+class Loss:
+    """Negative log likelihood of a ratio's bias, weights, logarithm of the floor and slopes (8,), and the squares of
+    weights and slopes. covariates: (E, 3); of the others one per example (E,)."""
+
+    covariates: FloatArray
+    variance_share: FloatArray
+    log_ratios: FloatArray
+    importance: FloatArray
+
+    @classmethod
+    def of(cls, examples: Sequence[Example], truth: Truth) -> Loss:
+        return cls(
+            covariates=np.array([e.evidence.covariates for e in examples]),
+            variance_share=np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples]),
+            log_ratios=np.array([_log_ratio(e, truth(e)) for e in examples]),
+            importance=_weights(examples),
+        )
+
+    def with_gradient(self, x: FloatArray) -> tuple[float, FloatArray]:
+        n = len(COVARIATES)
+        weights, log_floor, slopes = x[1 : n + 1], x[n + 1], x[n + 2 :]
+        errors = self.log_ratios - x[0] - self.covariates @ weights
+        squares = np.exp(2.0 * log_floor) + self.variance_share + self.covariates**2 @ slopes**2
+        terms = 0.5 * np.log(squares) + 0.5 * errors**2 / squares
+        by_errors = self.importance * errors / squares
+        by_squares = self.importance * 0.5 * (1.0 - errors**2 / squares) / squares
+        gradient = np.concatenate(
+            [
+                [-by_errors.sum()],
+                -self.covariates.T @ by_errors + 2.0 * HELD * weights,
+                [2.0 * np.exp(2.0 * log_floor) * by_squares.sum()],
+                2.0 * slopes * (self.covariates.T**2 @ by_squares + HELD),
+            ]
+        )
+        return float(self.importance @ terms + HELD * (weights**2).sum() + HELD * (slopes**2).sum()), gradient
 
 
 def _log_ratio(example: Example, truth: int) -> float:
@@ -194,21 +253,32 @@ def holds(ratio: Ratio, example: Example, truth: int) -> bool:
 
 
 def table(examples: Sequence[Example], without: Mapping[str, Mapping[str, Ratio]]) -> str:
-    """Markdown: by kind of scene, the coverage of the intervals and their widths relative to the truth.
+    """Markdown by kind of scene: the coverage of the intervals with its 95 % interval, in which a tree counts once, and
+    the widths of the intervals relative to the truth.
 
     without: by target and by family, the ratio fitted without that family.
     """
-    lines = [["scene", "scenes", "visible held", "width", "all held", "width"]]
-    for kind in dict.fromkeys(example.kind for example in examples):
-        own = [example for example in examples if example.kind == kind]
-        figures = []
+    lines = [["scene", "scenes", "different trees", "visible held", "width", "all held", "width"]]
+    groups = {kind: [e for e in examples if e.kind == kind] for kind in dict.fromkeys(e.kind for e in examples)}
+    for kind, own in {**groups, "all": list(examples)}.items():
+        cells = [kind, str(len(own)), str(len({example.family for example in own}))]
         for name, truth in TRUTHS.items():
-            ratios = [without[name][each.family] for each in own]
-            figures.append(np.mean([holds(ratio, e, truth(e)) for ratio, e in zip(ratios, own, strict=True)]))
-            ends = [ratio.interval(e.evidence) for ratio, e in zip(ratios, own, strict=True)]
-            figures.append(np.mean([(high - low) / max(truth(e), 1) for (low, high), e in zip(ends, own, strict=True)]))
-        lines.append([kind, str(len(own)), *(f"{figure:.2f}" for figure in figures)])
+            cells += _coverage(own, without[name], truth)
+        lines.append(cells)
     return markdown(lines)
+
+
+def _coverage(examples: Sequence[Example], without: Mapping[str, Ratio], truth: Truth) -> list[str]:
+    """Share of the examples that their intervals cover, and the mean width of these."""
+    held: dict[str, list[bool]] = {}
+    widths = []
+    for each in examples:
+        low, high = without[each.family].interval(each.evidence)
+        held.setdefault(each.family, []).append(low <= truth(each) <= high)
+        widths.append((high - low) / max(truth(each), 1))
+    share = sum(map(sum, held.values())) / len(examples)
+    least, most = share_interval([float(np.mean(of_tree)) for of_tree in held.values()])
+    return [f"{share:.2f} ({least:.2f}–{most:.2f})", f"{np.mean(widths):.2f}"]
 
 
 if __name__ == "__main__":

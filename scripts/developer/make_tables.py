@@ -97,7 +97,8 @@ def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
         if method == TWO_PHOTOS:
             records.append(record_of(seen_in_two_photos(folder, out / folder.name, trained), method))
             continue
-        config: Any = replace(trained, count=replace(trained.count, method=method))
+        count: Any = trained.count
+        config = replace(trained, count=replace(count, method=method))
         stages = [trial.stage for trial in trials if trial.method == method]
         progress = terminal_progress()
         rows = climb(folder, out / folder.name, config=config, stages=stages, report=report, progress=progress)

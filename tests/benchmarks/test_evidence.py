@@ -185,7 +185,7 @@ def test_an_interval_that_misses_is_not_counted_as_held() -> None:
     held = record_of(RESULT, "voting")
     missed = record_of(replace(RESULT, scene="apple-small-103", seed=103, interval=(101, 110)), "voting")
     table = TABLES["intervals"]([held, missed])
-    assert "| apple | 2 | 2 | 1 of 2 (9–91 %) | 0.110 | 2 of 2 (34–100 %) | 0.250 |" in table
+    assert "| apple | 2 | 2 | 1 of 2 | 0.110 | 2 of 2 | 0.250 |" in table
 
 
 def test_counts_of_one_tree_in_several_conditions_are_one_tree_behind_a_coverage() -> None:
@@ -193,8 +193,18 @@ def test_counts_of_one_tree_in_several_conditions_are_one_tree_behind_a_coverage
     held = [record_of(replace(RESULT, scene=scene, stage=stage), "voting") for scene, stage in scenes]
     pear = record_of(replace(RESULT, species="pear", scene="pear-small-102"), "voting")
     table = TABLES["intervals"]([*held, pear])
-    assert "| apple | 3 | 1 | 3 of 3 (21–100 %) |" in table
-    assert "| all | 4 | 2 | 4 of 4 (34–100 %) |" in table
+    assert "| apple | 3 | 1 | 3 of 3 | 0.130 |" in table
+    assert "| all | 4 | 2 | 4 of 4 | 0.130 |" in table
+
+
+def test_a_coverage_of_ten_trees_has_an_interval_in_which_a_tree_counts_once() -> None:
+    held = [
+        record_of(replace(RESULT, scene=f"{preset}-{seed}", seed=seed), "voting")
+        for seed in range(102, 112)
+        for preset in ("apple-small", "apple-small-wind")
+    ]
+    assert "| all | 20 | 10 | 20 of 20 (72–100 %) |" in TABLES["intervals"](held)
+    assert "| all | 18 | 9 | 18 of 18 | 0.130 |" in TABLES["intervals"](held[2:])
 
 
 def test_a_share_of_few_trees_is_uncertain_as_wilson_has_it() -> None:

@@ -116,8 +116,11 @@ class Estimate:
 
 
 def estimate(evidence: Evidence, count: int) -> Estimate:
-    """The intervals of a count. That of visible fruit contains the count. That of all fruit starts and ends no lower, so
-    it may start above the count. `likely` and `total` lie in their intervals."""
+    """The intervals of a count.
+
+    That of visible fruit contains the count. That of all fruit starts and ends no lower; it may start above the count.
+    `likely` and `total` lie in their intervals.
+    """
     of_visible, of_all = stored_ratios(evidence.photos)
     low, high = of_visible.interval(evidence)
     # The visible fruit are part of all fruit, so the interval of all fruit is not the narrower one.
