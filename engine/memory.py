@@ -178,10 +178,10 @@ def require_memory(
         return
     fixed = stage_bytes(0, config, cameras, trained=trained)[stage]
     fitting = int((available - fixed) / (needed - fixed) * gaussians) // 1000 * 1000
+    largest = max(cameras, key=lambda camera: camera.width * camera.height)
     advice = f"--train.max-gaussians {fitting}" if trained and fitting >= 1000 else "--scene.downscale 2 or more"
     raise ConfigError(
-        f"{stage.capitalize()} with up to {gaussians:,} Gaussians and {len(cameras)} photos of up to "
-        f"{max(camera.width for camera in cameras)}×{max(camera.height for camera in cameras)} needs about "
-        f"{needed / 2**30:.1f} GB of memory and {available / 2**30:.1f} GB are free. Close other programs, or use "
-        f"{advice}"
+        f"{stage.capitalize()} with up to {gaussians:,} Gaussians and {len(cameras)} photos of up to {largest.width}×"
+        f"{largest.height} needs about {needed / 2**30:.1f} GB of memory and {available / 2**30:.1f} GB are free. "
+        f"Close other programs, or use {advice}"
     )

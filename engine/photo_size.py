@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .config import Config
 from .counting.accounts.zero import ENOUGH_PIXELS
@@ -14,6 +15,8 @@ from .language.prompts.relevancy import answer
 from .memory import available_bytes, stage_bytes
 from .scene.camera import Camera, Photo
 from .scene.photos.photo import FilePhoto
+
+FloatArray = NDArray[np.float64]
 
 NARROW = 12.0
 """Median width of the fruit in pixels below which photos that were scaled down are read larger, to `ENOUGH_PIXELS`."""
@@ -29,11 +32,23 @@ STEP = 20
 """Advised sizes are multiples of this many pixels."""
 
 
-def reduction(photos: Sequence[Photo]) -> float:
-    """How many times as wide the photos' files are as they were read; 1 if they were not scaled down."""
-    files = [photo for photo in photos if isinstance(photo, FilePhoto)]
-    shares = [max(each.header.width, each.header.height) / max(each.width, each.height) for each in files]
-    return max(1.0, min(shares, default=1.0))
+def growth(photos: Sequence[Photo], side: float = np.inf) -> FloatArray:
+    """(V,) how many times as wide each photo becomes if it is read with at most `side` pixels on its longer side; 1 if
+    its file is no larger than it was read."""
+    factors = np.ones(len(photos))
+    for index, photo in enumerate(photos):
+        if isinstance(photo, FilePhoto):
+            longest = max(photo.header.width, photo.header.height)
+            factors[index] = max(min(longest, side) / max(photo.width, photo.height), 1.0)
+    return factors
+
+
+def scaled_down(photos: Sequence[Photo]) -> list[FilePhoto]:
+    """The photos whose files are larger than they were read."""
+    factors = growth(photos)
+    return [
+        photo for photo, factor in zip(photos, factors, strict=True) if factor > 1.0 and isinstance(photo, FilePhoto)
+    ]
 
 
 def seen_width(photos: Sequence[Photo], encoder: DenseEncoder) -> float | None:
@@ -65,41 +80,42 @@ def side_to_read(
     """The `scene.max_side` at which fruit are wide enough: at most MOST times as large as it is, no larger than the
     files, and no larger than fits into memory.
 
-    width: of the fruit in pixels as the photos are read, None if it is not known; free: usable bytes;
-    `available_bytes` if not given.
+    width: of the fruit in pixels in the photos that were scaled down, None if it is not known; photos, cameras: of the
+    scene, in one order; free: usable bytes; `available_bytes` if not given.
     """
     side = config.scene.max_side
     if width is None or width >= NARROW:
         return side
     usable = FREE * (available_bytes() if free is None else free)
-    largest = min(ENOUGH_PIXELS / width, MOST, reduction(photos))
+    largest = min(ENOUGH_PIXELS / width, MOST, float(growth(photos).max(initial=1.0)))
     for larger in range(int(largest * side) // STEP * STEP, side, -STEP):
-        if needed_bytes(larger / side, cameras, config) <= usable:
+        if needed_bytes(larger, photos, cameras, config) <= usable:
             return larger
     return side
 
 
-def needed_bytes(factor: float, cameras: Sequence[Camera], config: Config) -> int:
-    """Peak memory of a run with photos that are `factor` times as wide."""
-    larger = [camera.scaled(factor) for camera in cameras]
+def needed_bytes(side: float, photos: Sequence[Photo], cameras: Sequence[Camera], config: Config) -> int:
+    """Peak memory of a run with photos that are read with at most `side` pixels on their longer side."""
+    larger = [camera.scaled(factor) for camera, factor in zip(cameras, growth(photos, side), strict=True)]
     return max(stage_bytes(config.train.max_gaussians, config, larger, trained=True).values())
 
 
 def width_notices(
     pixel_width: float | None, photos: Sequence[Photo], cameras: Sequence[Camera], config: Config
 ) -> list[str]:
-    """A message with the setting that reads the photos larger, if they were scaled down until fruit became too narrow.
+    """A message with the setting that reads the photos larger, if most were scaled down and fruit became too narrow.
 
     pixel_width: median width of the fruit in pixels of the photos as they were read, None if it is not known.
     """
-    possible = reduction(photos)
-    if pixel_width is None or pixel_width >= NARROW or possible <= 1.0:
+    if pixel_width is None or pixel_width >= NARROW or np.median(growth(photos)) <= 1.0:
         return []
-    read = max(max(photo.width, photo.height) for photo in photos if isinstance(photo, FilePhoto))
-    side = min(-int(-read * ENOUGH_PIXELS / pixel_width // STEP) * STEP, round(read * possible))
-    factor = side / read
+    reduced = scaled_down(photos)
+    read = max(max(photo.width, photo.height) for photo in reduced)
+    longest = max(max(photo.header.width, photo.header.height) for photo in reduced)
+    side = min(-int(-read * ENOUGH_PIXELS / pixel_width // STEP) * STEP, longest)
+    factor = float(np.median(growth(photos, side)))
     flags = f"--scene.max-side {side}" + (" --scene.downscale 1" if config.scene.downscale > 1.0 else "")
-    needed = needed_bytes(factor, cameras, config)
+    needed = needed_bytes(side, photos, cameras, config)
     return [
         f"the fruit are {pixel_width:.0f} pixels wide in the photos as read, and {ENOUGH_PIXELS:.0f} are needed. "
         f"{flags} makes them {factor * pixel_width:.0f} pixels wide; it needs about {needed / 2**30:.1f} GB of memory "

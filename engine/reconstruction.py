@@ -23,7 +23,7 @@ from .language.features.photo_features import (
     save_photo_features,
 )
 from .memory import camera_search_threads, require_memory
-from .photo_size import needed_bytes, reduction, seen_width, side_to_read
+from .photo_size import needed_bytes, scaled_down, seen_width, side_to_read
 from .progress import Progress, part, silent
 from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
@@ -146,7 +146,8 @@ def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run
     if {"scene.max_side", "scene.downscale"} & given or not sees_whole(encoder):
         return run
     scene = source.read(config.scene)
-    if reduction(scene.images) <= 1.0:
+    reduced = scaled_down(scene.images)
+    if not reduced:
         return run
     settings = config.scene, decisive(config.train)
     key = stage_key((*ENCODING, "photo_size"), source.hash(), encoder.identity, *settings)
@@ -155,16 +156,18 @@ def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run
         decided = json.loads(record.read_text(encoding="utf-8"))
     else:
         progress(0.0, "Measuring the width of fruit in a few photos")
-        width = seen_width(scene.images, encoder)
+        width = seen_width(reduced, encoder)
         decided = {"width": width, "max_side": side_to_read(width, scene.images, scene.cameras, config)}
         write_text(record, json.dumps(decided))
     side = decided["max_side"]
     if side == config.scene.max_side:
         return run
     factor = side / config.scene.max_side
+    needed = needed_bytes(side, scene.images, scene.cameras, config)
+    which = "the photos" if len(reduced) == len(scene.images) else f"{len(reduced)} of {len(scene.images)} photos"
     run.log.notices.append(
-        f"fruit would be about {decided['width']:.0f} pixels wide, so the photos were read larger than usual. This "
-        f"needs about {needed_bytes(factor, scene.cameras, config) / 2**30:.1f} GB of memory and up to "
+        f"fruit would be about {decided['width']:.0f} pixels wide, so {which} were read larger than usual. This "
+        f"needs about {needed / 2**30:.1f} GB of memory and up to "
         f"{factor**2:.1f} times the time; --scene.max-side {config.scene.max_side} prevents it"
     )
     return dataclasses.replace(

@@ -213,8 +213,8 @@ def expected(tree: TreeEntry) -> tuple[str, float]:
     files = None if other else photo_files(source)
     if files is None or not files.photos:
         return "it has no photo from which its time can be estimated", 0.0
-    header = read_header(files.photos[0])
-    sizes = [(header.width, header.height)] * len(files.photos)
+    headers = [read_header(photo) for photo in files.photos]
+    sizes = [(header.width, header.height) for header in headers]
     costs = expected_costs(sizes, tree.config, posed=files.posed)
     seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
     return f"{len(files.photos)} photos, about {duration(seconds, MINUTE)} and {most / 2**30:.1f} GB", seconds

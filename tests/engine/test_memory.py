@@ -108,6 +108,12 @@ def test_a_run_that_does_not_fit_is_refused_before_the_first_step(few_photos: Pa
         count_scene(few_photos, ["fruit"], tmp_path, config=huge)
 
 
+def test_a_run_that_does_not_fit_names_the_size_of_a_photo_that_exists() -> None:
+    mixed = [*cameras(2, 800, 600), *cameras(2, 500, 700)]
+    with pytest.raises(ConfigError, match="photos of up to 800×600 needs"):
+        require_memory(10**6, Config(), mixed, trained=True, free=1)
+
+
 def test_a_camera_search_that_does_not_fit_is_refused_with_a_size_that_would() -> None:
     sizes = [(4000, 3000)] * 60
     with pytest.raises(ConfigError, match=r"cameras of 60 photos needs about .* --photos\.max-side (\d+)") as caught:

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = "train.steps=150 | train.max-gaussians=3000 | count.threshold=0.3"
@@ -68,6 +69,17 @@ def test_a_dry_run_says_what_it_would_do_and_writes_nothing(balls: Path, tmp_pat
     assert "\n2: it has no photo from which its time can be estimated\n" in done.stdout
     assert re.search(r"\nin all about [1-9]\d* min with all cores", done.stdout)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_time_of_photos_of_several_sizes_does_not_depend_on_their_order(tmp_path: Path) -> None:
+    for tree, sizes in (("first", (400, 2400, 2400)), ("last", (2400, 2400, 400))):
+        (tmp_path / tree).mkdir()
+        for number, side in enumerate(sizes):
+            Image.new("RGB", (side, side)).save(tmp_path / tree / f"{number}.jpg")
+    done = dry_run(tmp_path, "1,first,apple", "2,last,apple")
+    first, last = done.stdout.splitlines()[:2]
+    assert first.removeprefix("1: ") == last.removeprefix("2: ")
+    assert first.startswith("1: 3 photos, about")
 
 
 def test_a_dry_run_fails_if_a_tree_has_a_wrong_word_or_no_source(balls: Path, tmp_path: Path) -> None:

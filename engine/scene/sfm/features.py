@@ -19,8 +19,8 @@ _BLOCK = 10
 _MOST = 8192
 """Features per photo."""
 _FEW_PIXELS = 400_000
-"""Copies with at most this many pixels get descriptors pooled over sizes: 4 times as long, and they join more
-photos."""
+"""If most copies have at most this many pixels, descriptors are pooled over sizes: 4 times as long, and they join more
+photos. Descriptors of all photos are of one kind, because they are compared."""
 _LARGEST_PATCH = 1.0
 """Largest region of a pooled descriptor, in sizes of the feature: beyond the edge of a leaf lies the background."""
 
@@ -92,12 +92,17 @@ def find_features(job: Job, report: Progress) -> None:
     options.sift.octave_resolution = 4
     options.sift.upright = job.config.upright
     options.sift.dsp_max_scale = _LARGEST_PATCH
-    options.sift.domain_size_pooling = max(p.copy_width * p.copy_height for p in job.photos) <= _FEW_PIXELS
+    options.sift.domain_size_pooling = are_small(job.photos)
     names = [photo.copy for photo in job.photos]
     for start in range(0, len(names), _BLOCK):
         report(start / len(names), f"finding features: photo {start + 1} of {len(names)}")
         chunk = names[start : start + _BLOCK]
         pycolmap.extract_features(job.database, job.copies, chunk, pycolmap.CameraMode.AUTO, extraction_options=options)
+
+
+def are_small(photos: Sequence[Copy]) -> bool:
+    """Whether most of the copies have few pixels."""
+    return bool(np.median([photo.copy_width * photo.copy_height for photo in photos]) <= _FEW_PIXELS)
 
 
 def read_features(job: Job) -> list[Features]:

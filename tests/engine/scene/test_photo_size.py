@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +12,9 @@ from PIL import Image
 
 from fruitlangs.engine.config import Config, EmbedConfig, SceneConfig
 from fruitlangs.engine.language.features.embedder import Embedder
-from fruitlangs.engine.photo_size import reduction, seen_width, side_to_read, width_notices
+from fruitlangs.engine.photo_size import growth, needed_bytes, scaled_down, seen_width, side_to_read, width_notices
 from fruitlangs.engine.reconstruction import reading_larger
-from fruitlangs.engine.scene.camera import Scene
+from fruitlangs.engine.scene.camera import Photo, Scene
 from fruitlangs.engine.scene.photos.lens import Lens
 from fruitlangs.engine.scene.photos.photo import make_scene, posed_photos
 from fruitlangs.engine.scene.read import read_scene
@@ -38,8 +40,63 @@ def said(folder: Path, width: float | None, **read: float) -> list[str]:
 
 
 @pytest.mark.parametrize(("read", "factor"), [({}, 1.0), ({"downscale": 2.0}, 2.0), ({"max_side": 200}, 4.0)])
-def test_the_reduction_is_how_much_wider_the_files_are(tmp_path: Path, read: dict, factor: float) -> None:
-    assert reduction(scene_of(tmp_path, SceneConfig(**read)).images) == factor
+def test_photos_grow_by_how_much_wider_their_files_are(tmp_path: Path, read: dict, factor: float) -> None:
+    photos = scene_of(tmp_path, SceneConfig(**read)).images
+    assert growth(photos).tolist() == [factor]
+    assert scaled_down(photos) == (photos if factor > 1.0 else [])
+
+
+def mixed_scene(folder: Path, *widths: int, max_side: int = 200) -> Scene:
+    """Photos of these widths, three quarters as high, in one frame."""
+    views = []
+    for number, width in enumerate(widths):
+        path, height = folder / f"{number}.png", width * 3 // 4
+        Image.new("RGB", (width, height)).save(path)
+        lens = Lens("PINHOLE", (0.9 * width, 0.9 * width, width / 2, height / 2), width, height)
+        views += posed_photos(path, name=path.name, lens=lens, world_to_camera=np.eye(4), max_side=max_side)
+    return make_scene(views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+
+
+def test_each_photo_grows_to_its_own_file_at_most(tmp_path: Path) -> None:
+    photos = mixed_scene(tmp_path, 800, 240, 160).images
+    assert growth(photos).tolist() == [4.0, 1.2, 1.0]
+    assert growth(photos, 400).tolist() == [2.0, 1.2, 1.0]
+    assert [photo.name for photo in scaled_down(photos)] == ["0.png", "1.png"]
+
+
+def test_one_small_photo_does_not_keep_the_large_ones_small(tmp_path: Path) -> None:
+    config, scene = Config(scene=SceneConfig(max_side=200)), mixed_scene(tmp_path, 160, 800, 800, 800)
+    assert side_to_read(7.0, scene.images, scene.cameras, config, free=1 << 40) == 400
+
+
+def test_one_small_photo_does_not_silence_the_advice(tmp_path: Path) -> None:
+    config, scene = Config(scene=SceneConfig(max_side=200)), mixed_scene(tmp_path, 160, 800, 800, 800)
+    (notice,) = width_notices(7.0, scene.images, scene.cameras, config)
+    assert "--scene.max-side 400 makes them 14 pixels wide" in notice
+
+
+def test_photos_that_are_mostly_small_get_no_advice_that_helps_one_of_them(tmp_path: Path) -> None:
+    config, scene = Config(scene=SceneConfig(max_side=200)), mixed_scene(tmp_path, 160, 160, 160, 800)
+    assert width_notices(7.0, scene.images, scene.cameras, config) == []
+
+
+def test_the_advised_size_is_no_larger_than_the_largest_file(tmp_path: Path) -> None:
+    config, scene = Config(scene=SceneConfig(max_side=200)), mixed_scene(tmp_path, 160, 240, 240, 250)
+    (notice,) = width_notices(7.0, scene.images, scene.cameras, config)
+    assert "--scene.max-side 250 makes them 8 pixels wide" in notice
+
+
+def test_photos_that_stay_as_they_are_need_no_more_memory(tmp_path: Path) -> None:
+    (tmp_path / "mixed").mkdir()
+    (tmp_path / "large").mkdir()
+    config = Config(scene=SceneConfig(max_side=200))
+    mixed = mixed_scene(tmp_path / "mixed", 800, *[160] * 30)
+    large = mixed_scene(tmp_path / "large", 800, *[800] * 30)
+    more = [
+        needed_bytes(400, scene.images, scene.cameras, config) - needed_bytes(200, scene.images, scene.cameras, config)
+        for scene in (mixed, large)
+    ]
+    assert 0 < more[0] < more[1]
 
 
 def test_narrow_fruit_in_reduced_photos_are_reported_with_the_size_to_read(tmp_path: Path) -> None:
@@ -100,6 +157,25 @@ def test_photos_with_narrow_fruit_are_read_larger_the_same_way_for_every_prompt(
     record.write_text('{"width": 8.0, "max_side": 340}')
     again = reading_larger(source, Run(tmp_path, embedder, config, given=()))
     assert again.config.scene.max_side == 340
+
+
+def test_the_width_of_fruit_is_measured_in_the_photos_that_were_scaled_down(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, embedder: Embedder
+) -> None:
+    """In small photos the fruit are narrower, and reading larger does not change them."""
+    scene, asked = mixed_scene(tmp_path, 160, 800, 160, 800), []
+
+    def measured(photos: Sequence[Photo], encoder: object) -> float:
+        asked.extend(photo.name for photo in photos)
+        return 7.0
+
+    monkeypatch.setattr("fruitlangs.engine.reconstruction.seen_width", measured)
+    source = SimpleNamespace(read=lambda _: scene, hash=lambda: "")
+    run = Run(tmp_path, embedder, Config(scene=SceneConfig(max_side=200)), given=())
+    assert reading_larger(source, run).config.scene.max_side == 400  # type: ignore[arg-type]
+    assert asked == ["1.png", "3.png"]
+    (notice,) = run.log.notices
+    assert notice.startswith("fruit would be about 7 pixels wide, so 2 of 4 photos were read larger than usual")
 
 
 @pytest.mark.parametrize("given", [None, {"scene.max_side"}])
