@@ -12,11 +12,17 @@ from typing import Any, Literal
 
 import bpy
 import numpy as np
-from mathutils import Matrix
 from numpy.typing import NDArray
+
+from ..engine.errors import SceneError
 
 OWNER = "fruitlangs"
 """Custom property that names the role of an object, collection, node group or material of ours."""
+
+EXTENT = "fruitlangs_extent"
+"""Custom property of a mesh of points: their number, and their lowest and highest coordinates as written."""
+SAME_PLACE = 1e-5
+"""Largest change of these coordinates without a move, relative to the largest."""
 
 Role = Literal[
     "root", "gaussians", "points", "camera", "cameras", "fruit", "fruits", "scene", "region", "light", "world",
@@ -48,7 +54,29 @@ def point_mesh(name: str, positions: NDArray[Any]) -> bpy.types.Mesh:
     if len(positions):
         mesh.vertices.add(len(positions))
         mesh.attributes["position"].data.foreach_set("vector", array(positions).ravel())
+        corners = np.stack([array(positions).min(axis=0), array(positions).max(axis=0)])
+        mesh[EXTENT] = [len(positions), *corners.ravel().tolist()]
     return mesh
+
+
+def point_positions(item: bpy.types.Object) -> NDArray[np.float32]:
+    """(N, 3) positions of the Gaussians or points of an object, in the scene frame.
+
+    Raises:
+        SceneError: Apply Transform or an edit has moved them within the mesh.
+    """
+    positions = get_attribute(item.data, "position")
+    if EXTENT in item.data and len(positions):
+        number, *corners = item.data[EXTENT]
+        low, high = np.reshape(corners, (2, 3))
+        outside = np.array([low - positions.min(axis=0), positions.max(axis=0) - high])
+        moved = np.abs(outside) if len(positions) == int(number) else outside  # some may have been deleted
+        if moved.max() > SAME_PLACE * np.abs(corners).max():
+            raise SceneError(
+                f"The points of {item.name} were moved within its mesh, for example by Apply Transform. Undo that, or "
+                "import the result again"
+            )
+    return positions
 
 
 def set_attribute(mesh: bpy.types.Mesh, name: str, kind: AttributeType, values: NDArray[Any]) -> None:
@@ -109,11 +137,15 @@ def _has_role(item: bpy.types.Object, role: Role) -> bool:
 
 def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any]] | None:
     """These attributes of this Blender scene's Gaussians; None if there are none, if they are being edited, or if one
-    is missing."""
+    is missing.
+
+    Raises:
+        SceneError: positions are asked for, and were moved within the mesh.
+    """
     item = owned_object(scene, "gaussians")
     if item is None or item.mode == "EDIT" or any(name not in item.data.attributes for name in names):
         return None
-    return [get_attribute(item.data, name) for name in names]
+    return [point_positions(item) if name == "position" else get_attribute(item.data, name) for name in names]
 
 
 def local_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
@@ -167,13 +199,6 @@ def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -
     if items:
         with suppress(RuntimeError):
             context.view_layer.objects.active = items[0]
-
-
-def in_scene_frame(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:
-    """The object's transform in the scene frame; that of a child of `root` as it was set, evaluated or not."""
-    if item.parent == root:
-        return item.matrix_parent_inverse @ item.matrix_basis
-    return root.matrix_world.inverted() @ item.matrix_world
 
 
 def remove_objects(objects: Iterable[bpy.types.Object]) -> None:

@@ -16,7 +16,7 @@ from mathutils import Vector
 from ...engine.errors import ConfigError, FruitLangsError
 from ...engine.progress import part
 from ..blender_data import owned_object, owned_objects, select_only
-from ..data.fruit_objects import REVIEW, metres_per_unit, read_log, write_log
+from ..data.fruit_objects import REVIEW, fruit_frame, metres_per_unit, read_log, write_log
 from ..data.read_fruits import read_fruit
 from ..data.stored_review import is_reviewed, keep_corrections
 from ..data.write import SET_ID
@@ -226,11 +226,10 @@ def read_review_of(bpy_scene: bpy.types.Scene) -> Review:
     from ...engine.block.reviews import Review, ReviewedFruit
 
     no_gaussians = np.zeros(0, np.int32)
-    root, unit = owned_object(bpy_scene, "root"), metres_per_unit(bpy_scene) or 1.0
-    assert root is not None
+    frame, unit = fruit_frame(bpy_scene), metres_per_unit(bpy_scene) or 1.0
     fruits = []
     for item in owned_objects(bpy_scene, "fruit"):
-        fruit = read_fruit(item, root, int(item.get("id", 0)), no_gaussians, unit)
+        fruit = read_fruit(item, frame, int(item.get("id", 0)), no_gaussians, unit)
         fruits.append(
             ReviewedFruit(
                 tree=fruit.tree,

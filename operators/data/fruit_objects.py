@@ -9,17 +9,19 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engine.errors import SceneError
 from ...engine.report.words import three_digits
 from ..blender_data import (
     OWNER,
     gaussian_attributes,
-    in_scene_frame,
     local_collections,
     owned_object,
     owned_objects,
     set_attribute,
 )
-from .write_fruits import write_fruit
+from ..scene_frame import REMEDY, SceneFrame, scene_frame, stored_pose
+from .fruit_shape import fruit_ellipsoid
+from .write_fruits import LENGTHS, write_fruit
 
 if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Decision, Spot
@@ -31,6 +33,12 @@ MADE = "made_by_user"
 """Custom property of a fruit that the user made, which stays when it is rejected."""
 LAST_ID = "fruitlangs_last_id"
 """Custom property of the Blender scene: the highest id that a fruit ever had in it."""
+SAME = 1e-3
+"""Relative difference between a fruit's diameter and its stored one above which the user must have scaled it."""
+MOVED = 0.25
+"""Distance from where it was counted above which a fruit was moved, in its smallest diameters."""
+LEAST_TOGETHER = 3
+"""Least number of counted fruit of which more than half may not have moved."""
 
 
 def fruit_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
@@ -68,16 +76,56 @@ def diameter_head(metric: bool) -> str:
     return "Ø mm" if metric else "Ø units"
 
 
-def spot_of(item: bpy.types.Object, root: bpy.types.Object) -> Spot:
-    """The position of a fruit object, in the scene frame and units."""
+def spot_of(item: bpy.types.Object, frame: SceneFrame) -> Spot:
+    """The position of a fruit object, in the scene frame and units.
+
+    Raises:
+        CountingError: its mesh is no ellipsoid.
+        SceneError: the scene frame is unknown.
+    """
     from ...engine.counting.accounts.review import Spot
 
-    placed = np.array(in_scene_frame(item, root))
-    # The mesh is a sphere of diameter 1.
-    axes = 0.5 * placed[:3, :3].T
-    axes = axes[np.argsort(-np.linalg.norm(axes, axis=1), kind="stable")]
-    axes[2] *= np.sign(np.linalg.det(axes)) or 1.0
-    return Spot(int(item.get("id", 0)), str(item.get("label", "fruit")), placed[:3, 3].copy(), axes)
+    found = fruit_ellipsoid(item, frame)
+    return Spot(int(item.get("id", 0)), str(item.get("label", "fruit")), found.center, found.axes)
+
+
+def fruit_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
+    """The scene frame for the fruit of this Blender scene.
+
+    Raises:
+        SceneError: it is unknown, or more than half of the counted fruit are not where they were counted: what moved
+            them together, away from the cameras, was no correction of fruit.
+    """
+    frame = scene_frame(bpy_scene)
+    counted, moved = 0, 0
+    for item in owned_objects(bpy_scene, "fruit"):
+        pose = stored_pose(item)
+        if pose is None or is_made(item):
+            continue
+        found = fruit_ellipsoid(item, frame)
+        counted += 1
+        away = float(np.linalg.norm(found.center - pose[:3, 3]))
+        moved += away > MOVED * float(np.linalg.norm(pose[:3, :3], axis=0).min())
+    if counted >= LEAST_TOGETHER and 2 * moved > counted:
+        raise SceneError(
+            f"{moved} of {counted} fruit are not where they were counted, so places and sizes are unknown. {REMEDY}"
+        )
+    return frame
+
+
+def keep_sizes(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> None:
+    """Store the size of each fruit that the user scaled in its custom properties, which the list and the labels show.
+
+    The measured uncertainty does not apply to such a size.
+    """
+    unit = metres_per_unit(bpy_scene) or 1.0
+    for item in owned_objects(bpy_scene, "fruit"):
+        spot = spot_of(item, frame)
+        if abs(spot.diameter * unit - float(item.get("diameter", 0.0))) > SAME * spot.diameter * unit:
+            item["diameter"] = spot.diameter * unit
+            for key, axis in zip(LENGTHS, spot.axes, strict=True):
+                item[key] = 2.0 * float(np.linalg.norm(axis)) * unit
+            item.pop("diameter_sd", None)
 
 
 def is_made(item: bpy.types.Object) -> bool:
@@ -104,8 +152,7 @@ def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | 
     """An object for a fruit that the user made; its colour and tree are those of the fruit `like`."""
     from ...engine.counting.fruit import Fruit
 
-    root = owned_object(bpy_scene, "root")
-    assert root is not None
+    frame = scene_frame(bpy_scene)
     color = np.array([200, 60, 40]) if like is None or "color" not in like else 255.0 * np.array(like["color"])
     fruit = Fruit(
         id=spot.id,
@@ -124,7 +171,7 @@ def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | 
         fallen=None if like is None else like.get("fallen"),
         tree=None if like is None else like.get("tree"),
     )
-    item = write_fruit(bpy_scene, fruit, root, metres_per_unit=metres_per_unit(bpy_scene))
+    item = write_fruit(bpy_scene, fruit, frame, metres_per_unit=metres_per_unit(bpy_scene))
     judge(item, ADDED)
     bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), spot.id)
     return item
@@ -147,10 +194,11 @@ def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray
         return np.zeros(0, np.int64), np.zeros((0, 3))
     owners, places = found
     own = np.flatnonzero(owners == item["id"])
-    root, same = owned_object(bpy_scene, "root"), [item]
+    same = [item]
     same += [each for each in owned_objects(bpy_scene, "fruit") if each.get("id") == item["id"] and each != item]
-    if len(same) > 1 and root is not None:
-        centers = np.array([in_scene_frame(each, root).translation for each in same])
+    if len(same) > 1:
+        frame = scene_frame(bpy_scene)
+        centers = np.array([fruit_ellipsoid(each, frame).center for each in same])
         nearest = np.linalg.norm(places[own, None] - centers, axis=2).argmin(axis=1)
         own = own[nearest == 0]
     return own, places[own].astype(np.float64)

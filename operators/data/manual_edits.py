@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
-from ..blender_data import in_scene_frame, owned_object
+from ..blender_data import owned_object
+from ..scene_frame import SceneFrame, scene_frame
 from .fruit_objects import (
     ADDED,
     LAST_ID,
+    fruit_frame,
     is_made,
     judge,
     keep_spot,
@@ -37,14 +39,14 @@ OF_ONE_COUNT = ("probability", "visible_fraction", "diameter_sd", "views", "kind
 def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
     """Store which fruit exist and where; counted ones at the position of the count, so that a later count finds
     them."""
-    root, known = owned_object(bpy_scene, "root"), bpy_scene.fruitlangs.review.known
-    if root is None:
+    if owned_object(bpy_scene, "root") is None:
         return
+    frame, known = scene_frame(bpy_scene), bpy_scene.fruitlangs.review.known
     found = {spot.id: spot for spot in spots_of(known)}
     spots = []
     for item in standing(bpy_scene):
         before = found.get(int(item.get("id", 0)))
-        spots.append(spot_of(item, root) if before is None or is_made(item) else before)
+        spots.append(spot_of(item, frame) if before is None or is_made(item) else before)
     known.clear()
     for spot in spots:
         keep_spot(known, spot)
@@ -58,10 +60,10 @@ def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
     """
     from ...engine.counting.accounts.review import Decision
 
-    root, known = owned_object(bpy_scene, "root"), spots_of(bpy_scene.fruitlangs.review.known)
-    if root is None:
+    if owned_object(bpy_scene, "root") is None:
         return []
-    items, notices = _originals(bpy_scene, root, known), []
+    frame, known = fruit_frame(bpy_scene), spots_of(bpy_scene.fruitlangs.review.known)
+    items, notices = _originals(bpy_scene, frame, known), []
     missing = [spot for spot in known if spot.id not in items]
     if missing:
         write_log(bpy_scene, Decision("reject", now(), "deleted", before=tuple(missing)))
@@ -70,14 +72,14 @@ def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
     copies = [item for item in standing(bpy_scene) if item not in own]
     for item, number in zip(copies, next_ids(bpy_scene, len(copies)), strict=True):
         _make_own(bpy_scene, item, number)
-        write_log(bpy_scene, Decision("add", now(), "copied", after=(spot_of(item, root),)))
+        write_log(bpy_scene, Decision("add", now(), "copied", after=(spot_of(item, frame),)))
     if copies:
         notices.append(f"copied by hand and added in the log: {_numbers([item['id'] for item in copies])}")
     remember_fruit(bpy_scene)
     return notices
 
 
-def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[Spot]) -> dict[int, bpy.types.Object]:
+def _originals(bpy_scene: bpy.types.Scene, frame: SceneFrame, known: list[Spot]) -> dict[int, bpy.types.Object]:
     """{id: object} of the stored fruit; of several with one id the nearest to the stored position.
 
     Without a stored position it is the first of each id.
@@ -87,7 +89,7 @@ def _originals(bpy_scene: bpy.types.Scene, root: bpy.types.Object, known: list[S
         number = int(item.get("id", 0))
         if known and number not in centers:
             continue
-        place = np.array(in_scene_frame(item, root).translation)
+        place = spot_of(item, frame).center
         away = float(np.linalg.norm(place - centers.get(number, place)))
         if number not in found or away < found[number][0]:
             found[number] = (away, item)

@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 
 from ...engine.errors import SceneError
-from ..blender_data import get_attribute, in_scene_frame, owned_object, owned_objects, srgb_from_linear
+from ..blender_data import get_attribute, owned_object, owned_objects, point_positions, srgb_from_linear
+from ..scene_frame import SceneFrame, scene_frame
 from .fruit_objects import metres_per_unit
 from .photo_files import ASPECT, SIZE
 from .write_cameras import BLENDER_AXES
@@ -28,7 +29,7 @@ def read_scene(bpy_scene: bpy.types.Scene) -> Scene:
     points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     sparse = owned_object(bpy_scene, "points")
     if sparse is not None and sparse.mode != "EDIT":
-        points = get_attribute(sparse.data, "position").astype(np.float64)
+        points = point_positions(sparse).astype(np.float64)
         shown = srgb_from_linear(get_attribute(sparse.data, "radiance:base")[:, :3])
         colors = np.round(255.0 * shown.clip(0.0, 1.0)).astype(np.uint8)
     return Scene(read_cameras(bpy_scene), [], points, colors, read_up(bpy_scene), metres_per_unit(bpy_scene))
@@ -38,9 +39,11 @@ def read_up(bpy_scene: bpy.types.Scene) -> FloatArray:
     """(3,) unit vector away from the ground, in the scene frame.
 
     Raises:
-        SceneError: nothing was imported.
+        SceneError: nothing was imported, or the root is scaled to 0.
     """
-    up = np.array(_root(bpy_scene).matrix_basis.to_3x3().row[2], np.float64)
+    up = np.array(_frame(bpy_scene).to_world.to_3x3().row[2], np.float64)
+    if not np.linalg.norm(up) > 0.0:
+        raise SceneError("The scene's root is scaled to 0, so up is unknown. Undo that or set its scale to 1")
     return up / np.linalg.norm(up)
 
 
@@ -50,18 +53,18 @@ def read_cameras(bpy_scene: bpy.types.Scene) -> list[Camera]:
     Raises:
         SceneError: one is none of perspective.
     """
-    root = _root(bpy_scene)
-    return [read_camera(item, root) for item in owned_objects(bpy_scene, "camera") if SIZE in item]
+    frame = _frame(bpy_scene)
+    return [read_camera(item, frame) for item in owned_objects(bpy_scene, "camera") if SIZE in item]
 
 
-def read_camera(item: bpy.types.Object, root: bpy.types.Object) -> Camera:
+def read_camera(item: bpy.types.Object, frame: SceneFrame) -> Camera:
     """One photo's camera, at its current pose.
 
     Raises:
         SceneError: it is none of perspective.
     """
     width, height = (int(side) for side in item[SIZE])
-    return _camera(item, root, width, height, float(item[ASPECT]))
+    return _camera(item, frame, width, height, float(item[ASPECT]))
 
 
 def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
@@ -77,16 +80,16 @@ def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
         layer.update()  # a camera that was just moved or added has no world matrix yet
     share = render.resolution_percentage / 100.0
     width, height = (max(round(side * share), 1) for side in (render.resolution_x, render.resolution_y))
-    return _camera(item, _root(bpy_scene), width, height, render.pixel_aspect_y / render.pixel_aspect_x)
+    return _camera(item, _frame(bpy_scene), width, height, render.pixel_aspect_y / render.pixel_aspect_x)
 
 
-def _camera(item: bpy.types.Object, root: bpy.types.Object, width: int, height: int, aspect: float) -> Camera:
+def _camera(item: bpy.types.Object, frame: SceneFrame, width: int, height: int, aspect: float) -> Camera:
     """A camera object that makes pictures of width × height pixels, which are `aspect` times as high as wide."""
     from ...engine.scene.camera import Camera
 
     if item.type != "CAMERA" or item.data.type != "PERSP":
         raise SceneError(f"The camera {item.name} is not a perspective one. Set its type to Perspective")
-    place, turned, _ = in_scene_frame(item, root).decompose()
+    place, turned, _ = frame.of(item).decompose()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array(turned.to_matrix()), np.array(place)
     return Camera(_intrinsics(item.data, width, height, aspect), np.linalg.inv(pose @ BLENDER_AXES), width, height)
@@ -102,8 +105,7 @@ def _intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: float) 
     return np.array([[focal, 0.0, middle[0]], [0.0, focal / aspect, middle[1]], [0.0, 0.0, 1.0]])
 
 
-def _root(bpy_scene: bpy.types.Scene) -> bpy.types.Object:
-    root = owned_object(bpy_scene, "root")
-    if root is None:
+def _frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
+    if owned_object(bpy_scene, "root") is None:
         raise SceneError("No scene is imported yet. Import one first")
-    return root
+    return scene_frame(bpy_scene)

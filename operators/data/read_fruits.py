@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 
 from ...engine.errors import CountingError
 from ..blender_data import gaussian_attributes, owned_object
-from .fruit_objects import LAST_ID, metres_per_unit, next_ids, spot_of, standing
+from ..scene_frame import SceneFrame
+from .fruit_objects import LAST_ID, SAME, fruit_frame, metres_per_unit, next_ids, spot_of, standing
 from .stored_audit import read_audit
 from .stored_review import is_reviewed, reviewed_interval
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import Fruit, FruitCount, Tree
-
-SAME = 1e-3
-"""Relative difference between a fruit's diameter and its stored one above which the user must have scaled it."""
 
 
 def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
@@ -30,20 +28,19 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
     fruit, and trees without fruit are unknown.
 
     Raises:
-        CountingError: nothing was counted.
+        CountingError: nothing was counted, or the mesh of a fruit was edited.
+        SceneError: the root was deleted, or the places and sizes of fruit are unknown.
     """
     from ...engine.counting.fruit import FruitCount
 
-    root = owned_object(bpy_scene, "root")
     if not counted(bpy_scene):
         raise CountingError("Nothing is counted yet. Count first")
-    if root is None:
-        raise CountingError("The scene's root empty was deleted. Undo that, or import or count again")
+    frame = fruit_frame(bpy_scene)
     items = sorted(standing(bpy_scene), key=lambda item: (int(item.get("id", 0)), item.name))
     owners = _gaussian_attribute(bpy_scene, "fruit_id", np.int32)
     numbers = _numbers(bpy_scene, items)
     unit = metres_per_unit(bpy_scene) or 1.0
-    fruits = [read_fruit(item, root, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
+    fruits = [read_fruit(item, frame, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
     shown = bpy_scene.fruitlangs.result
     has_total = shown.total >= 0.0 and not is_reviewed(bpy_scene) and len(fruits) == shown.count
     return FruitCount(
@@ -65,12 +62,12 @@ def counted(bpy_scene: bpy.types.Scene) -> bool:
 
 
 def read_fruit(
-    item: bpy.types.Object, root: bpy.types.Object, number: int, owners: NDArray[np.int32], metres_per_unit: float
+    item: bpy.types.Object, frame: SceneFrame, number: int, owners: NDArray[np.int32], metres_per_unit: float
 ) -> Fruit:
     """One fruit object. owners: (N,) the fruit id of each Gaussian."""
     from ...engine.counting.fruit import Fruit
 
-    spot = spot_of(item, root)
+    spot = spot_of(item, frame)
     known = float(item.get("diameter", 0.0)) / metres_per_unit
     as_given = abs(spot.diameter - known) <= SAME * known
     fraction, fallen, tree = (item.get(key) for key in ("visible_fraction", "fallen", "tree"))

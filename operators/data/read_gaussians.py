@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.errors import FormatError
-from ..blender_data import get_attribute, owned_object, srgb_from_linear
+from ..blender_data import get_attribute, owned_object, point_positions, srgb_from_linear
 from ..viewport.splats import ANTIALIASED
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
 
     Raises:
         FormatError: the object is being edited, or an attribute was removed.
+        SceneError: the Gaussians were moved within the mesh.
     """
     item = owned_object(bpy_scene, "gaussians")
     if item is None:
@@ -68,7 +69,7 @@ def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
     if missing:
         raise FormatError(f"{item.name} has lost its attribute '{missing[0]}'. Import the result or count again")
     return StoredGaussians(
-        positions=get_attribute(mesh, "position"),
+        positions=point_positions(item),
         scales=get_attribute(mesh, "scale"),
         quaternions=get_attribute(mesh, "quaternion"),
         colors=srgb_from_linear(get_attribute(mesh, "radiance:base")[:, :3]),

@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from ...engine.errors import VocabularyError
+from ...engine.errors import FruitLangsError, VocabularyError
 from ..blender_data import owned_object, owned_objects, remove_objects
+from ..scene_frame import scene_frame
 from .fruit_objects import (
     LAST_ID,
     REJECTED,
     REVIEW,
+    fruit_frame,
     give_members,
     is_made,
     judge,
+    keep_sizes,
     make_fruit,
     members,
     read_log,
@@ -35,17 +38,25 @@ if TYPE_CHECKING:
 def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
     """Log which fruit the user deleted and copied, returned as texts, and where the user's own fruit are now, since
     they may have been moved and scaled."""
-    root = owned_object(bpy_scene, "root")
-    if root is None:
+    if owned_object(bpy_scene, "root") is None:
         return []
-    notices = log_by_hand(bpy_scene)
+    notices, frame = log_by_hand(bpy_scene), fruit_frame(bpy_scene)
+    keep_sizes(bpy_scene, frame)
     made = [item for item in owned_objects(bpy_scene, "fruit") if is_made(item)]
-    spots = {spot.id: spot for spot in (spot_of(item, root) for item in reversed(made))}
+    spots = {spot.id: spot for spot in (spot_of(item, frame) for item in reversed(made))}
     for row in _rows(bpy_scene):
         spot = spots.get(row.number)
         if spot is not None:
             row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
     return notices
+
+
+def keep_last_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
+    """As `keep_corrections`, before the fruit are replaced: what cannot be read is not kept, and a text says so."""
+    try:
+        return keep_corrections(bpy_scene)
+    except FruitLangsError as error:
+        return [f"changes by hand since the last decision are not kept: {error}"]
 
 
 def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
@@ -61,12 +72,12 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts:
     from ...engine.counting.accounts.review import about, replay
 
     bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), fruit_count.last_id)
-    root = owned_object(bpy_scene, "root")
-    if root is None:
+    if owned_object(bpy_scene, "root") is None:
         return []
+    frame = scene_frame(bpy_scene)
     log, others = about(read_log(bpy_scene), _labels(fruit_count, prompts))
     items = owned_objects(bpy_scene, "fruit")
-    found = replay(log, [spot_of(item, root) for item in items], bpy_scene[LAST_ID])
+    found = replay(log, [spot_of(item, frame) for item in items], bpy_scene[LAST_ID])
     kept = {source for source in found.sources if source >= 0}
     for spot, verdict, source in zip(found.spots, found.standings, found.sources, strict=True):
         if source < 0:

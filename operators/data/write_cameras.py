@@ -10,6 +10,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..blender_data import new_object, owned_collection, owned_objects, remove_objects
+from ..scene_frame import keep_pose
 from .photo_files import ASPECT, SIZE, keep_photo, remove_backgrounds
 from .write_root import looked_at
 
@@ -47,6 +48,7 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
         item = new_object(PurePath(name).stem, data, "camera", collection, root)
         keep_photo(item, camera, photo)
         item.matrix_basis = Matrix(blender_pose(camera).tolist())
+        keep_pose(item)
         objects.append(item)
     if objects and was_ours:
         show_through(bpy_scene, objects[middle_view(scene)])

@@ -20,7 +20,9 @@ from ..blender_data import (
     owned_objects,
     remove_objects,
 )
+from ..scene_frame import SceneFrame, keep_pose
 from ..viewport.fruit_colours import colour_fruit
+from .fruit_shape import is_unit_sphere
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import Fruit, FruitCount
@@ -52,25 +54,30 @@ def write_fruits(
         bpy.data.collections.remove(old)
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
     meshes: dict[str, bpy.types.Mesh] = {}
-    return [_write(bpy_scene, fruit, root, collection, meshes, metres_per_unit) for fruit in fruit_count.fruits]
+    frame = SceneFrame(root, Matrix())
+    return [_write(bpy_scene, fruit, frame, collection, meshes, metres_per_unit) for fruit in fruit_count.fruits]
 
 
 def write_fruit(
-    bpy_scene: bpy.types.Scene, fruit: Fruit, root: bpy.types.Object, *, metres_per_unit: float | None = None
+    bpy_scene: bpy.types.Scene, fruit: Fruit, frame: SceneFrame, *, metres_per_unit: float | None = None
 ) -> bpy.types.Object:
-    """Add one fruit object to the existing ones, as `write_fruits` creates them."""
-    meshes = {item["label"]: item.data for item in owned_objects(bpy_scene, "fruit") if "label" in item}
+    """Add one fruit object to the existing ones, as `write_fruits` creates them, also where the root's transform was
+    applied."""
+    others = owned_objects(bpy_scene, "fruit")
+    meshes = {item["label"]: item.data for item in others if "label" in item and is_unit_sphere(item)}
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
-    return _write(bpy_scene, fruit, root, collection, meshes, metres_per_unit)
+    return _write(bpy_scene, fruit, frame, collection, meshes, metres_per_unit)
 
 
 def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) -> None:
-    """Give a fruit object another label, with its name, colour and mesh."""
-    old = item.data
-    others = (each for each in owned_objects(bpy_scene, "fruit") if each.get("label") == label)
-    item.data = next((each.data for each in others), None) or _unit_sphere(label)
-    if old.users == 0:
-        bpy.data.meshes.remove(old)
+    """Give a fruit object another label, with its name, colour and mesh; a mesh that has the size of the fruit, after
+    Apply Transform, stays."""
+    if is_unit_sphere(item):
+        old = item.data
+        others = (each for each in owned_objects(bpy_scene, "fruit") if each.get("label") == label)
+        item.data = next((each.data for each in others if is_unit_sphere(each)), None) or _unit_sphere(label)
+        if old.users == 0:
+            bpy.data.meshes.remove(old)
     item["label"] = label
     item.name = _name(label, item["id"], bpy_scene, item)
     colour_fruit(item)
@@ -79,17 +86,19 @@ def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) 
 def _write(
     bpy_scene: bpy.types.Scene,
     fruit: Fruit,
-    root: bpy.types.Object,
+    frame: SceneFrame,
     collection: bpy.types.Collection,
     meshes: dict[str, bpy.types.Mesh],
     metres_per_unit: float | None,
 ) -> bpy.types.Object:
     mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
-    item = new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, root)
+    item = new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, frame.root)
+    item.matrix_parent_inverse = frame.in_root
     item.location = tuple(np.asarray(fruit.center, dtype=float))
     item.scale = tuple(fruit.lengths.tolist())
     item.rotation_mode = "QUATERNION"
     item.rotation_quaternion = Matrix((2.0 * fruit.axes / fruit.lengths[:, None]).T.tolist()).to_quaternion()
+    keep_pose(item)
     _set_properties(item, fruit, metres_per_unit)
     colour_fruit(item)
     _put_on_tree(bpy_scene, item)

@@ -15,19 +15,27 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..blender_data import new_object, owned_collection, owned_object
+from ...engine.errors import SceneError
+from ..blender_data import OWNER, Role, new_object, owned_collection, owned_object, owned_objects
+from ..scene_frame import scene_frame
 
 if TYPE_CHECKING:
     from ...engine.scene.camera import FloatArray, Scene
 
 GROUND = "fruitlangs_ground"
 """Custom property of the Blender scene: a point on the ground that the user picked, in the scene frame."""
+BELOW: tuple[Role, ...] = ("gaussians", "points", "camera", "fruit", "region")
+"""Roles of objects below the root."""
 GROUND_PERCENTILE = 2.0
 """Share of the sparse points that may lie below the ground: a robust lowest point."""
 
 
 def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
-    """Place this Blender scene's root empty for `scene`, creating it if necessary."""
+    """Place this Blender scene's root empty for `scene`, creating it if necessary.
+
+    What stays below it keeps its place in the scene frame, also where the old root's transform was applied.
+    """
+    kept = _places(bpy_scene)
     root = owned_object(bpy_scene, "root")
     if root is None:
         root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
@@ -35,7 +43,29 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
     root.empty_display_size = 0.05 * scene.extent if len(scene.cameras) else 1.0
     root["metres_per_unit"] = scene.metres_per_unit or 0.0
     root.matrix_basis = root_matrix(scene, bpy_scene.get(GROUND))
+    for item, place in kept.items():
+        _put_below(item, root, place)
     return root
+
+
+def _places(bpy_scene: bpy.types.Scene) -> dict[bpy.types.Object, Matrix]:
+    """{object of ours: its transform in the scene frame} of those that an applied or cleared root displaced."""
+    try:
+        frame = scene_frame(bpy_scene)
+        items = [item for role in BELOW for item in owned_objects(bpy_scene, role)]
+        displaced = (item for item in items if item.parent != frame.root or frame.in_root != Matrix())
+        return {item: frame.of(item) for item in displaced}
+    except SceneError:  # there is no root yet, or nothing is known about where they are
+        return {}
+
+
+def _put_below(item: bpy.types.Object, root: bpy.types.Object, place: Matrix) -> None:
+    """Place an object in the scene frame; the region keeps its side lengths in the sidebar."""
+    item.parent = root
+    if item.get(OWNER) == "region":
+        item.matrix_parent_inverse = place @ item.matrix_basis.inverted_safe()
+    else:
+        item.matrix_parent_inverse, item.matrix_basis = Matrix(), place
 
 
 def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
@@ -44,11 +74,6 @@ def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
     if ground is not None:
         matrix[2, 3] = -matrix[2, :3] @ np.array(ground)
     return Matrix.Scale(scene.metres_per_unit or 1.0, 4) @ Matrix(matrix.tolist())
-
-
-def world_scale(root: bpy.types.Object) -> float:
-    """Blender units per unit of the scene frame, as the root shows it in the world."""
-    return float(abs(root.matrix_world.to_3x3().determinant()) ** (1.0 / 3.0))
 
 
 def upright_matrix(scene: Scene) -> FloatArray:

@@ -9,11 +9,13 @@ from typing import Any
 
 import bpy
 
+from ...engine.errors import FruitLangsError
 from ..blender_data import gaussian_attributes, owned_object, owned_objects
-from ..data.fruit_objects import spot_of
+from ..data.fruit_shape import fruit_ellipsoid
 from ..data.photo_files import PHOTO, SIZE
 from ..data.read_cameras import read_camera
 from ..jobs.jobs import describe_error, editing
+from ..scene_frame import scene_frame
 from .photo_backgrounds import PROBLEM, keep_only, show_photo
 from .photo_choice import Sight, Surface, best_sights
 from .photo_view import look_through, remembers, restore_view, view_area
@@ -32,12 +34,12 @@ def photo_cameras(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def fruit_sights(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tuple[bpy.types.Object, Sight]]:
     """The cameras that show a fruit, best first."""
-    root = owned_object(bpy_scene, "root")
     cameras = photo_cameras(bpy_scene)
-    if root is None or not cameras:
+    if owned_object(bpy_scene, "root") is None or not cameras:
         return []
-    spot, views = spot_of(item, root), [read_camera(camera, root) for camera in cameras]
-    sights = best_sights(views, spot.center, spot.axes, _surface(bpy_scene))
+    frame = scene_frame(bpy_scene)
+    fruit, views = fruit_ellipsoid(item, frame), [read_camera(camera, frame) for camera in cameras]
+    sights = best_sights(views, fruit.center, fruit.axes, _surface(bpy_scene))
     return [(cameras[sight.index], sight) for sight in sights]
 
 
@@ -65,7 +67,11 @@ class _Look:
         """Show the view of the best camera (None), or of the one this many places after the current one."""
         item = active_fruit(context)
         assert item is not None
-        sights = fruit_sights(context.scene, item)
+        try:
+            sights = fruit_sights(context.scene, item)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         if not sights:
             self.report({"WARNING"}, f"{item.name} is hidden in all photos")
             return {"CANCELLED"}

@@ -13,13 +13,14 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ...engine.errors import CountingError
+from ...engine.errors import CountingError, FruitLangsError
 from ..blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
 from ..data.fruit_objects import (
     CONFIRMED,
     REJECTED,
     REVIEW,
     fruit_collection,
+    fruit_frame,
     give_members,
     judge,
     make_fruit,
@@ -34,8 +35,8 @@ from ..data.fruit_objects import (
 from ..data.manual_edits import remember_fruit
 from ..data.stored_review import keep_corrections
 from ..data.write_fruits import label_fruit
-from ..data.write_root import world_scale
 from ..jobs.jobs import busy, describe_error, editing
+from ..scene_frame import scene_frame
 from ..tools.pick_tool import PickTool
 from ..viewport.viewport import look_at_point, shown_screens
 
@@ -115,9 +116,8 @@ class Judgement:
 
 
 def _spots(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> list[Spot]:
-    root = owned_object(context.scene, "root")
-    assert root is not None
-    return [spot_of(item, root) for item in items]
+    frame = fruit_frame(context.scene)
+    return [spot_of(item, frame) for item in items]
 
 
 class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
@@ -333,13 +333,21 @@ class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
                 f"{item.name} is in no collection of this view layer. Enable its collection in the Outliner",
             )
             return {"CANCELLED"}
-        root = owned_object(context.scene, "root")
-        if root is not None:
-            spot = spot_of(item, root)
-            place = root.matrix_world @ Vector(spot.center)
-            look_at_point(shown_screens(context, context.scene), place, CLOSE * spot.diameter * world_scale(root))
+        if owned_object(context.scene, "root") is not None:
+            try:
+                _look_at_fruit(context, item)
+            except FruitLangsError as error:
+                self.report({"WARNING"}, str(error))
+                return {"FINISHED"}
         self.report({"INFO"}, f"{item.name}: probability {item.get('probability', 1.0):.2f}")
         return {"FINISHED"}
+
+
+def _look_at_fruit(context: bpy.types.Context, item: bpy.types.Object) -> None:
+    frame = scene_frame(context.scene)
+    spot = spot_of(item, frame)
+    place = frame.to_world @ Vector(spot.center)
+    look_at_point(shown_screens(context, context.scene), place, CLOSE * spot.diameter * frame.world_scale)
 
 
 def uncertain(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import bpy
 from mathutils import Vector
 
+from ...engine.errors import FruitLangsError
 from ...engine.report.words import place
-from ..blender_data import owned_object
 from ..data.stored_audit import read_audit
-from ..data.write_root import world_scale
+from ..scene_frame import scene_frame
 from ..viewport.viewport import look_at_point, shown_screens
 from .review import CLOSE, has_root, usual_diameter
 
@@ -30,7 +30,11 @@ class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
         return context.scene is not None and has_root(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        center = cluster_center(context.scene, self.cluster)
+        try:
+            center = cluster_center(context.scene, self.cluster)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         if center is None:
             self.report({"WARNING"}, f"The audit of this count has no position for cluster {self.cluster}")
             return {"CANCELLED"}
@@ -39,17 +43,21 @@ class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
 
 
 def cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
-    """The position of the cluster with that number in the world; None if the audit has none."""
-    root = owned_object(bpy_scene, "root")
+    """The position of the cluster with that number in the world; None if the audit has none.
+
+    Raises:
+        SceneError: the scene frame is unknown.
+    """
     centers = [place(entry) for entry in read_audit(bpy_scene) if entry.cluster == cluster]
-    return None if root is None or not centers or centers[0] is None else root.matrix_world @ Vector(centers[0])
+    if not centers or centers[0] is None:
+        return None
+    return scene_frame(bpy_scene).to_world @ Vector(centers[0])
 
 
 def usual_size(bpy_scene: bpy.types.Scene) -> float:
     """The diameter of fruit in the world; without fruit, an estimate from the size of the scene."""
-    root = owned_object(bpy_scene, "root")
-    assert root is not None
-    return (usual_diameter(bpy_scene) or 0.5 * root.empty_display_size) * world_scale(root)
+    frame = scene_frame(bpy_scene)
+    return (usual_diameter(bpy_scene) or 0.5 * frame.root.empty_display_size) * frame.world_scale
 
 
 CLASSES = (FRUITLANGS_OT_look_at_cluster,)

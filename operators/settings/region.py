@@ -15,7 +15,6 @@ from mathutils import Matrix, Vector
 
 from ...engine.errors import ConfigError
 from ..blender_data import (
-    in_scene_frame,
     new_object,
     owned_collection,
     owned_object,
@@ -24,6 +23,7 @@ from ..blender_data import (
     select_only,
 )
 from ..jobs.jobs import busy, linked
+from ..scene_frame import in_world, scene_frame
 
 if TYPE_CHECKING:
     from ...engine.config import CountConfig
@@ -39,13 +39,15 @@ def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
 
     Raises:
         ConfigError: the box is tilted or flat.
+        SceneError: the scene frame is unknown.
     """
-    box, root = owned_object(bpy_scene, "region"), owned_object(bpy_scene, "root")
-    if box is None or root is None:
+    box = owned_object(bpy_scene, "region")
+    if box is None or owned_object(bpy_scene, "root") is None:
         return config
-    up = np.array(root.matrix_basis.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0)))
+    frame = scene_frame(bpy_scene)
+    up = np.array(frame.from_world().to_3x3() @ Vector((0.0, 0.0, 1.0)))
     up /= np.linalg.norm(up)
-    placed = in_scene_frame(box, root)
+    placed = frame.of(box)
     axis = np.array(placed.to_3x3().col[2])
     size = min(column.length for column in placed.to_3x3().col)
     if size < 1e-9:
@@ -80,7 +82,7 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         bpy_scene, root = context.scene, owned_object(context.scene, "root")
         assert root is not None
-        middle, half = around(bpy_scene, root)
+        middle, half = around(bpy_scene)
         box = new_object("Region", None, "region", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
         box.empty_display_type = "CUBE"
         stand_upright(box, root, middle, half)
@@ -96,16 +98,22 @@ def stand_upright(box: bpy.types.Object, root: bpy.types.Object, middle: Vector,
     box.matrix_basis = Matrix.LocRotScale(middle, box.matrix_basis.to_quaternion(), half)
 
 
-def around(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[Vector, Vector]:
+def around(bpy_scene: bpy.types.Scene) -> tuple[Vector, Vector]:
     """Centre and half sides, in the world, of a box around the fruit, else around what the cameras look at."""
     # From the set values, not evaluated ones: a new object has no matrix_world yet.
-    fruit = [root.matrix_basis @ item.matrix_basis.translation for item in owned_objects(bpy_scene, "fruit")]
+    fruit = [in_world(item) @ _middle(item) for item in owned_objects(bpy_scene, "fruit")]
     if len(fruit) > 1:
         low, high = (Vector(side(place[axis] for place in fruit) for axis in range(3)) for side in (min, max))
         return (low + high) / 2.0, (high - low) * 0.55 + Vector((1e-3, 1e-3, 1e-3)) * (high - low).length
-    cameras = [root.matrix_basis @ item.matrix_basis.translation for item in owned_objects(bpy_scene, "camera")]
+    cameras = [in_world(item).translation for item in owned_objects(bpy_scene, "camera")]
     reach = max((place.xy.length for place in cameras), default=2.0) / 2.0
     return Vector((0.0, 0.0, reach)), Vector((reach, reach, reach))
+
+
+def _middle(item: bpy.types.Object) -> Vector:
+    """The middle of the mesh of an object, in its own coordinates: not its origin after Apply Transform."""
+    corners = [Vector(corner) for corner in item.bound_box]
+    return sum(corners, Vector()) / len(corners)
 
 
 class FRUITLANGS_OT_remove_region(bpy.types.Operator):

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 import bpy
 from mathutils import Matrix, Vector
 
+from ...engine.errors import SceneError
 from ..blender_data import array, owned_object
 from ..data.write_gaussians import REACH
 from ..data.write_root import GROUND, looked_at, root_matrix
 from ..drawing import splat_drawing
 from ..jobs.jobs import JobOperator, busy, linked
 from ..jobs.target_scene import find_scene
+from ..scene_frame import scene_frame
 from ..settings.settings import (
     given_settings,
     imported_file,
@@ -49,7 +51,7 @@ class Preview:
         root = owned_object(bpy_scene, "root")
         other = is_of_another(bpy_scene.fruitlangs, source)
         self._scene = bpy_scene.session_uid
-        self._root: Any = None if root is None or other else root.matrix_world.copy()
+        self._root: Any = None if root is None or other else _to_world(bpy_scene)
         self._ground = None if other or GROUND not in bpy_scene else list(bpy_scene[GROUND])
         self._latest: tuple[Splats, Scene] | None = None
         self._shown: Splats | None = None
@@ -88,6 +90,14 @@ class Preview:
     def remove(self) -> None:
         """Draw the Gaussians of the .blend again."""
         splat_drawing.show_preview(self._scene, None)
+
+
+def _to_world(bpy_scene: bpy.types.Scene) -> Matrix | None:
+    """From the shown scene's frame to the world; None if its objects were moved apart."""
+    try:
+        return scene_frame(bpy_scene).to_world
+    except SceneError:
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,11 +11,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engine.errors import SceneError
 from ...engine.report.words import count_text, length_unit, location_text, nothing_found, three_digits, trained_text
 from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_fruits import counted
-from ..data.stored_review import keep_corrections, keep_decisions
+from ..data.stored_review import keep_decisions, keep_last_corrections
 from ..data.write import SET_ID, write_result
 from ..data.write_cameras import write_cameras
 from ..data.write_gaussians import asked_words, write_gaussians
@@ -96,7 +97,7 @@ def show_reconstruction(
 
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Show everything about a count."""
-    notices = [*_enter(bpy_scene, result.origin), *keep_corrections(bpy_scene)]
+    notices = [*_enter(bpy_scene, result.origin), *keep_last_corrections(bpy_scene)]
     first = owned_object(bpy_scene, "root") is None
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
@@ -115,7 +116,10 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
 
 def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
     """(N,) the fruit of each shown Gaussian; None if the Gaussians or their scale have changed."""
-    found = gaussian_attributes(bpy_scene, "position", "fruit_id")
+    try:
+        found = gaussian_attributes(bpy_scene, "position", "fruit_id")
+    except SceneError:
+        return None
     if found is None or not np.array_equal(found[0], array(made.gaussians.means)):
         return None
     return found[1] if np.isclose(metres_per_unit(bpy_scene) or 0.0, made.scene.metres_per_unit or 0.0) else None

@@ -9,7 +9,7 @@ import bpy
 
 from ..blender_data import owned_object, owned_objects, remove_objects
 from ..data.stored_audit import AUDIT
-from ..data.stored_review import keep_corrections, kept_text
+from ..data.stored_review import keep_last_corrections, kept_text
 from ..data.write import SET_ID
 from ..data.write_root import GROUND
 from ..settings.settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
@@ -65,7 +65,7 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
 
 def forget_count(bpy_scene: bpy.types.Scene) -> None:
     """Remove the fruit and the answer with their texts in the panel; decisions stay in the log."""
-    keep_corrections(bpy_scene)
+    keep_last_corrections(bpy_scene)
     remove_objects(owned_objects(bpy_scene, "fruit"))
     settings = bpy_scene.fruitlangs
     settings.review.known.clear()

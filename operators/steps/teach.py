@@ -14,9 +14,19 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ..blender_data import owned_object
-from ..data.fruit_objects import ADDED, CONFIRMED, REJECTED, REVIEW, fruit_collection, is_made, members, spot_of
-from ..data.write_root import world_scale
+from ..data.fruit_objects import (
+    ADDED,
+    CONFIRMED,
+    REJECTED,
+    REVIEW,
+    fruit_collection,
+    fruit_frame,
+    is_made,
+    members,
+    spot_of,
+)
 from ..jobs.jobs import busy, describe_error, linked
+from ..scene_frame import scene_frame
 from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
 from ..tools.pick_tool import PickTool
@@ -104,9 +114,13 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        settings, root = context.scene.fruitlangs, owned_object(context.scene, "root")
+        settings = context.scene.fruitlangs
         known = {example.source for example in settings.teach.examples}
-        assert root is not None
+        try:
+            frame = fruit_frame(context.scene)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         alone = []
         for item in reviewed(context.scene):
             source = f"fruit {item.get('id', 0)}"
@@ -116,7 +130,7 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
                 alone.append(source)
                 continue
             positive = item.get(REVIEW) != REJECTED
-            add_example(settings, spot_of(item, root).center, positive=positive, source=source)
+            add_example(settings, spot_of(item, frame).center, positive=positive, source=source)
         if alone:
             reason = "found in the photos alone, so there are no Gaussians to learn from"
             self.report({"WARNING"}, f"Not added: {', '.join(alone)}, {reason}")
@@ -168,12 +182,15 @@ class FRUITLANGS_OT_look_at_example(Listed, bpy.types.Operator):
     bl_description = "Move the viewport to the selected example"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        teach, root = context.scene.fruitlangs.teach, owned_object(context.scene, "root")
-        if root is None:
+        teach = context.scene.fruitlangs.teach
+        try:
+            frame = scene_frame(context.scene)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        place = root.matrix_world @ Vector(teach.examples[teach.active].place)
+        place = frame.to_world @ Vector(teach.examples[teach.active].place)
         spread = float(means_of(context.scene).std(axis=0).mean()) if owned_object(context.scene, "gaussians") else 1.0
-        distance = world_scale(root) * DISTANCE * spread
+        distance = frame.world_scale * DISTANCE * spread
         look_at_point(shown_screens(context, context.scene), place, distance)
         return {"FINISHED"}
 

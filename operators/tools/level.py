@@ -10,8 +10,10 @@ import numpy as np
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
-from ..blender_data import in_scene_frame, owned_object, owned_objects
+from ...engine.errors import FruitLangsError
+from ..blender_data import owned_object, owned_objects
 from ..data.write_root import GROUND
+from ..scene_frame import SceneFrame, scene_frame
 from ..settings.region import stand_upright
 from ..viewport.viewport import look_at_scene, shown_screens
 from .pick_tool import PickTool
@@ -56,11 +58,15 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy_scene, root = context.scene, owned_object(context.scene, "root")
-        assert root is not None
+        bpy_scene = context.scene
+        try:
+            frame = scene_frame(bpy_scene)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         points = np.array(self.points, np.float64).reshape(3, 3)
         cameras = owned_objects(bpy_scene, "camera")
-        above = np.mean([item.matrix_basis.translation for item in cameras], axis=0) if cameras else points[0]
+        above = np.mean([frame.of(item).translation for item in cameras], axis=0) if cameras else points[0]
         up = plane_up(points, above)
         if up is None:
             self.report({"ERROR"}, "The three points lie on a line. Click on three points that form a triangle")
@@ -68,20 +74,20 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         bpy_scene.fruitlangs.config.scene.up = up.tolist()
         bpy_scene[GROUND] = points.mean(axis=0).tolist()
         box = owned_object(bpy_scene, "region")
-        place = None if box is None else in_scene_frame(box, root).translation
-        level(root, up, points.mean(axis=0))
+        place = None if box is None else frame.of(box).translation
+        level(frame, up, points.mean(axis=0))
         if box is not None and place is not None:
-            stand_upright(box, root, root.matrix_basis @ place, box.matrix_basis.to_scale())
+            stand_upright(box, frame.root, frame.to_world @ place, box.matrix_basis.to_scale())
         look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
         self.report({"INFO"}, "The ground is level, at height 0. The next count uses it")
         return {"FINISHED"}
 
 
-def level(root: bpy.types.Object, up: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
+def level(frame: SceneFrame, up: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
     """Rotate the root so that `up` (3,) points to +Z and the point `ground` (3,) of the scene is at height 0."""
-    turned = root.matrix_basis.to_3x3() @ Vector(up.tolist())
+    root, turned = frame.root, frame.to_world.to_3x3() @ Vector(up.tolist())
     root.matrix_basis = turned.rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4() @ root.matrix_basis
-    height = (root.matrix_basis @ Vector(ground.tolist())).z
+    height = (frame.to_world @ Vector(ground.tolist())).z
     root.matrix_basis = Matrix.Translation((0.0, 0.0, -height)) @ root.matrix_basis
 
 

@@ -11,10 +11,12 @@ from bpy_extras import view3d_utils
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ...engine.errors import FruitLangsError
 from ...engine.language.teaching.ray_hits import pick_point, pick_surface
-from ..blender_data import get_attribute, owned_object
+from ..blender_data import get_attribute, owned_object, point_positions
 from ..jobs.active_tool import begin_waiting, end_waiting, is_waiting
 from ..jobs.jobs import LEAVE_EDITING, busy, linked, show_status
+from ..scene_frame import scene_frame
 from ..viewport.viewport import Drawing, redraw_viewports
 
 REACH_PIXELS = 12
@@ -29,23 +31,26 @@ MARK_SHADER = "POINT_UNIFORM_COLOR" if bpy.app.version >= (4, 5, 0) else "UNIFOR
 
 class Target3D:
     """The pickable data of a Blender scene, in the scene frame: the Gaussians, or the sparse points before there are
-    any."""
+    any.
+
+    Raises:
+        SceneError: the scene frame is unknown, or the points were moved within their mesh.
+    """
 
     def __init__(self, bpy_scene: bpy.types.Scene) -> None:
-        root = owned_object(bpy_scene, "root")
         item = owned_object(bpy_scene, "gaussians")
         self.surface = item is not None
         item = item or owned_object(bpy_scene, "points")
-        assert root is not None
         assert item is not None
-        self.to_world = root.matrix_world.copy()
+        frame = scene_frame(bpy_scene)
+        self.to_world, self._from_world = frame.to_world, frame.from_world()
         names = ("scale", "quaternion", "opacity") if self.surface else ()
-        self._means = get_attribute(item.data, "position")
+        self._means = point_positions(item)
         self._rest = [get_attribute(item.data, name) for name in names]
 
     def hit(self, region: Any, view: Any, place: Sequence[float]) -> NDArray[np.float64] | None:
         """(3,) the point under a click at `place`, pixels of the region; None if there is none."""
-        back = self.to_world.inverted()
+        back = self._from_world
         self.direction = np.zeros(3)
         start = view3d_utils.region_2d_to_origin_3d(region, view, place)
         along = view3d_utils.region_2d_to_vector_3d(region, view, place)
@@ -104,7 +109,11 @@ class PickTool:
         if context.mode != "OBJECT":
             self.report({"ERROR"}, LEAVE_EDITING)
             return {"CANCELLED"}
-        self._target3d = Target3D(context.scene)
+        try:
+            self._target3d = Target3D(context.scene)
+        except FruitLangsError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         self._points: list[NDArray[np.float64]] = []
         self._area_pointer = context.area.as_pointer()
         self._scene = context.scene.session_uid

@@ -8,7 +8,8 @@ from typing import Any, Literal
 import bpy
 from mathutils import Vector
 
-from ..blender_data import areas_of, owned_object, owned_objects
+from ..blender_data import areas_of, owned_objects
+from ..scene_frame import in_world
 
 
 class Drawing:
@@ -59,10 +60,7 @@ def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
 
 def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scene) -> None:
     """Turn viewports to what the photos' cameras look at, from their distance."""
-    root = owned_object(bpy_scene, "root")
-    if root is not None:
-        cameras = owned_objects(bpy_scene, "camera")
-        look_from_around(screens, [root.matrix_basis @ item.matrix_basis.translation for item in cameras])
+    look_from_around(screens, [in_world(item).translation for item in owned_objects(bpy_scene, "camera")])
 
 
 def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vector]) -> None:

@@ -57,6 +57,7 @@ LAYERS = (
     ("engine/block",),
     # What Blender does.
     ("operators/blender_data", "operators/package_folder"),
+    ("operators/scene_frame",),
     ("operators/jobs", "operators/viewport"),
     ("operators/settings",),
     ("operators/packages", "operators/data"),

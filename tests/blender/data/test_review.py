@@ -12,13 +12,14 @@ from mathutils import Vector
 
 from fruitlangs.engine.counting.accounts.review import replay
 from fruitlangs.engine.counting.fruit import KIND_TEXTS
-from fruitlangs.engine.errors import CountingError
+from fruitlangs.engine.errors import SceneError
 from fruitlangs.fruitlangs_addon.panels.fruit_list import KIND_ICONS, cells, head, is_shown, ranks, sign_of
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
 from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, spot_of, standing
 from fruitlangs.operators.data.read_fruits import read_fruits
 from fruitlangs.operators.data.stored_review import entry_text, keep_corrections, review_line
+from fruitlangs.operators.scene_frame import scene_frame
 from fruitlangs.operators.steps.show_result import show_result
 
 
@@ -147,8 +148,8 @@ def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
 
 
 def test_an_added_fruit_stays_one_when_it_was_rejected_and_reopened(shown):
-    root = owned_object(shown, "root")
-    counted = [spot_of(item, root) for item in owned_objects(shown, "fruit")]
+    frame = scene_frame(shown)
+    counted = [spot_of(item, frame) for item in owned_objects(shown, "fruit")]
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     before = review_line(shown)
     bpy.ops.fruitlangs.reject_fruit()
@@ -261,7 +262,7 @@ def test_without_the_scenes_root_nothing_is_decided_and_an_export_says_what_is_g
     bpy.data.objects.remove(owned_object(shown, "root"))
     for name in ("confirm_fruit", "reject_fruit", "add_fruit", "reopen_fruit"):
         assert not getattr(bpy.ops.fruitlangs, name).poll()
-    with pytest.raises(CountingError, match="root empty was deleted"):
+    with pytest.raises(SceneError, match="root empty was deleted"):
         read_fruits(shown)
 
 

@@ -28,6 +28,7 @@ from fruitlangs.operators.photos import photo_backgrounds
 from fruitlangs.operators.photos.best_photo import fruit_sights
 from fruitlangs.operators.photos.photo_backgrounds import PROBLEM, background_of, is_awaited, photo_cover, show_photo
 from fruitlangs.operators.photos.photo_choice import MOST, Surface, _outline, best_sights
+from fruitlangs.operators.scene_frame import scene_frame
 from fruitlangs.operators.steps.show_result import show_result, show_scene
 
 RADIUS = 0.1
@@ -143,9 +144,9 @@ def shown(extension, counted_balls):
 
 
 def test_cameras_read_back_are_those_that_were_written(shown, counted_balls):
-    root = owned_object(shown, "root")
+    frame = scene_frame(shown)
     for item, camera in zip(owned_objects(shown, "camera"), counted_balls.scene.cameras, strict=True):
-        found = read_camera(item, root)
+        found = read_camera(item, frame)
         np.testing.assert_allclose(found.K, camera.K, atol=1e-3)
         np.testing.assert_allclose(found.world_to_camera, camera.world_to_camera, atol=1e-5)
 
@@ -153,7 +154,7 @@ def test_cameras_read_back_are_those_that_were_written(shown, counted_balls):
 def test_uneven_pixels_and_shifts_are_read_back(extension, counted, result_of, tmp_path):
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
     item = owned_objects(bpy.context.scene, "camera")[3]
-    found = read_camera(item, owned_object(bpy.context.scene, "root"))
+    found = read_camera(item, scene_frame(bpy.context.scene))
     np.testing.assert_allclose(found.K, counted.scene.cameras[3].K, atol=1e-3)
 
 

@@ -11,8 +11,9 @@ from mathutils import Matrix, Vector
 
 from fruitlangs.engine.counting.regions.region import region_of
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.operators.blender_data import in_scene_frame, owned_object, owned_objects
+from fruitlangs.operators.blender_data import owned_object, owned_objects
 from fruitlangs.operators.data.write_root import write_root
+from fruitlangs.operators.scene_frame import scene_frame
 from fruitlangs.operators.settings.region import in_region
 from fruitlangs.operators.settings.settings import read_config
 from fruitlangs.operators.steps.show_result import show_result
@@ -125,11 +126,11 @@ def test_a_tilted_or_flat_box_is_an_error_that_says_what_to_do(shown):
 
 def test_a_box_stays_upright_where_it_is_in_the_scene_when_the_ground_is_set(shown):
     bpy.ops.fruitlangs.add_region()
-    box, root = owned_object(shown, "region"), owned_object(shown, "root")
+    box = owned_object(shown, "region")
     box.rotation_euler.z = 0.4
-    before = in_scene_frame(box, root)
+    before = scene_frame(shown).of(box)
     bpy.ops.fruitlangs.set_ground(points=(0.0, 1.0, 0.2, 2.0, 1.0, 0.5, 0.0, 3.0, 0.1))
-    after = in_scene_frame(box, root)
+    after = scene_frame(shown).of(box)
     np.testing.assert_allclose(after.translation, before.translation, atol=1e-5)
     np.testing.assert_allclose(after.to_scale(), before.to_scale(), rtol=1e-5)
     assert read_config(shown.fruitlangs).count.polygon is not None
