@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import _checkout  # noqa: F401
+from _checkout import ROOT
 
 from _help import parsed
 from _terminal import arguments_of, import_tyro, preset_of, run, table, terminal_progress
@@ -44,7 +44,7 @@ class Arguments:
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     """Folder of photos, of a COLMAP model with images, or of a nerfstudio transforms.json; or a video."""
     out: Path | None = None
-    """Folder for the contact sheet; by default a folder SCENE-check in the current one."""
+    """Folder for the contact sheet; by default a folder SCENE-check next to SCENE."""
     preset: Preset = "standard"
     """Training settings that the expected time is for: quick, standard or paper."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -75,12 +75,19 @@ def main() -> None:
     from fruitlangs.engine.photo_check.sheet import sheet_folder, write_sheet
 
     folder = sheet_folder(arguments.source, arguments.out)
+    if arguments.out is None:
+        folder = outside_checkout(folder)
     config = Config(scene=arguments.scene, photos=arguments.photos, train=arguments.train)
     check = check_photos(arguments.source, config, progress=terminal_progress())
     print("\n".join(report_lines(arguments.source, check)))
     if check.photos:
         write_sheet(folder / SHEET, check)
         print(f"\nwritten:\n  {folder / SHEET}")
+
+
+def outside_checkout(folder: Path) -> Path:
+    """The folder, or one in `results`, which no build takes files from, if it is inside the checkout."""
+    return ROOT / "results" / folder.name if folder.is_relative_to(ROOT) else folder
 
 
 def parse() -> Arguments:

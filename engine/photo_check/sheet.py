@@ -34,13 +34,19 @@ def write_sheet(path: Path, check: PhotoCheck) -> None:
 
 
 def sheet_folder(source: Path, out: Path | None = None) -> Path:
-    """The folder of the contact sheet: `out`, or SOURCE-check in the current folder.
+    """The folder of the contact sheet: `out`, or SOURCE-check next to the source.
 
     Raises:
-        OutputError: it is inside the folder of the photos, where a later run would take the sheet for a photo.
+        OutputError: it is inside the folder of the photos, where a later run would take the sheet for a photo, or the
+            source is a whole drive, next to which there is nothing.
     """
     scene = source.resolve()
-    folder = (out or Path(f"{scene.stem if scene.is_file() else scene.name}-check")).resolve()
+    if scene.suffix.lower() == ".json":
+        scene = scene.parent
+    if out is None and not scene.name:
+        raise OutputError(f"{scene} is a whole drive. Use --out with a folder for the contact sheet")
+    name = scene.stem if scene.is_file() else scene.name
+    folder = scene.parent / f"{name}-check" if out is None else out.resolve()
     if scene.is_dir() and folder.is_relative_to(scene):
         raise OutputError(f"{folder} is inside the folder of the photos. Use --out with another folder")
     return folder

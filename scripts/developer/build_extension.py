@@ -124,7 +124,7 @@ def read_manifest() -> dict:
 def own_files(manifest: Mapping) -> dict[str, Path | bytes]:
     """{name in the zip: file} of this project's own."""
     found = included_files(ROOT, manifest["build"]["paths_exclude_pattern"])
-    return {file.relative_to(ROOT).as_posix(): file for file in found}
+    return {file.relative_to(ROOT).as_posix(): file for file in [*found, ROOT / MANIFEST]}
 
 
 def manifest_with_wheels(text: str, wheels: Sequence[str], series: BlenderSeries, platform: str) -> str:
@@ -216,7 +216,8 @@ def contents_table(path: Path) -> str:
 
 
 def included_files(root: Path, patterns: list[str]) -> list[Path]:
-    """Files below `root` that no pattern excludes, sorted. Excluded folders are not entered."""
+    """Files below `root` that the patterns do not exclude, sorted. Excluded folders are not entered, links are not
+    followed: Blender does the same."""
     files = []
     for path in sorted(root.iterdir()):
         files += _included(path, root, patterns)
@@ -224,15 +225,20 @@ def included_files(root: Path, patterns: list[str]) -> list[Path]:
 
 
 def _included(path: Path, root: Path, patterns: list[str]) -> list[Path]:
-    relative = path.relative_to(root).as_posix()
-    if any(excludes(pattern, relative, path.is_dir()) for pattern in patterns):
+    if path.is_symlink() or excluded(path.relative_to(root).as_posix(), path.is_dir(), patterns):
         return []
     if path.is_dir():
         return [file for child in sorted(path.iterdir()) for file in _included(child, root, patterns)]
     return [path]
 
 
-def excludes(pattern: str, relative: str, is_folder: bool) -> bool:
+def excluded(relative: str, is_folder: bool, patterns: Sequence[str]) -> bool:
+    """Whether a path is left out: a pattern matches it, and none that begins with ! does, wherever it stands."""
+    kept = any(matches(pattern[1:], relative, is_folder) for pattern in patterns if pattern.startswith("!"))
+    return not kept and any(matches(pattern, relative, is_folder) for pattern in patterns if pattern[:1] != "!")
+
+
+def matches(pattern: str, relative: str, is_folder: bool) -> bool:
     """Whether a pattern, in the manifest's gitignore-like notation, matches this path.
 
     A leading slash anchors it to the root, a trailing one matches folders; otherwise it matches a name at any depth.

@@ -113,9 +113,13 @@ def absolute_imports(path: Path) -> set[str]:
     return names
 
 
+OWN = ("benchmarks", "engine", "fitting", "fruitlangs_addon", "operators", "orchard", "scripts", "tests")
+"""Folders of the project's code. Others in the checkout are environments, results or files of users."""
+
+
 def tracked(path: Path) -> bool:
-    """Whether a file is the project's own: not of an environment or a result in the checkout."""
-    return path.relative_to(ROOT).parts[0] not in (".venv", ".types", "results", "dist", "build")
+    """Whether a file is the project's own."""
+    return path.relative_to(ROOT).parts[0] in (*OWN, "__init__.py")
 
 
 def relative_name(path: Path) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
+
+from fruitlangs.engine.photo_check.sheet import sheet_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "examples" / "orchard_tree"
@@ -41,12 +44,21 @@ def test_findings_are_printed_with_what_to_do_and_are_not_an_error(photos: Path,
     assert "005.jpg" in text
 
 
-def test_the_contact_sheet_is_in_a_folder_next_to_where_the_command_runs(photos: Path, tmp_path: Path) -> None:
+def test_the_contact_sheet_is_in_a_folder_next_to_the_photos(photos: Path, tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
     before = sorted(photos.iterdir())
-    done = check(photos, cwd=tmp_path)
+    done = check(photos, cwd=tmp_path / "here")
     assert done.returncode == 0, done.stderr
     assert Image.open(tmp_path / "tree-check" / "contact_sheet.jpg").width > 1000
     assert sorted(photos.iterdir()) == before
+    assert list((tmp_path / "here").iterdir()) == []
+
+
+def test_the_contact_sheet_of_the_sample_is_not_among_the_files_of_the_checkout(tmp_path: Path) -> None:
+    check_photos = importlib.import_module("check_photos")
+    inside = sheet_folder(SAMPLE)
+    assert check_photos.outside_checkout(inside) == ROOT / "results" / "orchard_tree-check"
+    assert check_photos.outside_checkout(tmp_path / "tree-check") == tmp_path / "tree-check"
 
 
 def test_a_folder_inside_that_of_the_photos_is_refused(photos: Path) -> None:

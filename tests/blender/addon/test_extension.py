@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import re
 import subprocess
@@ -87,6 +87,89 @@ def test_zip_holds_the_code_and_none_of_the_rest(zip_path):
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
 
 
+STRANGERS = [
+    "tree7-check/contact_sheet.jpg", "photos/IMG_1.jpg", "tree7_fruit/fruits.json", "IMG_2.jpg", "notes.txt", "mine.py",
+    "my tools/code.py", ".cache/photo.jpg", "engine/IMG_3.jpg", "engine/mine/code.py", "engine/mine/photo.jpg",
+    "engine/._config.py", "engine/counting/accounts/fruits.json", "engine/language/encoders/weights/mine/a.png",
+    "operators/results/fruits.json", "operators/steps/contact_sheet.jpg", "fruitlangs_addon/panels/photos/IMG_4.jpg",
+    "LICENSES/IMG_5.jpg", "engine/__pycache__/config.cpython-311.pyc", "docs/engine/config.py",
+]  # fmt: skip
+"""Files of users in a checkout."""
+
+
+def blender_patterns():
+    """Blender's own reading of patterns."""
+    folders = importlib.util.find_spec("bpy").submodule_search_locations if importlib.util.find_spec("bpy") else []
+    found = [
+        file for folder in folders for file in Path(folder).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
+    ]
+    if not found:
+        pytest.skip("the bpy module, whose extension builder is asked, is not installed")
+    spec = importlib.util.spec_from_file_location("blender_ext", found[0])
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.PathPatternMatch
+
+
+def packed_by_blender(root: Path, patterns: list[str]) -> list[str]:
+    """The files below a folder that Blender packs, besides the manifest."""
+    excluded = blender_patterns()(patterns)
+
+    def below(folder: Path) -> list[Path]:
+        kept = []
+        for path in folder.iterdir():
+            name = path.relative_to(root).as_posix()
+            if not excluded.test_path(name + "/" if path.is_dir() else name):
+                kept += below(path) if path.is_dir() else [path]
+        return kept
+
+    return sorted(path.relative_to(root).as_posix() for path in below(root))
+
+
+@pytest.fixture
+def visited(tmp_path):
+    """A checkout in which users left files, and the names of the project's own."""
+    build_extension = importlib.import_module("build_extension")
+    own = [name for name in build_extension.own_files(manifest()) if name != "blender_manifest.toml"]
+    root = tmp_path / "visited"
+    for name in own + STRANGERS:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(name)
+    (root / "engine" / "linked.py").symlink_to(root / "mine.py")
+    return root, sorted(own)
+
+
+def test_what_users_leave_in_the_checkout_is_in_no_zip(visited):
+    root, own = visited
+    patterns = manifest()["build"]["paths_exclude_pattern"]
+    found = importlib.import_module("build_extension").included_files(root, patterns)
+    assert sorted(path.relative_to(root).as_posix() for path in found) == own
+
+
+def test_blender_leaves_out_what_users_leave_in_the_checkout_too(visited):
+    root, own = visited
+    (root / "engine" / "linked.py").unlink()  # Blender skips links before it reads patterns
+    assert packed_by_blender(root, manifest()["build"]["paths_exclude_pattern"]) == own
+
+
+def test_the_manifest_allows_the_folders_of_the_package_and_their_files(zip_path):
+    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    packages = {name.removeprefix("fruitlangs.").replace(".", "/") for name in tools["packages"]}
+    tops = ("engine", "operators", "fruitlangs_addon")
+    expected = {name for name in packages if name.split("/")[0] in tops}
+    data = {
+        file.relative_to(ROOT).as_posix()
+        for package, patterns in tools["package-data"].items()
+        for pattern in patterns
+        for file in ROOT.joinpath(*package.split(".")[1:]).glob(pattern)
+    }
+    allowed = {each[2:] for each in manifest()["build"]["paths_exclude_pattern"] if each.startswith("!")}
+    assert {each for each in allowed if (ROOT / each).is_dir()} == expected | {"LICENSES"} | {
+        Path(name).parent.as_posix() for name in data
+    }
+    assert data <= set(zipfile.ZipFile(zip_path).namelist())
+
+
 def test_zip_holds_every_module_of_the_package(zip_path):
     names = set(zipfile.ZipFile(zip_path).namelist())
     for room in ("engine", "operators", "fruitlangs_addon"):
@@ -157,10 +240,24 @@ def test_what_a_zip_holds_is_listed_by_size(build):
         ("*.zip", "a/b.zip", False, True),
         ("/constraints*.txt", "constraints-dev.txt", False, True),
         ("/constraints*.txt", "engine/constraints.txt", False, False),
+        ("*", "engine/config.py", False, True),
+        ("/engine/[!.]*.py", "engine/config.py", False, True),
+        ("/engine/[!.]*.py", "engine/._config.py", False, False),
+        ("/engine/[!.]*.py", "engine/scene/read.py", False, False),
+        ("/engine/*/[!.]*.py", "engine/scene/read.py", False, True),
     ],
 )
-def test_excludes_read_as_blender_reads_them(pattern, path, is_folder, expected):
-    assert importlib.import_module("build_extension").excludes(pattern, path, is_folder) is expected
+def test_patterns_are_read_as_blender_reads_them(pattern, path, is_folder, expected):
+    assert importlib.import_module("build_extension").matches(pattern, path, is_folder) is expected
+    assert blender_patterns()([pattern]).test_path(path + "/" if is_folder else path) is expected
+
+
+@pytest.mark.parametrize("patterns", [["*", "!/kept"], ["!/kept", "*"]])
+def test_a_pattern_that_keeps_wins_wherever_it_stands(patterns):
+    excluded = importlib.import_module("build_extension").excluded
+    for path, expected in (("kept", False), ("other", True)):
+        assert excluded(path, True, patterns) is expected
+        assert blender_patterns()(patterns).test_path(path + "/") is expected
 
 
 @needs_blender

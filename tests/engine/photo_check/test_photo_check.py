@@ -325,6 +325,10 @@ def test_a_sheet_is_written_next_to_the_photos_and_never_among_them(tmp_path: Pa
     folder = walk(tmp_path / "walk", range(3))
     with pytest.raises(OutputError, match="inside the folder of the photos"):
         sheet_folder(folder, folder / "check")
+    assert sheet_folder(folder) == tmp_path / "walk-check"
+    assert sheet_folder(folder / "transforms.json") == tmp_path / "walk-check"
+    with pytest.raises(OutputError, match=r"is a whole drive\. Use --out"):
+        sheet_folder(Path(folder.anchor))
     path = sheet_folder(folder, tmp_path / "check") / "sheet.png"
     write_sheet(path, check(folder))
     assert Image.open(path).format == "PNG"
