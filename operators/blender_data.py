@@ -129,6 +129,14 @@ def owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
     return [item for item in scene.objects if _has_role(item, role)]
 
 
+def edited_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """An object of ours in this Blender scene that is not in Object Mode."""
+    actives = (layer.objects.active for layer in scene.view_layers)
+    if all(item is None or item.mode == "OBJECT" for item in actives):
+        return None
+    return next((item for item in scene.objects if item.mode != "OBJECT" and item.get(OWNER)), None)
+
+
 def _has_role(item: bpy.types.Object, role: Role) -> bool:
     """Whether an object is ours and has that role: not if it is linked from another file, which cannot be changed, nor
     if the user turned it into something else than a mesh."""

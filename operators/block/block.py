@@ -20,7 +20,7 @@ from ..data.fruit_objects import REVIEW, fruit_frame, metres_per_unit, read_log,
 from ..data.read_fruits import read_fruit
 from ..data.stored_review import is_reviewed, keep_corrections
 from ..data.write import SET_ID
-from ..jobs.jobs import JobOperator, Work, busy, describe_error, linked, start
+from ..jobs.jobs import JobOperator, Work, being_edited, busy, describe_error, linked, start
 from ..settings.settings import known_path, stored_path
 from ..viewport.viewport import look_at_point, show_colors, shown_screens
 from .overview import ShownResult, read_overview
@@ -53,12 +53,13 @@ class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
     bl_options = {"UNDO"}
 
     title = "Open Orchard"
+    replaces_objects = True
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls) and not linked(cls, context) and context.scene is not None
+        return not (busy(cls) or linked(cls, context) or being_edited(cls, context)) and context.scene is not None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not bpy.app.background and not self.directory and not context.scene.fruitlangs.block.folder:
@@ -139,10 +140,11 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
     bl_options = {"UNDO"}
 
     title = "Update Tables"
+    replaces_objects = True
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or context.scene is None:
+        if busy(cls) or context.scene is None or being_edited(cls, context):
             return False
         if not context.scene.fruitlangs.block.trees:
             cls.poll_message_set("Press Open Orchard first")

@@ -18,7 +18,7 @@ import bpy
 
 from ...engine.errors import Cancelled, FruitLangsError
 from ...engine.progress import Progress, duration, silent
-from ..blender_data import areas_of
+from ..blender_data import areas_of, edited_object
 from .active_tool import end_waiting
 from .preload import preload_libraries
 from .target_scene import Target
@@ -70,7 +70,7 @@ class Job:
     @property
     def remaining(self) -> float | None:
         """Estimated remaining seconds; None if unknown."""
-        if self.fraction < LEAST_FRACTION or self.seconds < LEAST_SECONDS:
+        if self.ended or self.fraction < LEAST_FRACTION or self.seconds < LEAST_SECONDS:
             return None
         return self.seconds * (1.0 - self.fraction) / self.fraction
 
@@ -155,6 +155,20 @@ def linked(operator: Any, context: bpy.types.Context) -> bool:
     return True
 
 
+def being_edited(operator: Any, context: bpy.types.Context) -> bool:
+    """Whether the user edits an object that a result replaces; the operator's poll shows that as the reason."""
+    item = None if context.scene is None else edited_object(context.scene)
+    if item is None:
+        return False
+    operator.poll_message_set(f"{_edited_text(item)}. Return to Object Mode first")
+    return True
+
+
+def _edited_text(item: bpy.types.Object) -> str:
+    """'Gaussians is in Edit Mode'."""
+    return f"{item.name} is in {item.mode.replace('_', ' ').title()} Mode"
+
+
 def editing(operator: Any, context: bpy.types.Context) -> bool:
     """Whether Blender is not in Object Mode or there is no scene of this file; the operator's poll shows that as the
     reason."""
@@ -220,6 +234,8 @@ class JobOperator:
     """
 
     title = ""
+    replaces_objects = False
+    """Whether the result replaces objects of this extension, so that it waits while the user edits one of them."""
     _target: Target
     _job: Any = None
     _asked = False
@@ -292,7 +308,7 @@ class JobOperator:
         end_waiting()
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC" and event.value == "PRESS":
+        if event.type == "ESC" and event.value == "PRESS" and not self._job.ended:
             self._job.cancel()
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
@@ -304,10 +320,23 @@ class JobOperator:
                 show_status(context, f"{self.title} {self._job.fraction:.0%}: {self._job.text}. Esc cancels")
             self.ticked(context)
             return {"PASS_THROUGH"}
-        if hands_full(context):
+        if hands_full(context) or self._waits_for_editing(context):
             return {"PASS_THROUGH"}
         self._leave(context)
         return self._conclude(context)
+
+    def _waits_for_editing(self: Any, context: bpy.types.Context) -> bool:
+        """Whether the user edits an object that the result replaces; panel and status bar say so."""
+        bpy_scene = self._target.find()
+        item = None if bpy_scene is None or not self.replaces_objects else edited_object(bpy_scene)
+        if item is None or self._job.error is not None:
+            return False
+        message = f"finished. {_edited_text(item)}: return to Object Mode to see the result"
+        if self._job.message != message:
+            self._job.message = message
+            redraw_sidebars(context)
+            show_status(context, f"{self.title} {message}")
+        return True
 
     def cancel(self: Any, context: bpy.types.Context) -> None:
         """Called by Blender when the file or the window is closed: the result cannot be shown.

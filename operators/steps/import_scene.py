@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.progress import part
-from ..jobs.jobs import JobOperator, Work, busy, linked
+from ..jobs.jobs import JobOperator, Work, being_edited, busy, linked
 from ..settings.settings import PLY, SCENE_FILES, read_config, result_folder, source_folder, stored_path
 from .show_result import report_line, show_reconstruction, show_result, show_scene
 
@@ -33,6 +33,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     bl_options = {"UNDO"}
 
     title = "Import"
+    replaces_objects = True
     _show: Callable[..., None]
 
     # The dialog gives both: the open folder, and the file chosen in it, if any.
@@ -47,7 +48,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls) and not linked(cls, context) and context.scene is not None
+        return not (busy(cls) or linked(cls, context) or being_edited(cls, context)) and context.scene is not None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not bpy.app.background and self.must_ask(context.scene.fruitlangs):

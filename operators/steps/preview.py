@@ -16,7 +16,7 @@ from ..blender_data import array, owned_object
 from ..data.write_gaussians import REACH
 from ..data.write_root import GROUND, looked_at, root_matrix
 from ..drawing import splat_drawing
-from ..jobs.jobs import JobOperator, busy, linked
+from ..jobs.jobs import JobOperator, being_edited, busy, linked
 from ..jobs.target_scene import find_scene
 from ..scene_frame import scene_frame
 from ..settings.settings import (
@@ -115,6 +115,7 @@ class Run:
 class SceneJob(JobOperator):
     """Mix-in of operators that work on the chosen scene and show the state of training; `prepare` calls `read_run`."""
 
+    replaces_objects = True
     _preview: Preview
     _out: Path
 
@@ -138,7 +139,7 @@ class SceneJob(JobOperator):
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
+        if busy(cls) or linked(cls, context) or being_edited(cls, context):
             return False
         if context.scene is None or not context.scene.fruitlangs.source:
             cls.poll_message_set("Choose a scene first")

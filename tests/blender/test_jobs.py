@@ -157,6 +157,53 @@ def test_a_result_waits_for_the_end_of_a_render(started, window, monkeypatch):
     assert asked == ["RENDER"] * 2
 
 
+@pytest.fixture
+def edited_points(extension, counted):
+    """Sparse points of ours, in Edit Mode."""
+    from fruitlangs.operators.data.write_points import write_points
+    from fruitlangs.operators.data.write_root import write_root
+
+    item = write_points(bpy.context.scene, counted.scene, write_root(bpy.context.scene, counted.scene))
+    bpy.context.view_layer.objects.active = item
+    bpy.ops.object.mode_set(mode="EDIT")
+    return item
+
+
+def test_a_result_waits_while_an_object_that_it_replaces_is_edited(started, window, monkeypatch, edited_points):
+    item = shower(started, monkeypatch)
+    item.replaces_objects = True
+    assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
+    assert item._job.text == "finished. Sparse points is in Edit Mode: return to Object Mode to see the result"
+    assert item.modal(window.context, SimpleNamespace(type="ESC", value="PRESS")) == {"PASS_THROUGH"}
+    assert not item.finished
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert item.modal(window.context, TICK) == {"FINISHED"}
+    assert item.finished == [42]
+
+
+def test_a_result_that_replaces_nothing_does_not_wait_for_an_edit(started, window, monkeypatch, edited_points):
+    assert shower(started, monkeypatch).modal(window.context, TICK) == {"FINISHED"}
+
+
+@pytest.mark.parametrize("name", ["import_scene", "reconstruct", "count", "open_block", "update_block"])
+@pytest.mark.parametrize("mode", ["EDIT", "SCULPT"])
+def test_what_replaces_objects_refuses_while_one_is_edited(edited_points, tmp_path, name, mode):
+    settings = bpy.context.scene.fruitlangs
+    settings.source = str(tmp_path)
+    settings.block.trees.add()
+    bpy.ops.object.mode_set(mode=mode)
+    with pytest.raises(RuntimeError, match=f"Sparse points is in {mode.title()} Mode. Return to Object Mode first"):
+        getattr(bpy.ops.fruitlangs, name)()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert getattr(bpy.ops.fruitlangs, name).poll()
+
+
+def test_a_mesh_of_the_user_in_edit_mode_does_not_stop_an_import(extension):
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert bpy.ops.fruitlangs.import_scene.poll()
+
+
 class Counting(Shower):
     """An operator that shows a count in the Blender scene that it works for, and waits for `hold` before it has one."""
 
