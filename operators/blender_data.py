@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..engine.errors import SceneError
@@ -207,6 +208,32 @@ def select_only(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -
     if items:
         with suppress(RuntimeError):
             context.view_layer.objects.active = items[0]
+
+
+def adopt(item: bpy.types.Object, root: bpy.types.Object) -> None:
+    """Put an object of ours whose root was deleted below the new one."""
+    if item.parent is None:
+        item.parent, item.matrix_parent_inverse, item.matrix_basis = root, Matrix(), Matrix()
+
+
+def replace_mesh(item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    """Give an object another mesh, with the name and the materials of its old one, which is deleted if unused."""
+    old, name = item.data, item.data.name
+    for material in old.materials:
+        mesh.materials.append(material)
+    item.data = mesh
+    if old.users == 0:
+        bpy.data.meshes.remove(old)
+    mesh.name = name
+
+
+def original(items: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
+    """The object of ours among these that a writer uses again; copies of it belong to the user from now on and are
+    neither replaced nor deleted."""
+    first, *copies = sorted(items, key=lambda item: (len(item.name), item.name)) or [None]
+    for item in copies:
+        del item[OWNER]
+    return first
 
 
 def remove_objects(objects: Iterable[bpy.types.Object]) -> None:

@@ -6,10 +6,13 @@ from typing import Any
 
 import bpy
 
+from ...operators.data.read_gaussians import deleted_gaussians
 from ...operators.steps.count import FRUITLANGS_OT_count
 from ...operators.steps.show_result import size_text
 from .panel_parts import StepPanel, draw_job, draw_text
 from .settings_panels import settings_panels
+
+DELETED = "Deleted Gaussians ({:,}) take part in a count and come back. To leave out a part, add a region in step 1"
 
 
 class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
@@ -20,6 +23,9 @@ class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.body(context), context.scene.fruitlangs
+        deleted = deleted_gaussians(context.scene)
+        if deleted:
+            draw_text(layout, DELETED.format(deleted), context, icon="INFO")
         if not draw_job(layout, FRUITLANGS_OT_count.title, context):
             row = layout.row()
             row.scale_y = 1.5

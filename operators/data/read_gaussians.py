@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...engine.errors import FormatError
 from ..blender_data import get_attribute, owned_object, point_positions, srgb_from_linear
 from ..viewport.splats import ANTIALIASED
+from .write_gaussians import INDEX, NUMBER
 
 if TYPE_CHECKING:
     from ...engine.splatting.gaussians import Gaussians
@@ -50,6 +51,53 @@ class StoredGaussians:
             sh=harmonics_of(self.colors.astype(np.float64)),
             antialiased=self.antialiased,
         )
+
+
+@dataclass(frozen=True)
+class Edits:
+    """What the user changed in Edit Mode since the Gaussians were written."""
+
+    deleted: int
+    moved: int
+
+    def __bool__(self) -> bool:
+        return bool(self.deleted or self.moved)
+
+    @property
+    def text(self) -> str:
+        """'12 deleted, 3 moved', or one of both."""
+        counts = ((self.deleted, "deleted"), (self.moved, "moved"))
+        return ", ".join(f"{count:,} {verb}" for count, verb in counts if count)
+
+
+def deleted_gaussians(bpy_scene: bpy.types.Scene) -> int:
+    """How many of the Gaussians that were written the user has deleted; 0 in a file of an earlier version."""
+    item = owned_object(bpy_scene, "gaussians")
+    mesh = None if item is None or item.mode == "EDIT" else item.data
+    if mesh is None or NUMBER not in mesh or INDEX not in mesh.attributes or mesh[NUMBER] == len(mesh.vertices):
+        return 0
+    return int(mesh[NUMBER]) - len(np.unique(gaussian_indices(mesh)))
+
+
+def gaussian_indices(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
+    """(M,) the number of each shown Gaussian in the reconstruction."""
+    return get_attribute(mesh, INDEX) if INDEX in mesh.attributes else np.arange(len(mesh.vertices), dtype=np.int32)
+
+
+def edits_of(bpy_scene: bpy.types.Scene, means: NDArray[np.float32]) -> Edits:
+    """The user's edits of Gaussians that are written again at means (N, 3)."""
+    stays = unmoved(bpy_scene, means)
+    return Edits(deleted_gaussians(bpy_scene), 0 if stays is None else int((~stays).sum()))
+
+
+def unmoved(bpy_scene: bpy.types.Scene, means: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """(M,) whether each shown Gaussian is where means (N, 3) has it; None if they are other Gaussians."""
+    item = owned_object(bpy_scene, "gaussians")
+    mesh = None if item is None or item.mode == "EDIT" else item.data
+    if mesh is None or mesh.get(NUMBER, len(mesh.vertices)) != len(means) or not len(mesh.vertices):
+        return None
+    same: NDArray[np.bool_] = (get_attribute(mesh, "position") == means[gaussian_indices(mesh)]).all(axis=1)
+    return same if 2 * same.sum() > len(same) else None
 
 
 def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:

@@ -2,9 +2,10 @@
 
 The attributes are the stored truth. Their names follow Blender's native splats where it has one: `scale` (standard
 deviations), `quaternion` (w, x, y, z), `radiance:base` (linear colour without view dependence); and also `opacity`,
-`probability` and `fruit_id` (-1 if the Gaussian belongs to no fruit). View-dependent colour is in `gaussians.ply`. The
-custom properties of the mesh say how they are drawn (`ANTIALIASED`) and to which prompt `probability` belongs
-(`ASKED`).
+`probability`, `fruit_id` (-1 if the Gaussian belongs to no fruit) and `gaussian_index` (its number in the
+reconstruction, so that Gaussians that the user deletes are noticed). View-dependent colour is in `gaussians.ply`. The
+custom properties of the mesh say how they are drawn (`ANTIALIASED`), to which prompt `probability` belongs (`ASKED`),
+and how many Gaussians were written (`NUMBER`).
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blender_data import (
+    adopt,
     array,
     linear_from_srgb,
     new_object,
+    original,
     owned_collection,
     owned_objects,
     point_mesh,
-    remove_objects,
+    replace_mesh,
     rgba,
     set_attribute,
 )
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
 
 ASKED = "fruitlangs_asked"
 """Custom property of the mesh: the prompt of its attribute `probability`, from `asked_words`."""
+INDEX, NUMBER = "gaussian_index", "fruitlangs_number"
+"""Attribute and custom property of the mesh: the number of each Gaussian in the reconstruction, and of all of them."""
 REACH = 1.2
 """Distance from the centre up to which Gaussians are shown, in extents of the scene (about the cameras' distance)."""
 
@@ -53,14 +58,17 @@ def write_gaussians(
     root: bpy.types.Object,
     asked: str = "",
 ) -> bpy.types.Object:
-    """Replace this Blender scene's Gaussian object.
+    """Create this Blender scene's Gaussian object, or replace the mesh of the existing one.
 
     Gaussians outside the cameras' ring (sky, distant background) are hidden by the modifier's Reach, but stay in the
     mesh. asked: the prompt of the probability, from `asked_words`.
     """
-    remove_objects(owned_objects(bpy_scene, "gaussians"))
-    mesh = gaussian_mesh(gaussians, probability, fruits)
+    own, mesh = original(owned_objects(bpy_scene, "gaussians")), gaussian_mesh(gaussians, probability, fruits)
     mesh[ASKED] = asked
+    if own is not None:
+        adopt(own, root)
+        replace_mesh(own, mesh)
+        return own
     collection = owned_collection(bpy_scene, "scene", "FruitLangs")
     item = new_object("Gaussians", mesh, "gaussians", collection, root)
     modifier = item.modifiers.new("Gaussians", "NODES")
@@ -94,6 +102,8 @@ def gaussian_mesh(
     set_attribute(mesh, "opacity", "FLOAT", array(gaussians.opacities))
     set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else array(probability))
     set_attribute(mesh, "fruit_id", "INT", member_ids(count, fruits))
+    set_attribute(mesh, INDEX, "INT", np.arange(count))
+    mesh[NUMBER] = count
     mesh[ANTIALIASED] = bool(gaussians.antialiased)
     mesh.update()
     return mesh

@@ -9,12 +9,14 @@ import bpy
 from numpy.typing import NDArray
 
 from ..blender_data import (
+    adopt,
     linear_from_srgb,
     new_object,
+    original,
     owned_collection,
     owned_objects,
     point_mesh,
-    remove_objects,
+    replace_mesh,
     rgba,
     set_attribute,
 )
@@ -28,14 +30,16 @@ RADIUS = 0.003
 
 
 def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> bpy.types.Object:
-    """Replace this Blender scene's sparse cloud: a mesh of points with their linear colour in `radiance:base`."""
-    remove_objects(owned_objects(bpy_scene, "points"))
-    radius = RADIUS * scene.extent if len(scene.cameras) else RADIUS
-    collection = owned_collection(bpy_scene, "scene", "FruitLangs")
-    item = new_object(
-        "Sparse points", colored_points("Sparse points", scene.points, scene.colors / 255.0), "points", collection, root
-    )
-    show_points(item, radius)
+    """Create this Blender scene's sparse cloud, points with their linear colour in `radiance:base`, or replace the mesh
+    of the existing one."""
+    own = original(owned_objects(bpy_scene, "points"))
+    mesh = colored_points("Sparse points", scene.points, scene.colors / 255.0)
+    if own is not None:
+        adopt(own, root)
+        replace_mesh(own, mesh)
+        return own
+    item = new_object("Sparse points", mesh, "points", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
+    show_points(item, RADIUS * scene.extent if len(scene.cameras) else RADIUS)
     return item
 
 

@@ -11,11 +11,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.errors import SceneError
 from ...engine.report.words import count_text, length_unit, location_text, nothing_found, three_digits, trained_text
 from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_fruits import counted
+from ..data.read_gaussians import edits_of, gaussian_indices, unmoved
 from ..data.stored_review import keep_decisions, keep_last_corrections
 from ..data.write import SET_ID, write_result
 from ..data.write_cameras import write_cameras
@@ -76,11 +76,16 @@ def show_reconstruction(
         forget_count(bpy_scene)
         notices.append("the earlier count was removed, because the Gaussians or their scale changed. Count again")
     first = owned_object(bpy_scene, "root") is None
+    first_gaussians = owned_object(bpy_scene, "gaussians") is None
+    edits = edits_of(bpy_scene, array(made.gaussians.means))
+    if edits:
+        notices.append(f"Edited Gaussians are as reconstructed again: {edits.text}")
     root = write_root(bpy_scene, made.scene)
     item = write_gaussians(bpy_scene, made.scene, made.gaussians, None, (), root)
     if owners is not None:
         set_attribute(item.data, "fruit_id", "INT", owners)
-    hide_points(bpy_scene)
+    if first_gaussians:
+        hide_points(bpy_scene)
     apply_appearance(bpy_scene)
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
@@ -99,9 +104,16 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
     """Show everything about a count."""
     notices = [*_enter(bpy_scene, result.origin), *keep_last_corrections(bpy_scene)]
     first = owned_object(bpy_scene, "root") is None
+    first_gaussians = owned_object(bpy_scene, "gaussians") is None
+    edits = edits_of(bpy_scene, array(result.gaussians.means))
+    if edits:
+        notices.append(
+            f"Edited Gaussians were counted as reconstructed: {edits.text}. To leave out a part, add a region in step 1"
+        )
     asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
-    hide_points(bpy_scene)
+    if first_gaussians:
+        hide_points(bpy_scene)
     apply_appearance(bpy_scene)
     bpy_scene[SET_ID] = result.set_id
     keep_result(bpy_scene.fruitlangs, result)
@@ -115,14 +127,14 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
 
 
 def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
-    """(N,) the fruit of each shown Gaussian; None if the Gaussians or their scale have changed."""
-    try:
-        found = gaussian_attributes(bpy_scene, "position", "fruit_id")
-    except SceneError:
+    """(N,) the fruit of each Gaussian, -1 for those that the user deleted; None if the Gaussians or their scale have
+    changed."""
+    item, found = owned_object(bpy_scene, "gaussians"), gaussian_attributes(bpy_scene, "fruit_id")
+    if item is None or found is None or unmoved(bpy_scene, array(made.gaussians.means)) is None:
         return None
-    if found is None or not np.array_equal(found[0], array(made.gaussians.means)):
-        return None
-    return found[1] if np.isclose(metres_per_unit(bpy_scene) or 0.0, made.scene.metres_per_unit or 0.0) else None
+    owners = np.full(len(made.gaussians), -1, np.int32)
+    owners[gaussian_indices(item.data)] = found[0]
+    return owners if np.isclose(metres_per_unit(bpy_scene) or 0.0, made.scene.metres_per_unit or 0.0) else None
 
 
 def _enter(bpy_scene: bpy.types.Scene, origin: Mapping[str, Any]) -> list[str]:
