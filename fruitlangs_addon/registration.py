@@ -16,7 +16,7 @@ from ..operators.photos import best_photo, photo_backgrounds
 from ..operators.review import review, show_cluster
 from ..operators.settings import moved_paths, region
 from ..operators.steps import ask, check_photos, count, import_scene, reconstruct, teach
-from ..operators.tools import level, scale
+from ..operators.tools import level, reset_placement, scale
 from ..operators.viewport import appearance
 from . import preferences, properties
 from .panels import (
@@ -41,6 +41,7 @@ CLASSES: tuple[Any, ...] = (
     *check_photos.CLASSES,
     *scale.CLASSES,
     *level.CLASSES,
+    *reset_placement.CLASSES,
     *region.CLASSES,
     *reconstruct.CLASSES,
     *ask.CLASSES,

@@ -9,11 +9,13 @@ import bpy
 from ...engine.scene.video.frames import VIDEO_SUFFIXES
 from ...operators.blender_data import owned_object
 from ...operators.jobs.jobs import running
+from ...operators.root_placement import placement_text, shown_placement
 from ...operators.settings.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
 from ...operators.settings.settings import is_on_another_drive
 from ...operators.steps.check_photos import FRUITLANGS_OT_check_photos, FRUITLANGS_OT_show_sheet
 from ...operators.steps.import_scene import FRUITLANGS_OT_import_scene
 from ...operators.tools.level import FRUITLANGS_OT_set_ground
+from ...operators.tools.reset_placement import FRUITLANGS_OT_reset_placement
 from ...operators.tools.scale import FRUITLANGS_OT_measure, scale_text
 from .missing_packages import draw_missing_packages
 from .panel_parts import StepPanel, draw_job, draw_text
@@ -47,6 +49,7 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
             points = f", {result.points:,} points" if result.points else ""
             layout.label(text=f"{result.cameras} cameras{points}", icon="CAMERA_DATA")
             draw_tools(layout, context)
+            draw_placement(layout, context)
         if result.notices and not result.gaussians and result.count < 0:  # later steps show them with their results
             draw_text(layout, result.notices, context, icon="INFO")
 
@@ -76,6 +79,14 @@ def draw_tools(layout: Any, context: bpy.types.Context) -> None:
     else:
         column.operator(FRUITLANGS_OT_remove_region.bl_idname, icon="X")
     layout.label(text=scale_text(context.scene) or "Scale unknown: sizes are in scene units")
+
+
+def draw_placement(layout: Any, context: bpy.types.Context) -> None:
+    """Draw how the user moved the tree, and the button that puts it back."""
+    placement = shown_placement(context.scene)
+    if placement is not None:
+        draw_text(layout, f"Placed by you: {placement_text(placement)}. Sizes and exports do not change", context)
+        layout.operator(FRUITLANGS_OT_reset_placement.bl_idname, icon="LOOP_BACK")
 
 
 SETTINGS = settings_panels(FRUITLANGS_PT_scene, ("scene", "photos", "units"))

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...engine.errors import SceneError
 from ..blender_data import get_attribute, owned_object, owned_objects, point_positions, srgb_from_linear
+from ..root_placement import upright_of
 from ..scene_frame import SceneFrame, scene_frame
 from .fruit_objects import metres_per_unit
 from .photo_files import ASPECT, SIZE
@@ -39,11 +40,9 @@ def read_up(bpy_scene: bpy.types.Scene) -> FloatArray:
     """(3,) unit vector away from the ground, in the scene frame.
 
     Raises:
-        SceneError: nothing was imported, or the root is scaled to 0.
+        SceneError: nothing was imported.
     """
-    up = np.array(_frame(bpy_scene).to_world.to_3x3().row[2], np.float64)
-    if not np.linalg.norm(up) > 0.0:
-        raise SceneError("The scene's root is scaled to 0, so up is unknown. Undo that or set its scale to 1")
+    up = np.array(upright_of(_frame(bpy_scene)).to_3x3().row[2], np.float64)
     return up / np.linalg.norm(up)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..blender_data import new_object, owned_collection, owned_objects, remove_objects
-from ..scene_frame import keep_pose
+from ..scene_frame import in_world, keep_pose
 from .photo_files import ASPECT, SIZE, keep_photo, remove_backgrounds
 from .write_root import looked_at
 
@@ -34,7 +34,7 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
     remove_objects(owned_objects(bpy_scene, "camera"))
     collection = owned_collection(bpy_scene, "cameras", "Cameras")
     size = 0.04 * scene.extent if len(scene.cameras) else 1.0
-    scale = scene.metres_per_unit or 1.0
+    scale = float(abs(in_world(root).to_3x3().determinant()) ** (1.0 / 3.0))
     objects = []
     # A scene read from a result whose photos are missing has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]

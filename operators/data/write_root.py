@@ -17,11 +17,14 @@ from mathutils import Matrix
 
 from ...engine.errors import SceneError
 from ..blender_data import OWNER, Role, new_object, owned_collection, owned_object, owned_objects
-from ..scene_frame import scene_frame
+from ..root_placement import place_root, placement_of, root_frame
+from ..scene_frame import SceneFrame, scene_frame
 
 if TYPE_CHECKING:
     from ...engine.scene.camera import FloatArray, Scene
 
+METRES = "metres_per_unit"
+"""Custom property of the root: metres per scene unit, 0 if unknown."""
 GROUND = "fruitlangs_ground"
 """Custom property of the Blender scene: a point on the ground that the user picked, in the scene frame."""
 BELOW: tuple[Role, ...] = ("gaussians", "points", "camera", "fruit", "region")
@@ -33,19 +36,31 @@ GROUND_PERCENTILE = 2.0
 def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
     """Place this Blender scene's root empty for `scene`, creating it if necessary.
 
-    What stays below it keeps its place in the scene frame, also where the old root's transform was applied.
+    The user's placement of an existing root stays (see `root_placement`). What stays below it keeps its place in the
+    scene frame, also where the old root's transform was applied.
     """
-    kept = _places(bpy_scene)
+    kept, frame = _places(bpy_scene), root_frame(bpy_scene)
     root = owned_object(bpy_scene, "root")
     if root is None:
         root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
         root.empty_display_type = "PLAIN_AXES"
     root.empty_display_size = 0.05 * scene.extent if len(scene.cameras) else 1.0
-    root["metres_per_unit"] = scene.metres_per_unit or 0.0
-    root.matrix_basis = root_matrix(scene, bpy_scene.get(GROUND))
+    _scale_clipping(bpy_scene, (scene.metres_per_unit or 1.0) / (float(root.get(METRES, 0.0)) or 1.0))
+    root[METRES] = scene.metres_per_unit or 0.0
+    placement = None if frame is None else placement_of(frame)
+    if kept:  # they are put below the root again, with the pose that they have in the scene frame
+        frame = None
+    place_root(frame or SceneFrame(root, Matrix()), root_matrix(scene, bpy_scene.get(GROUND)), placement)
     for item, place in kept.items():
         _put_below(item, root, place)
     return root
+
+
+def _scale_clipping(bpy_scene: bpy.types.Scene, ratio: float) -> None:
+    """Scale the clipping of cameras that are used again: unlike everything else below the root it is in world units."""
+    for item in owned_objects(bpy_scene, "camera") if ratio != 1.0 else ():
+        item.data.clip_start *= ratio
+        item.data.clip_end *= ratio
 
 
 def _places(bpy_scene: bpy.types.Scene) -> dict[bpy.types.Object, Matrix]:

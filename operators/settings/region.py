@@ -23,7 +23,8 @@ from ..blender_data import (
     select_only,
 )
 from ..jobs.jobs import busy, linked
-from ..scene_frame import in_world, scene_frame
+from ..root_placement import root_frame, upright_of
+from ..scene_frame import SceneFrame, scene_frame
 
 if TYPE_CHECKING:
     from ...engine.config import CountConfig
@@ -45,7 +46,7 @@ def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
     if box is None or owned_object(bpy_scene, "root") is None:
         return config
     frame = scene_frame(bpy_scene)
-    up = np.array(frame.from_world().to_3x3() @ Vector((0.0, 0.0, 1.0)))
+    up = np.array(upright_of(frame).to_3x3().row[2])
     up /= np.linalg.norm(up)
     placed = frame.of(box)
     axis = np.array(placed.to_3x3().col[2])
@@ -80,32 +81,33 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy_scene, root = context.scene, owned_object(context.scene, "root")
-        assert root is not None
-        middle, half = around(bpy_scene)
-        box = new_object("Region", None, "region", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
+        bpy_scene, frame = context.scene, root_frame(context.scene)
+        assert frame is not None
+        middle, half = around(bpy_scene, frame)
+        box = new_object("Region", None, "region", owned_collection(bpy_scene, "scene", "FruitLangs"), frame.root)
         box.empty_display_type = "CUBE"
-        stand_upright(box, root, middle, half)
+        stand_upright(box, frame, middle, half)
         if context.mode == "OBJECT":
             select_only(context, [box])
         self.report({"INFO"}, "The box limits counting. Move it with G, scale it with S, rotate it with R Z")
         return {"FINISHED"}
 
 
-def stand_upright(box: bpy.types.Object, root: bpy.types.Object, middle: Vector, half: Vector) -> None:
-    """Place the box upright in the world, with its side lengths in Blender's sidebar."""
-    box.matrix_parent_inverse = root.matrix_basis.inverted()
+def stand_upright(box: bpy.types.Object, frame: SceneFrame, middle: Vector, half: Vector) -> None:
+    """Place the box in the upright frame, with its side lengths in Blender's sidebar."""
+    box.matrix_parent_inverse = frame.in_root @ upright_of(frame).inverted()
     box.matrix_basis = Matrix.LocRotScale(middle, box.matrix_basis.to_quaternion(), half)
 
 
-def around(bpy_scene: bpy.types.Scene) -> tuple[Vector, Vector]:
-    """Centre and half sides, in the world, of a box around the fruit, else around what the cameras look at."""
+def around(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> tuple[Vector, Vector]:
+    """Centre and half sides, in the upright frame, of a box around the fruit, else around what the cameras look at."""
     # From the set values, not evaluated ones: a new object has no matrix_world yet.
-    fruit = [in_world(item) @ _middle(item) for item in owned_objects(bpy_scene, "fruit")]
+    upright = upright_of(frame)
+    fruit = [upright @ frame.of(item) @ _middle(item) for item in owned_objects(bpy_scene, "fruit")]
     if len(fruit) > 1:
         low, high = (Vector(side(place[axis] for place in fruit) for axis in range(3)) for side in (min, max))
         return (low + high) / 2.0, (high - low) * 0.55 + Vector((1e-3, 1e-3, 1e-3)) * (high - low).length
-    cameras = [in_world(item).translation for item in owned_objects(bpy_scene, "camera")]
+    cameras = [(upright @ frame.of(item)).translation for item in owned_objects(bpy_scene, "camera")]
     reach = max((place.xy.length for place in cameras), default=2.0) / 2.0
     return Vector((0.0, 0.0, reach)), Vector((reach, reach, reach))
 

@@ -85,7 +85,7 @@ class Preview:
         bpy_scene = find_scene(self._scene)
         if bpy_scene is not None:
             places = [matrix @ Vector(camera.center.tolist()) for camera in scene.cameras]
-            look_from_around(shown_screens(context, bpy_scene), places)
+            look_from_around(shown_screens(context, bpy_scene), places, Matrix())
 
     def remove(self) -> None:
         """Draw the Gaussians of the .blend again."""

@@ -6,15 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from mathutils import Matrix
 
 from ..blender_data import owned_object, owned_objects, remove_objects
+from ..data.photo_files import remove_backgrounds
 from ..data.stored_audit import AUDIT
 from ..data.stored_review import keep_last_corrections, kept_text
 from ..data.write import SET_ID
-from ..data.write_root import GROUND
+from ..data.write_root import GROUND, METRES
+from ..root_placement import place_root, placement_of, root_frame
+from ..scene_frame import SceneFrame
 from ..settings.settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
 from ..settings.source_mark import source_mark
-from ..tools.scale import METRES
 
 OF_SOURCE = ("source", "mark", "work")
 """What the result keeps of its source, whether or not it was counted."""
@@ -49,10 +52,14 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
         kept.source, kept.mark = settings.result.source, settings.result.mark
         _move_log(settings.review.log, kept.log)
     measured = _forget_measures(bpy_scene) or owned_object(bpy_scene, "region") is not None
-    for role in ("gaussians", "points", "region"):
+    frame = root_frame(bpy_scene)
+    placed = frame is not None and placement_of(frame) is not None
+    remove_backgrounds(owned_objects(bpy_scene, "camera"))
+    for role in ("gaussians", "points", "region", "camera"):
         remove_objects(owned_objects(bpy_scene, role))
     if root is not None:
         root[METRES] = 0.0
+        place_root(SceneFrame(root, Matrix()), Matrix(), None)
     for name in OF_SOURCE:
         settings.result.property_unset(name)
     notices = [f"{kept_text(decisions, str(source))} until it is shown again"] if decisions else []
@@ -60,6 +67,8 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
         notices.append(
             f"the scale, ground and region of {source} were removed, because they do not apply to this scene"
         )
+    if placed:
+        notices.append(f"the tree stands over the origin, because its placement was that of {source}")
     return notices
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...engine.errors import FruitLangsError
 from ..blender_data import owned_object, owned_objects
 from ..data.write_root import GROUND
+from ..root_placement import place_root, placement_of, upright_of, without_tilt
 from ..scene_frame import SceneFrame, scene_frame
 from ..settings.region import stand_upright
 from ..viewport.viewport import look_at_scene, shown_screens
@@ -77,18 +78,23 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         place = None if box is None else frame.of(box).translation
         level(frame, up, points.mean(axis=0))
         if box is not None and place is not None:
-            stand_upright(box, frame.root, frame.to_world @ place, box.matrix_basis.to_scale())
+            stand_upright(box, frame, upright_of(frame) @ place, box.matrix_basis.to_scale())
         look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
         self.report({"INFO"}, "The ground is level, at height 0. The next count uses it")
         return {"FINISHED"}
 
 
 def level(frame: SceneFrame, up: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
-    """Rotate the root so that `up` (3,) points to +Z and the point `ground` (3,) of the scene is at height 0."""
-    root, turned = frame.root, frame.to_world.to_3x3() @ Vector(up.tolist())
-    root.matrix_basis = turned.rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4() @ root.matrix_basis
-    height = (frame.to_world @ Vector(ground.tolist())).z
-    root.matrix_basis = Matrix.Translation((0.0, 0.0, -height)) @ root.matrix_basis
+    """Rotate the root so that `up` (3,) points to +Z and the point `ground` (3,) of the scene is at height 0.
+
+    Of the user's placement the position on the ground, the heading and the scale stay.
+    """
+    upright = upright_of(frame)
+    turned = upright.to_3x3() @ Vector(up.tolist())
+    upright = turned.rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4() @ upright
+    height = (upright @ Vector(ground.tolist())).z
+    upright = Matrix.Translation((0.0, 0.0, -height)) @ upright
+    place_root(frame, upright, without_tilt(placement_of(frame)))
 
 
 CLASSES = (FRUITLANGS_OT_set_ground,)

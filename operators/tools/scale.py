@@ -16,12 +16,11 @@ from ...engine.errors import FruitLangsError
 from ...engine.report.words import length_unit, three_digits
 from ..blender_data import owned_object, owned_objects
 from ..data.write_fruits import MEASURED, set_unit
+from ..data.write_root import METRES
 from ..jobs.jobs import busy, linked
+from ..root_placement import place_root, placement_of, root_frame, upright_of
 from ..settings.settings import read_config
 from .pick_tool import PickTool
-
-METRES = "metres_per_unit"
-"""Custom property of the root: metres per scene unit, 0 if unknown."""
 
 
 def scale_text(bpy_scene: bpy.types.Scene) -> str:
@@ -36,13 +35,13 @@ def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
 
     The next count gets it from the settings.
     """
-    root = owned_object(bpy_scene, "root")
-    if root is None:
+    frame = root_frame(bpy_scene)
+    if frame is None:
         return
-    before = float(root.get(METRES) or 0.0)
+    before = float(frame.root.get(METRES) or 0.0)
     ratio = metres_per_unit / (before or 1.0)
-    root.matrix_basis = Matrix.Scale(ratio, 4) @ root.matrix_basis
-    root[METRES] = metres_per_unit
+    place_root(frame, Matrix.Scale(ratio, 4) @ upright_of(frame), placement_of(frame))
+    frame.root[METRES] = metres_per_unit
     for item in owned_objects(bpy_scene, "fruit"):
         for key in (key for key in MEASURED if key in item):
             item[key] = item[key] * ratio

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 import bpy
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from ..blender_data import areas_of, owned_objects
+from ..root_placement import root_frame, upright_of
 from ..scene_frame import in_world
 
 
@@ -60,20 +61,29 @@ def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
 
 def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scene) -> None:
     """Turn viewports to what the photos' cameras look at, from their distance."""
-    look_from_around(screens, [in_world(item).translation for item in owned_objects(bpy_scene, "camera")])
+    frame = root_frame(bpy_scene)
+    if frame is None:
+        return
+    upright = upright_of(frame)
+    to_upright = upright @ frame.from_world()
+    places = [to_upright @ in_world(item).translation for item in owned_objects(bpy_scene, "camera")]
+    look_from_around(screens, places, frame.to_world @ upright.inverted())
 
 
-def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vector]) -> None:
-    """Turn viewports to what lies between these camera positions in the world, from their distance."""
+def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vector], placed: Matrix) -> None:
+    """Turn viewports to what lies between these camera positions in the upright frame, from their distance.
+
+    placed: (4, 4) from the upright frame to the world.
+    """
     if not places:
         return
     middle = sum(places, Vector()) / len(places)
-    distance = max(place.xy.length for place in places)
+    distance = max(place.xy.length for place in places) * abs(placed.to_3x3().determinant()) ** (1.0 / 3.0)
     for space in _viewports(screens):
         view = space.region_3d
         if view.view_perspective == "CAMERA":
             view.view_perspective = "PERSP"
-        view.view_location = (0.0, 0.0, 0.8 * middle.z)
+        view.view_location = placed @ Vector((0.0, 0.0, 0.8 * middle.z))
         view.view_distance = 1.3 * distance
         _widen_clipping(space, distance)
 

@@ -58,6 +58,7 @@ LAYERS = (
     # What Blender does.
     ("operators/blender_data", "operators/package_folder"),
     ("operators/scene_frame",),
+    ("operators/root_placement",),
     ("operators/jobs", "operators/viewport"),
     ("operators/settings",),
     ("operators/packages", "operators/data"),

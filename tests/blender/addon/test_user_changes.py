@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+import pytest
 from blender_examples import drawn
+from mathutils import Euler, Matrix, Vector
 
 from fruitlangs.fruitlangs_addon.panels.step_count import FRUITLANGS_PT_count
+from fruitlangs.fruitlangs_addon.panels.step_scene import FRUITLANGS_PT_scene
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.data.read_cameras import read_up
+from fruitlangs.operators.data.read_fruits import read_fruits
 from fruitlangs.operators.data.read_gaussians import deleted_gaussians
+from fruitlangs.operators.data.write_root import write_root
+from fruitlangs.operators.root_placement import shown_placement
+from fruitlangs.operators.settings.settings import read_config
 from fruitlangs.operators.steps.show_result import show_result, show_scene
 from fruitlangs.operators.viewport.gaussian_nodes import get_input, set_input
 
@@ -104,3 +112,142 @@ def test_sparse_points_that_the_user_shows_or_hides_stay_so(extension, counted, 
     show_scene(bpy.context, bpy_scene, counted.scene)
     assert owned_object(bpy_scene, "points") == item
     assert (item.hide_get(), item.hide_render) == (False, False)
+
+
+MOVE = Matrix.LocRotScale(Vector((5.0, -7.0, 2.0)), Euler((0.3, 0.1, 1.0)), Vector((100.0, 100.0, 100.0)))
+"""What the user did to the root: moved, rotated and scaled it a hundredfold."""
+
+
+@pytest.fixture
+def placed(extension, counted, result_of, tmp_path):
+    """The count's scene, with the root moved by the user."""
+    show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
+    place(owned_object(bpy.context.scene, "root"))
+    return bpy.context.scene
+
+
+def place(root):
+    root.matrix_basis = MOVE @ root.matrix_basis
+    bpy.context.view_layer.update()
+
+
+def where(bpy_scene) -> np.ndarray:
+    return np.array(owned_object(bpy_scene, "root").matrix_basis, np.float64)
+
+
+def test_a_recount_an_import_and_their_like_leave_the_root_where_the_user_put_it(placed, counted, result_of, tmp_path):
+    root, own = owned_object(placed, "root"), bpy.data.objects.new("Hill", None)
+    placed.collection.objects.link(own)
+    root.parent, root.name, root.hide_render = own, "My tree", True
+    before = where(placed)
+    show_result(bpy.context, placed, result_of(counted, tmp_path))
+    np.testing.assert_array_equal(where(placed), before)
+    show_scene(bpy.context, placed, counted.scene)
+    np.testing.assert_array_equal(where(placed), before)
+    assert (root.parent, root.name, root.hide_render) == (own, "My tree", True)
+
+
+def test_reconstructing_leaves_the_root_where_the_user_put_it(extension, counted_balls, balls):
+    bpy_scene = bpy.context.scene
+    bpy_scene.fruitlangs.source, bpy_scene.fruitlangs.out = str(balls), str(counted_balls.out)
+    train = bpy_scene.fruitlangs.config.train
+    train.steps, train.max_gaussians = 150, 3000
+    show_result(bpy.context, bpy_scene, counted_balls)
+    place(owned_object(bpy_scene, "root"))
+    before = where(bpy_scene)
+    assert bpy.ops.fruitlangs.reconstruct() == {"FINISHED"}
+    np.testing.assert_allclose(where(bpy_scene), before, rtol=1e-5, atol=1e-4)
+
+
+def test_a_scale_that_a_count_finds_applies_below_the_users_placement(placed, counted_with, result_of, tmp_path):
+    show_result(bpy.context, placed, result_of(counted_with(metres_per_unit=0.25), tmp_path))
+    fresh = bpy.data.scenes.new("Fresh")
+    expected = MOVE @ write_root(fresh, counted_with(metres_per_unit=0.25).scene).matrix_basis
+    np.testing.assert_allclose(where(placed), expected, rtol=1e-4, atol=1e-3)
+    assert owned_object(placed, "root")["metres_per_unit"] == 0.25
+
+
+def test_a_measured_length_scales_the_tree_about_its_foot_where_the_user_put_it(placed):
+    foot = MOVE @ Vector((0.0, 0.0, 0.0))
+    upright = where(placed)
+    bpy.ops.fruitlangs.set_length(points=(0, 0, 0, 1, 0, 0), length=0.5)
+    np.testing.assert_allclose(where(placed)[:3, :3], 0.5 * upright[:3, :3], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(where(placed)[:3, 3] - foot, 0.5 * (upright[:3, 3] - np.array(foot)), rtol=1e-3)
+
+
+def test_setting_the_ground_levels_the_tree_and_keeps_its_position_heading_and_size(placed):
+    points = [(0.0, 2.0, 3.0), (2.0, 2.0, 3.0), (1.0, 3.0, 4.5)]
+    bpy.ops.fruitlangs.set_ground(points=np.ravel(points).tolist())
+    bpy.context.view_layer.update()
+    world = owned_object(placed, "root").matrix_world
+    np.testing.assert_allclose([(world @ Vector(point)).z for point in points], 0.0, atol=2e-3)
+    user = shown_placement(placed)
+    np.testing.assert_allclose(user.translation, (5.0, -7.0, 0.0), atol=1e-3)
+    np.testing.assert_allclose(user.to_scale(), 100.0, rtol=1e-4)
+    heading = MOVE.to_quaternion()
+    assert user.to_quaternion().z / user.to_quaternion().w == pytest.approx(heading.z / heading.w, rel=1e-3)
+
+
+def test_up_and_fruit_do_not_depend_on_where_the_user_put_the_tree(placed, counted):
+    np.testing.assert_allclose(read_up(placed), counted.scene.up, atol=1e-5)
+    for fruit, true in zip(read_fruits(placed).fruits, counted.fruit_count.fruits, strict=True):
+        np.testing.assert_allclose([*fruit.center, fruit.diameter], [*true.center, true.diameter], rtol=1e-4)
+
+
+def test_a_region_of_a_tilted_tree_is_upright_in_the_scene_and_holds_all_fruit(placed, counted):
+    bpy.ops.fruitlangs.add_region()
+    config = read_config(placed.fruitlangs).count
+    heights = [fruit.center @ counted.scene.up for fruit in counted.fruit_count.fruits]
+    assert config.heights[0] < min(heights)
+    assert config.heights[1] > max(heights)
+
+
+def test_the_panel_shows_the_placement_and_resets_it(extension, counted, result_of, tmp_path):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    before = where(bpy_scene)
+    assert "Placed by you" not in drawn(FRUITLANGS_PT_scene).text
+    assert not bpy.ops.fruitlangs.reset_placement.poll()
+    place(owned_object(bpy_scene, "root"))
+    assert "Placed by you: moved, rotated, 100 times as large" in drawn(FRUITLANGS_PT_scene).text
+    assert bpy.ops.fruitlangs.reset_placement() == {"FINISHED"}
+    np.testing.assert_allclose(where(bpy_scene), before, atol=1e-6)
+    assert "Placed by you" not in drawn(FRUITLANGS_PT_scene).text
+
+
+def test_the_placement_outlives_apply_transform(placed, counted, result_of, tmp_path):
+    before = where(placed)
+    root = owned_object(placed, "root")
+    bpy.ops.object.select_all(action="DESELECT")
+    root.select_set(True)
+    bpy.context.view_layer.objects.active = root
+    bpy.ops.object.transform_apply()
+    show_result(bpy.context, placed, result_of(counted, tmp_path))
+    np.testing.assert_allclose(where(placed), before, rtol=1e-4, atol=1e-3)
+
+
+def test_another_source_is_not_put_where_the_one_before_stood(placed, counted, result_of, tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+    placed.fruitlangs.result.source = str(tmp_path / "one")
+    other = result_of(counted, tmp_path)
+    other.origin["source"] = str(tmp_path / "two")
+    show_result(bpy.context, placed, other)
+    assert shown_placement(placed) is None
+    assert "its placement was that of" in placed.fruitlangs.result.notices
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_the_view_turns_to_the_tree_where_the_user_put_it(placed, monkeypatch, scale):
+    from fruitlangs.operators.viewport.viewport import look_at_scene
+
+    screens = [screen for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
+    view = next(area.spaces.active.region_3d for area in screens[0].areas if area.type == "VIEW_3D")
+    root = owned_object(placed, "root")
+    bpy.ops.fruitlangs.reset_placement()
+    look_at_scene(screens, placed)
+    place_before, distance = view.view_location.copy(), view.view_distance
+    root.matrix_basis = Matrix.Translation((3.0, 4.0, 5.0)) @ Matrix.Scale(scale, 4) @ root.matrix_basis
+    look_at_scene(screens, placed)
+    np.testing.assert_allclose(view.view_location, scale * place_before + Vector((3.0, 4.0, 5.0)), rtol=1e-4)
+    assert view.view_distance == pytest.approx(scale * distance, rel=1e-4)

@@ -20,7 +20,7 @@ def shown(extension, counted, monkeypatch, tmp_path):
     drawn, turned = [], []
     monkeypatch.setattr(preview, "SHOW_SECONDS", 0.0)
     monkeypatch.setattr(splat_drawing, "show_preview", lambda scene, interim: drawn.append(interim))
-    monkeypatch.setattr(preview, "look_from_around", lambda screens, places: turned.append(places))
+    monkeypatch.setattr(preview, "look_from_around", lambda screens, places, placed: turned.append(places))
 
     def shown(source):
         made = Preview(bpy.context.scene, source)
