@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from fruitlangs.engine.config import STAGES
 from fruitlangs.engine.setting import Level, level_of
@@ -249,6 +250,30 @@ def test_a_count_prints_its_table_and_the_files_it_wrote(first) -> None:
     assert len(written) >= 7
     assert all(path.is_file() for path in written)
     assert json.loads((out / "fruits.json").read_text())["provenance"]["prompts"] == ["fruit"]
+
+
+@pytest.fixture
+def masked(balls: Path, tmp_path: Path) -> Path:
+    """The balls with masks that leave out the top of each photo."""
+    folder = shutil.copytree(balls, tmp_path / "masked")
+    document = json.loads((folder / "transforms.json").read_text())
+    (folder / "masks").mkdir()
+    for frame in document["frames"]:
+        frame["mask_path"] = frame["file_path"].replace("images", "masks")
+        photo = Image.open(folder / frame["file_path"])
+        mask = Image.new("L", photo.size, 255)
+        mask.paste(0, (0, 0, photo.width, photo.height // 8))
+        mask.save(folder / frame["mask_path"])
+    (folder / "transforms.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_a_count_emits_no_warning_of_any_library(masked: Path, tmp_path: Path) -> None:
+    settings = ["--train.steps", "150", "--train.max-gaussians", "3000", "--count.threshold", "0.3", "--no-blend"]
+    done = count(masked, "--prompt", "apple", "--out", tmp_path / "out", *settings, PYTHONWARNINGS="error")
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    assert done.stdout.startswith("apple: ")
 
 
 def with_quality(first: Path, out: Path, psnr: float, ssim: float) -> Path:

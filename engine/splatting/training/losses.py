@@ -105,9 +105,10 @@ def psnr(color: Tensor, photo: NDArray[np.uint8], *, mask: NDArray[np.bool_] | N
 
     At most 120, because an error of 0 would be infinite.
     """
-    squared = (color.detach().clamp(0.0, 1.0).double() - torch.from_numpy(photo).double() / 255.0) ** 2
+    # Copies: PyTorch warns of arrays that may only be read, such as mapped photos.
+    squared = (color.detach().clamp(0.0, 1.0).double() - torch.from_numpy(photo.astype(np.float64)) / 255.0) ** 2
     if mask is not None:
-        squared = squared[torch.from_numpy(mask)]
+        squared = squared[torch.from_numpy(mask.copy())]
     error = float(squared.mean())
     return -10.0 * math.log10(max(error, 1e-12))
 

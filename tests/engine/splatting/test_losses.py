@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -91,6 +93,18 @@ def test_masked_pixels_do_not_count() -> None:
     assert loss_of(color, photo, mask) == pytest.approx(0.0, abs=1e-6)
     assert psnr(color, photo, mask=mask) == 120.0
     assert loss_of(color, photo) > 0.2
+
+
+def test_photos_and_masks_that_may_only_be_read_are_measured_without_a_warning() -> None:
+    photo, mask = np.full((8, 8, 3), 51, np.uint8), np.ones((8, 8), bool)
+    mask[:4] = False
+    color = torch.full((8, 8, 3), 0.3)
+    before = psnr(color, photo, mask=mask), ssim(color, photo, mask=mask)
+    photo.setflags(write=False)
+    mask.setflags(write=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (psnr(color, photo, mask=mask), ssim(color, photo, mask=mask)) == before
 
 
 def test_a_photo_a_little_narrower_than_the_last_one_sees_nothing_of_it() -> None:
