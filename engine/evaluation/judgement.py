@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
-from ..counting.geometry.matching import Matching, match_centers
+from ..counting.geometry.matching import Matching, match_centers, pairs_within
 from ..errors import CountingError
 from .truth import Truth
 
@@ -80,6 +79,6 @@ def judge(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: floa
 
 def _within(points: FloatArray, centers: FloatArray, reaches: FloatArray) -> NDArray[np.bool_]:
     """(A,) whether each of the points (A, 3) lies within its reach (B,) of any centre (B, 3)."""
-    if len(points) == 0 or len(centers) == 0:
-        return np.zeros(len(points), bool)
-    return np.asarray((cdist(points, centers) <= reaches).any(axis=1))
+    inside = np.zeros(len(points), bool)
+    inside[pairs_within(points, centers, reaches)[0]] = True
+    return inside

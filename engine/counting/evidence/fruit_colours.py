@@ -95,16 +95,18 @@ def _add_pixels(
     places, depths = camera.project(centers)
     height, width = shown.probability.shape
     scale = np.array([width / camera.width, height / camera.height])
-    front = depths > 0.0
-    sizes = radii / np.where(front, depths, 1.0)
+    front = np.flatnonzero(depths > 0.0)
+    sizes = (radii[front] / depths[front])[:, None] * np.diag(camera.K)[:2]
+    beside = (places[front] + sizes < 0.0) | (places[front] - sizes >= [camera.width, camera.height])
+    near, sizes = front[~beside.any(axis=1)], sizes[~beside.any(axis=1)]
     disc = INSIDE * spiral(SPOTS)
-    spots = places[:, None] + disc * (sizes[:, None] * np.diag(camera.K)[:2])[:, None]
-    right, down = np.moveaxis(np.floor(np.where(front[:, None, None], spots, -1.0) * scale).astype(np.int64), -1, 0)
+    spots = places[near][:, None] + disc * sizes[:, None]
+    right, down = np.moveaxis(np.floor(spots * scale).astype(np.int64), -1, 0)
     framed = (right >= 0) & (right < width) & (down >= 0) & (down < height)
     right, down = np.where(framed, right, 0), np.where(framed, down, 0)
     own = np.abs(shown.offsets[down, right] - disc).max(axis=-1) < OFF
     own &= framed & (shown.probability[down, right] >= threshold)
-    shares += (colours[rows[down, right]] * own[..., None]).sum(axis=1)
+    shares[near] += (colours[rows[down, right]] * own[..., None]).sum(axis=1)
 
 
 def _add_gaussians(

@@ -96,11 +96,12 @@ def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress
         nothing = torch.zeros(camera.height, camera.width, 0)
         drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
         drawn *= own.width * own.height / (camera.width * camera.height)
-        towards = camera.center - means
+        shown = np.flatnonzero(drawn)  # of a row each view shows only a few
+        towards = camera.center - means[shown]
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-        weights += drawn
-        views += drawn > SEEN_WEIGHT
-        directions += drawn[:, None] * towards
+        weights[shown] += drawn[shown]
+        views[shown] += drawn[shown] > SEEN_WEIGHT
+        directions[shown] += drawn[shown, None] * towards
     return Visibility(weights, views, directions / np.maximum(weights, 1e-12)[:, None], frame_of(cameras))
 
 

@@ -45,6 +45,10 @@ def measure_discs(
             z += pose[2, axis] * centers[c, axis]
         if z <= 2.0 * radius:
             continue
+        left, right = K[0, 0] * (x - radius) / z + K[0, 2], K[0, 0] * (x + radius) / z + K[0, 2]
+        upper, lower = K[1, 1] * (y - radius) / z + K[1, 2], K[1, 1] * (y + radius) / z + K[1, 2]
+        if right < 0.0 or lower < 0.0 or left >= width or upper >= height:  # as most spheres of a long row
+            continue
         framed, passed, seen = 0, 0, 0
         for s in range(len(disc)):
             u = K[0, 0] * (x + radius * disc[s, 0]) / z + K[0, 2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +29,14 @@ NUMBERS = 5
 class Surroundings:
     """The Gaussians that may belong to fruit and the others, and F fruit that were found on surfaces.
 
-    places, opacities, probabilities: (M, 3), (M,) and (M,) of the Gaussians that match the prompt; others: (N, 3) and
-    their opacities (N,); fruit: (F, 3) centres; diameter: of a fruit, scene units.
+    places: trees of the means of the M Gaussians that match the prompt, opacities, probabilities: (M,) of these;
+    others: tree of the N other means, other_opacities: (N,); fruit: (F, 3) centres; diameter: of a fruit, scene units.
     """
 
-    places: FloatArray
+    places: cKDTree
     opacities: FloatArray
     probabilities: FloatArray
-    others: FloatArray
+    others: cKDTree
     other_opacities: FloatArray
     fruit: FloatArray
     diameter: float
@@ -49,7 +50,13 @@ class Surroundings:
         opacities = gaussians.opacities.detach().double().cpu().numpy()
         scaled = np.minimum(probabilities * (0.5 / threshold), 1.0)
         own = scaled > MATCHING
-        return cls(means[own], opacities[own], scaled[own], means[~own], opacities[~own], fruit, diameter)
+        return cls(
+            cKDTree(means[own]), opacities[own], scaled[own], cKDTree(means[~own]), opacities[~own], fruit, diameter
+        )
+
+    @cached_property
+    def _fruit_tree(self) -> cKDTree:
+        return cKDTree(self.fruit)
 
     def numbers(self, centers: FloatArray, radii: FloatArray) -> FloatArray:
         """(C, NUMBERS) about spheres, centers (C, 3) and radii (C,): distance of the nearest fruit in diameters,
@@ -57,7 +64,7 @@ class Surroundings:
         the former."""
         distances = np.full(len(centers), FARTHEST)
         if len(self.fruit):
-            distances = cKDTree(self.fruit).query(centers)[0] / self.diameter
+            distances = self._fruit_tree.query(centers)[0] / self.diameter
         around, probable = _sums(self.places, centers, AROUND * radii, self.opacities, self.probabilities)
         within, _ = _sums(self.others, centers, WITHIN * radii, self.other_opacities, self.other_opacities)
         same = np.exp(-((distances / NEAR) ** 2))
@@ -66,12 +73,10 @@ class Surroundings:
 
 
 def _sums(
-    places: FloatArray, centers: FloatArray, reaches: FloatArray, weights: FloatArray, values: FloatArray
+    places: cKDTree, centers: FloatArray, reaches: FloatArray, weights: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(C,) sums of weights (M,), and of weights times values (M,), of the places (M, 3) within each reach (C,)."""
-    if len(places) == 0:
-        return np.zeros(len(centers)), np.zeros(len(centers))
-    near = cKDTree(places).query_ball_point(centers, reaches, return_sorted=True)
+    """(C,) sums of weights (M,), and of weights times values (M,), of the M places within each reach (C,)."""
+    near = places.query_ball_point(centers, reaches, return_sorted=True)
     lengths = np.array([len(each) for each in near], np.int64)
     index = np.concatenate([np.array(each, np.int64) for each in near]) if len(near) else np.zeros(0, np.int64)
     owners = np.repeat(np.arange(len(centers)), lengths)

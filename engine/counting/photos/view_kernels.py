@@ -155,13 +155,16 @@ def choose_views(
     (C, 5) over all views: shares of fruit, of what is seen through and of fruit with this centre, views with enough of
     it, and the shares that they frame."""
     for c in prange(len(centers)):
-        ranks = np.full(len(views[3]), -1.0)
-        for view in range(len(ranks)):
+        ranks, ranked, number = np.empty(len(views[3])), np.empty(len(views[3]), np.int64), 0
+        for view in range(len(views[3])):
             u, v, z = visible_from(views, view, centers[c], radii[c])
             if z <= 0.0:
                 continue
             framed, fruit, own, through = look(views, view, u, v, z, radii[c], disc)
-            ranks[view] = own + 0.3 * fruit + 0.1 * through
+            rank = own + 0.3 * fruit + 0.1 * through
+            if rank > LEAST_RANK:
+                ranks[number], ranked[number] = rank, view
+                number += 1
             sums[c, 0] += fruit
             sums[c, 1] += through
             sums[c, 2] += own
@@ -169,12 +172,12 @@ def choose_views(
             sums[c, 4] += framed
         for k in range(chosen.shape[1]):
             best = -1
-            for view in range(len(ranks)):
-                if ranks[view] > LEAST_RANK and (best < 0 or ranks[view] > ranks[best]):
-                    best = view
-            chosen[c, k] = best
+            for place in range(number):
+                if ranks[place] > LEAST_RANK and (best < 0 or ranks[place] > ranks[best]):
+                    best = place
+            chosen[c, k] = -1
             if best >= 0:
-                ranks[best] = -1.0
+                chosen[c, k], ranks[best] = ranked[best], -1.0
 
 
 @njit

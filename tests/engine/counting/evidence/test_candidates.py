@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fruitlangs.engine.counting.evidence.candidates import FruitSize, SurfaceIndex, vote
+from fruitlangs.engine.counting.evidence.candidates import OVERLAP, FruitSize, Overlaps, SurfaceIndex, vote
 from fruitlangs.engine.counting.evidence.cluster import USUAL, USUALLY, Clusters, find_fruit, refine, search
 from fruitlangs.engine.counting.evidence.surface_points import SurfacePoints
 from fruitlangs.engine.counting.geometry.random_streams import even_turns
@@ -149,3 +149,15 @@ def test_fruit_that_were_held_alike_are_as_different_as_loose_fits_of_them_say()
     assert refine(FruitSize(2.0, 0.2), held, sure, held).spread == pytest.approx(0.11, abs=0.02)
     assert refine(FruitSize(2.0, 0.2), held, sure, alike(0.3)).spread == pytest.approx(0.31, abs=0.03)
     assert refine(FruitSize(2.0, 0.2), held, sure, alike(0.12)).spread == pytest.approx(0.12, abs=0.02)
+
+
+def test_overlaps_are_those_with_chosen_spheres_of_any_size():
+    rng = np.random.default_rng(0)
+    centers, radii = rng.random((300, 3)), rng.uniform(0.01, 0.2, 300)
+    empty = np.zeros(300)
+    overlaps = Overlaps.of(Spheres(centers, radii, empty, empty, empty, empty, empty, empty, empty))
+    overlaps.chosen[:60] = True
+    apart = np.linalg.norm(centers - centers[:60, None], axis=2)
+    expected = (apart < OVERLAP * (radii + radii[:60, None])).any(axis=0)
+    assert [overlaps.any_chosen(index) for index in range(300)] == expected.tolist()
+    assert 0 < expected[60:].sum() < 240

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
-from fruitlangs.engine.counting.evidence.fruit_colours import FruitColours
-from fruitlangs.engine.counting.evidence.visibility import draw
+from fruitlangs.engine.counting.evidence.fruit_colours import FruitColours, _add_pixels
+from fruitlangs.engine.counting.evidence.visibility import Picture, draw
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.language.encoders.encoder import ColourSplit
 from fruitlangs.engine.language.features.photo_features import PhotoFeatures
 from fruitlangs.engine.language.prompts.colour_choice import ColourChoice
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
+from fruitlangs.engine.scene.camera import Camera
 
 CONFIG = CountConfig(sample_budget=4_000)
 WORDS = ("red", "green", "blue")
@@ -110,3 +111,22 @@ def test_photos_tell_the_colour_where_gaussians_are_wrong(tree: sim.Simulation) 
     assert (chances(None) < 0.01).all()
     assert (chances(middle) > 0.99).mean() > 0.8
     assert (chances(others) < 0.01).all()  # pixels of other fruit do not count
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_fruit_that_the_border_of_a_photo_cuts_has_the_colour_of_the_part_inside(axis: int) -> None:
+    size, radius = 40, 6.0
+    K = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.eye(4), size, size)
+    empty = np.zeros((size, size), np.float32)
+    for place, inside in ((-3.0, True), (20.0, True), (43.0, True), (-7.0, False), (47.0, False)):
+        center = np.full(3, 20.0)
+        center[axis], center[2] = place, 1.0
+        offsets = np.stack(np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5), axis=-1) - center[:2]
+        maps = [PhotoMap(empty + 1.0, (offsets / radius).astype(np.float32))]
+        shares = np.zeros((2, 1))
+        rows, white = np.zeros((size, size), np.int64), np.ones((1, 1), np.float32)
+        behind = np.array([center, -center])
+        _add_pixels(shares, behind, np.full(2, radius), Picture(camera, empty, empty), maps[0], rows, white, 0.5)
+        assert (shares[0, 0] > 0.0) == inside
+        assert shares[1, 0] == 0.0

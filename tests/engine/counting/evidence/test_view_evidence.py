@@ -72,3 +72,17 @@ def test_many_views_are_drawn_smaller_and_show_as_many_gaussians(monkeypatch: py
     assert (small.views[seen] == 0).mean() < 0.02
     assert small.views[seen].mean() == pytest.approx(whole.views[seen].mean(), rel=0.1)
     assert small.weights.sum() == pytest.approx(whole.weights.sum(), rel=0.25)  # widened more; 9 times less if unscaled
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_sphere_that_the_border_of_a_view_cuts_has_the_free_spots_inside(axis: int):
+    disc = visibility.spiral(SPOTS)
+    inner = (disc**2).sum(axis=1) < RIM**2
+    places = np.linspace(-4.0, 4.0, 81)
+    centers = np.zeros((len(places), 3))
+    centers[:, axis], centers[:, 2] = places, FAR
+    pixels = FOCAL * (places[:, None] + RADIUS * disc[:, axis]) / FAR + SIZE / 2
+    inside = ((pixels >= 0.0) & (pixels < SIZE) & inner).sum(axis=1)
+    free = gather_view_evidence([picture(SURFACE)], centers, np.full(len(places), RADIUS), 0.5).free
+    assert np.abs(free - inside).max() <= 1
+    assert (free > 0).sum() > (np.abs(places) < SIZE / 2 / FOCAL * FAR).sum()

@@ -92,6 +92,17 @@ def test_views_that_frame_the_ball_are_chosen(views: PhotoViews) -> None:
     assert (sums[1] == 0).all()
 
 
+def test_of_many_views_those_that_show_the_ball_are_chosen_best_first(views: PhotoViews) -> None:
+    shown = [picture_of(camera_at(turn)) for turn in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False)]
+    empty = [(picture, PhotoMap(np.zeros_like(maps.probability), maps.offsets)) for picture, maps in shown]
+    fainter = PhotoMap(shown[2][1].probability * (np.arange(WIDTH) < WIDTH // 2), shown[2][1].offsets)
+    order = [empty[0], (shown[2][0], fainter), empty[1], shown[3], empty[2], shown[4]]
+    many = PhotoViews.of([picture for picture, _ in order], [maps for _, maps in order])
+    chosen, _ = many.choose(BALL[None], np.array([RADIUS]), 4)
+    assert sorted(chosen[0, :2].tolist()) == [3, 5]
+    assert chosen[0, 2:].tolist() == [1, -1]
+
+
 @pytest.mark.parametrize(("aside", "chosen"), [(0.5, True), (1.2, False)])
 def test_a_view_that_cuts_the_ball_is_chosen_if_it_shows_a_part(aside: float, chosen: bool) -> None:
     picture, shown = picture_of(camera_at(0.0))
