@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from ..evidence.cluster import LIKELY, Search
-from ..evidence.visibility import Picture, open_views
+from ..evidence.visibility import Picture
+from ..regions.crown import hidden_share
 
 FloatArray = NDArray[np.float64]
 
@@ -27,11 +27,6 @@ ALONE, WITH_PHOTOS = "gaussians", "photos"
 """Names of the ratios for scenes whose fruit were searched on Gaussians only, and in photos too."""
 COVARIATES = ("doubt", "faint", "hidden")
 """Names of the covariates that predict the ratio and its error; all 0 if every fruit is certain and fully visible."""
-PLACES = 2000
-"""Places inside the hull of the fruit that are tested for visibility."""
-OUTSIDE, FALLING = 2.2, 0.39
-"""The hull of n fruit that are spread evenly in a ball leaves out about OUTSIDE / n^FALLING of the ball (measured on
-random samples: .86 for 10 fruit, .52 for 50, .19 for 500). That part is visible."""
 JOINED = 0.1
 """Least deviation of the log ratio if spheres were joined to long fruit: how many make one fruit is uncertain."""
 TRAINED = 0.1
@@ -148,32 +143,10 @@ def evidence_of(
         return Evidence(0.0, 0.0, np.zeros(len(COVARIATES)), found.photos, dissent)
     variance = float((parts * (1.0 - probabilities)).sum())
     faint = 1.0 - float(parts @ found.features["mean"]) / expected
-    kept = probabilities > LIKELY
-    amid = _within(found.found.spheres.centers[kept], np.random.default_rng(seed))
-    unseen = hull_share(int(kept.sum())) * (1.0 - _shown(pictures, amid, found.size.diameter / 2.0))
-    covariates = np.array([variance / expected, faint, -np.log(1.0 - unseen)])
+    centers = found.found.spheres.centers[probabilities > LIKELY]
+    hidden = hidden_share(centers, pictures, found.size.diameter / 2.0, seed=seed)
+    covariates = np.array([variance / expected, faint, -np.log(1.0 - hidden)])
     return Evidence(expected, variance, covariates, found.photos, dissent)
-
-
-def hull_share(count: int) -> float:
-    """Share of the volume of a crown that the hull of this many fruit contains."""
-    return float(max(1.0 - OUTSIDE / max(count, 1) ** FALLING, 0.0))
-
-
-def _within(centers: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Places spread evenly over the hull of centers (F, 3); none if they have no hull."""
-    try:
-        sides = ConvexHull(centers).equations
-    except (QhullError, ValueError):
-        return np.zeros((0, 3))
-    places = rng.uniform(centers.min(axis=0), centers.max(axis=0), (4 * PLACES, 3))
-    return places[(places @ sides[:, :3].T + sides[:, 3] <= 0.0).all(axis=1)][:PLACES]
-
-
-def _shown(pictures: Sequence[Picture], places: FloatArray, radius: float) -> float:
-    """Share of places (K, 3) at which at least one view would show a fruit; 1 for no place."""
-    views = open_views(pictures, places, np.full(len(places), radius))
-    return float((views > 0).mean()) if len(places) else 1.0
 
 
 @cache

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
@@ -17,6 +18,7 @@ from ...splatting.subject.viewpoints import Subject
 from ..evidence.cluster import LIKELY, Search
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 FALLEN = 0.5
 """Median diameters above the ground below which a fruit on it has its lowest point. Measured on true surfaces and on
@@ -27,6 +29,10 @@ there. On the sample 5 of 8 false apples lay there, with log odds of .2 to 1; th
 above."""
 CLEAR, FEW = 0.9, 0.05
 """Probability of a clear fruit, and the largest share of the fruit that may lie in a ground."""
+MOST_FRUIT = 0.75
+"""Share of the fruit whose distance from their middle is the width of a part: some others may lie far away."""
+FEWEST_CAMERAS = 3
+"""Cameras that a part needs."""
 NEARNESS = 0.5
 """Radius of the subject relative to the distance from which it was photographed."""
 AROUND = 0.15
@@ -38,65 +44,127 @@ FEWEST = 10
 """Gaussians needed for the height of the ground under a fruit."""
 
 
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A part of the scene with a ground of its own. fruit: (K,) index of its centres; subject: what its cameras see."""
+
+    fruit: IntArray
+    subject: Subject
+
+
 def lying_on_ground(
     gaussians: Gaussians, cameras: Sequence[Camera], centers: FloatArray, diameters: FloatArray, up: FloatArray
 ) -> list[bool | None]:
     """Whether each of F fruit lies on the ground; None if no ground is visible there. Arguments as of
-    `heights_above_ground`; diameters: (F,) scene units.
+    `heights_above_ground`; cameras: of the scene; diameters: (F,) scene units.
 
-    None for all if centres lie below what seems to be the ground: then it is none, for example the lower side of a
-    crown.
+    None for a whole site if centres lie below what seems to be its ground: then it is none, for example the lower side
+    of a crown.
     """
-    if len(centers) == 0:
-        return []
-    heights = heights_above_ground(gaussians, cameras, centers, np.median(centers, axis=0), up)
-    if (heights < 0.0).mean() > FEW:
-        return [None] * len(centers)
+    heights = np.full(len(centers), np.nan)
+    for site, near in _grounds(gaussians, find_sites(centers, np.ones(len(centers), bool), cameras), centers):
+        own = heights_above_ground(near, site.subject, centers[site.fruit], up)
+        if (own < 0.0).mean() <= FEW:
+            heights[site.fruit] = own
     lowest = heights - 0.5 * diameters
-    lying = (lowest < FALLEN * np.median(diameters)).tolist()
+    lying = (lowest < FALLEN * np.median(diameters)).tolist() if len(centers) else []
     return [None if lost else low for lost, low in zip(np.isnan(lowest).tolist(), lying, strict=True)]
 
 
 def doubt_sunken(found: Search, gaussians: Gaussians, cameras: Sequence[Camera], up: FloatArray) -> Search:
     """The search with less probable candidates where the centre lies in the ground, not above it: most of them are
-    patches of ground that look like fruit. Arguments as of `heights_above_ground`.
+    patches of ground that look like fruit. Arguments as of `lying_on_ground`.
 
-    Unchanged if no candidate is clear, or if clear fruit lie in what seems to be the ground: then it is none.
+    Unchanged in a site without clear candidates, and where clear fruit lie in what seems to be the ground: then it is
+    none.
     """
     centers, probabilities = found.found.spheres.centers, found.probabilities
-    clear = probabilities > CLEAR
+    clear, sunken = probabilities > CLEAR, np.zeros(len(centers), bool)
     if not clear.any():
         return found
-    middle = np.median(centers[probabilities > LIKELY], axis=0)
-    sunken = heights_above_ground(gaussians, cameras, centers, middle, up) < SUNKEN * found.size.diameter
-    if sunken[clear].mean() > FEW:
-        return found
+    for site, near in _grounds(gaussians, find_sites(centers, probabilities > LIKELY, cameras), centers):
+        heights = heights_above_ground(near, site.subject, centers[site.fruit], up)
+        own = heights < SUNKEN * found.size.diameter
+        surely = own[clear[site.fruit]]
+        if len(surely) and surely.mean() <= FEW:
+            sunken[site.fruit] = own
     return replace(found, probabilities=np.where(sunken, expit(logit(probabilities) - DOUBT), probabilities))
 
 
-def heights_above_ground(
-    gaussians: Gaussians, cameras: Sequence[Camera], centers: FloatArray, middle: FloatArray, up: FloatArray
-) -> FloatArray:
-    """(F,) how far centers (F, 3) lie above the ground, scene units; NaN where no ground is visible.
+def find_sites(centers: FloatArray, likely: NDArray[np.bool_], cameras: Sequence[Camera]) -> list[Site]:
+    """The sites of fruit (F, 3): those that are `likely` (F,) in parts that are no wider than their cameras are far
+    away, the others with the nearest of these.
+
+    A single tree is one site. A row is cut until the cameras of each part, those nearest to its fruit, are as far from
+    it as they are from a tree.
+    """
+    if not likely.any():
+        return []
+    own, eyes = np.flatnonzero(likely), np.array([camera.center for camera in cameras])
+    parts = _compact(centers[own], eyes)
+    numbers = np.empty(len(own), np.int64)
+    for number, (fruit, _) in enumerate(parts):
+        numbers[fruit] = number
+    sites = numbers[cKDTree(centers[own]).query(centers)[1]]
+    sites[own] = numbers
+    return [Site(np.flatnonzero(sites == number), subject) for number, (_, subject) in enumerate(parts)]
+
+
+def _compact(centers: FloatArray, eyes: FloatArray) -> list[tuple[IntArray, Subject]]:
+    """The fruit (F, 3) in parts of which each is no wider than the cameras nearest to it, of all at `eyes` (V, 3), are
+    far away."""
+    open_parts, parts = [(np.arange(len(centers)), np.arange(len(eyes)))], list[tuple[IntArray, Subject]]()
+    while open_parts:
+        fruit, own = open_parts.pop()
+        middle = np.median(centers[fruit], axis=0)
+        distance = float(np.median(np.linalg.norm(eyes[own] - middle, axis=1)))
+        width = float(np.quantile(np.linalg.norm(centers[fruit] - middle, axis=1), MOST_FRUIT))
+        half = _half(centers[fruit])
+        nearest = half[cKDTree(centers[fruit]).query(eyes[own])[1]]
+        if width <= distance or min(nearest.sum(), (~nearest).sum()) < FEWEST_CAMERAS:
+            parts.append((fruit, Subject(middle, NEARNESS * distance)))
+        else:
+            open_parts += [(fruit[half], own[nearest]), (fruit[~half], own[~nearest])]
+    return parts
+
+
+def _half(centers: FloatArray) -> NDArray[np.bool_]:
+    """(F,) which centres (F, 3) lie in one half of them, cut across the direction in which they spread most."""
+    offsets = centers - centers.mean(axis=0)
+    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
+    return along * (1.0 if (along**3).sum() >= 0.0 else -1.0) > 0.0
+
+
+def _grounds(gaussians: Gaussians, sites: Sequence[Site], centers: FloatArray) -> Iterator[tuple[Site, Gaussians]]:
+    """Each site with the Gaussians that its ground and the feet of its fruit may consist of."""
+    if len(sites) == 1:
+        yield sites[0], gaussians
+        return
+    tree = cKDTree(gaussians.means.detach().double().cpu().numpy())
+    for site in sites:
+        farthest = float(np.linalg.norm(centers[site.fruit] - site.subject.center, axis=1).max())
+        near = tree.query_ball_point(site.subject.center, 2.0 * max(REACH * site.subject.radius, farthest))
+        yield site, gaussians.select(torch.from_numpy(np.sort(np.array(near, np.int64))))
+
+
+def heights_above_ground(gaussians: Gaussians, subject: Subject, centers: FloatArray, up: FloatArray) -> FloatArray:
+    """(F,) how far centers (F, 3) lie above the ground near a subject, scene units; NaN where no ground is visible.
 
     The ground is a plane that may slope, corrected by the surface near the foot of each centre. Far away, where only
     the plane continues, the result is NaN.
 
     Args:
         gaussians: those that are not fruit.
-        middle: (3,) of the fruit.
         up: (3,) unit, away from the ground, roughly.
     """
     unknown = np.full(len(centers), np.nan)
     if len(gaussians) == 0:
         return unknown
-    distances = [float(np.linalg.norm(camera.center - middle)) for camera in cameras]
-    subject = Subject(middle, NEARNESS * float(np.median(distances)))
     plane = ground_plane(gaussians, subject, up=up)
     if plane is None:
         return unknown
     relief = _relief(gaussians, plane, centers, subject.radius)
-    far = np.linalg.norm(centers - middle, axis=1) > REACH * subject.radius
+    far = np.linalg.norm(centers - subject.center, axis=1) > REACH * subject.radius
     return np.where(far & np.isnan(relief), np.nan, plane.above(centers) - np.nan_to_num(relief))
 
 

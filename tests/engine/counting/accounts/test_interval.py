@@ -23,11 +23,11 @@ from fruitlangs.engine.counting.accounts.interval import (
     Evidence,
     Ratio,
     estimate,
-    hull_share,
     stored_ratios,
 )
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
+from fruitlangs.engine.counting.regions.crown import hull_share
 from fruitlangs.engine.report.audit import audit_text
 from fruitlangs.engine.report.words import count_text, location_text
 
