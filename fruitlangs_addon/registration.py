@@ -13,7 +13,7 @@ from ..operators.export import export
 from ..operators.jobs import active_tool, jobs
 from ..operators.packages import caches, dependencies
 from ..operators.photos import best_photo, photo_backgrounds
-from ..operators.review import review, show_cluster
+from ..operators.review import missing, review, show_cluster
 from ..operators.settings import moved_paths, region
 from ..operators.steps import ask, check_photos, count, import_scene, reconstruct, teach
 from ..operators.tools import level, reset_placement, scale
@@ -48,6 +48,7 @@ CLASSES: tuple[Any, ...] = (
     *teach.CLASSES,
     *count.CLASSES,
     *review.CLASSES,
+    *missing.CLASSES,
     *show_cluster.CLASSES,
     *best_photo.CLASSES,
     *export.CLASSES,

@@ -26,6 +26,7 @@ class FRUITLANGS_PG_spot(bpy.types.PropertyGroup):
     label: StringProperty(name="Label", description="Label of the fruit")
     center: FloatVectorProperty(name="Centre", size=3, precision=6, description="Position in the scene frame")
     axes: FloatVectorProperty(name="Axes", size=9, precision=6, description="Half axes in the scene frame")
+    details: StringProperty(name="Details", description="Custom properties of the fruit (JSON); empty in the log")
 
 
 class FRUITLANGS_PG_decision(bpy.types.PropertyGroup):

@@ -236,6 +236,12 @@ def original(items: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
     return first
 
 
+def unlinked_fruit(root: bpy.types.Object) -> list[bpy.types.Object]:
+    """The fruit below this root that are in no Blender scene, for example because their collection was unlinked."""
+    own = (item for item in bpy.data.objects if item.parent == root and _has_role(item, "fruit"))
+    return [item for item in own if not item.users_scene]
+
+
 def remove_objects(objects: Iterable[bpy.types.Object]) -> None:
     """Delete objects, and their data if nothing else uses them."""
     doomed: Sequence[bpy.types.Object] = list(objects)

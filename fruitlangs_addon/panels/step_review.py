@@ -7,8 +7,10 @@ from typing import Any
 import bpy
 
 from ...operators.data.fruit_objects import diameter_head, fruit_collection, metres_per_unit
+from ...operators.data.missing_fruit import missing_text, rejected_text
 from ...operators.data.read_fruits import counted
 from ...operators.data.stored_review import entry_text, review_line
+from ...operators.review.missing import FRUITLANGS_OT_reject_missing, FRUITLANGS_OT_restore_fruit
 from ...operators.review.review import (
     FRUITLANGS_OT_add_fruit,
     FRUITLANGS_OT_confirm_fruit,
@@ -40,6 +42,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         if not counted(context.scene):
             return
         draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
+        draw_missing(layout, context)
         draw_list(layout, context)
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_confirm_fruit.bl_idname, icon="CHECKMARK")
@@ -58,6 +61,20 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         row.operator(FRUITLANGS_OT_relabel_fruit.bl_idname, icon="FILE_TEXT")
         row.prop(review, "label", text="")
         layout.prop(review, "reason")
+
+
+def draw_missing(layout: Any, context: bpy.types.Context) -> None:
+    """Draw what to do about many fruit that were deleted, unlinked or rejected; nothing otherwise."""
+    missing = missing_text(context.scene)
+    text = missing or rejected_text(context.scene)
+    if not text:
+        return
+    box = layout.box()
+    box.alert = bool(missing)
+    draw_text(box, text[0].upper() + text[1:], context, icon="ERROR")
+    box.operator(FRUITLANGS_OT_restore_fruit.bl_idname, icon="LOOP_BACK")
+    if missing:
+        box.operator(FRUITLANGS_OT_reject_missing.bl_idname, icon="X")
 
 
 def draw_list(layout: Any, context: bpy.types.Context) -> None:

@@ -12,6 +12,7 @@ import bpy
 
 from ...operators.blender_data import owned_object, owned_objects
 from ...operators.data.fruit_objects import REVIEW, standing
+from ...operators.data.missing_fruit import missing_text
 from ...operators.data.read_fruits import counted
 from ...operators.export.export_file import TITLE
 from ...operators.steps.count import FRUITLANGS_OT_count
@@ -108,6 +109,9 @@ def _count(bpy_scene: bpy.types.Scene) -> Check:
 def _review(bpy_scene: bpy.types.Scene) -> Check:
     if not counted(bpy_scene):
         return Check(False, False, "Count first, then review each fruit here")
+    missing = missing_text(bpy_scene)
+    if missing:
+        return Check(False, True, f"{missing}. Restore or reject them")
     fruit, bound = owned_objects(bpy_scene, "fruit"), bpy_scene.fruitlangs.review.doubt
     if not fruit:
         return Check(True, True, "No fruit to review. Use Add for fruit that were missed")
@@ -124,6 +128,9 @@ def _review(bpy_scene: bpy.types.Scene) -> Check:
 def _export(bpy_scene: bpy.types.Scene) -> Check:
     if not counted(bpy_scene):
         return Check(False, False, "Count first, then export here")
+    missing = missing_text(bpy_scene)
+    if missing:
+        return Check(False, False, f"{missing}. Restore or reject them in step 5")
     written = bpy_scene.fruitlangs.result.exported
     stands = f"Writes the {len(standing(bpy_scene))} fruit of the reviewed count"
     if written:

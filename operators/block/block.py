@@ -158,7 +158,10 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
             own = _tree_of(bpy_scene, context.scene)
             if own is None or SET_ID not in bpy_scene or owned_object(bpy_scene, "root") is None:
                 continue  # its result was not shown, or was removed
-            keep_corrections(bpy_scene)
+            try:
+                keep_corrections(bpy_scene)
+            except FruitLangsError as error:
+                raise type(error)(f"{bpy_scene.name}: {error}") from error
             if is_reviewed(bpy_scene) or len(bpy_scene.fruitlangs.review.log):  # also if all was undone by Reopen
                 reviews[own] = (str(bpy_scene[SET_ID]), read_review_of(bpy_scene))
         return lambda progress: update_block(folder, reviews, progress)

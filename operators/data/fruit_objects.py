@@ -226,11 +226,12 @@ def write_log(bpy_scene: bpy.types.Scene, decision: Decision) -> None:
             keep_spot(kept, spot)
 
 
-def keep_spot(rows: Any, spot: Spot) -> None:
-    """Add a spot to those in the .blend."""
+def keep_spot(rows: Any, spot: Spot) -> Any:
+    """Add a spot to those in the .blend, and return its row."""
     row = rows.add()
     row.number, row.label = spot.id, spot.label
     row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
+    return row
 
 
 def read_log(bpy_scene: bpy.types.Scene) -> list[Decision]:

@@ -1,7 +1,8 @@
 """Logs fruit that the user deleted or copied with Blender's own tools (X, Shift-D).
 
 The .blend stores which fruit existed at the last check (`review.known`). Fruit missing since then were deleted:
-rejected. New ones were copied: added. So the log is complete, and a later count keeps both.
+rejected, unless they are many (`missing_fruit`). New ones were copied: added. So the log is complete, and a later count
+keeps both.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .fruit_objects import (
     standing,
     write_log,
 )
+from .missing_fruit import check_missing, keep_details, reject_missing
 from .write_fruits import label_fruit
 
 if TYPE_CHECKING:
@@ -46,37 +48,46 @@ def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
     spots = []
     for item in standing(bpy_scene):
         before = found.get(int(item.get("id", 0)))
-        spots.append(spot_of(item, frame) if before is None or is_made(item) else before)
+        spots.append((spot_of(item, frame) if before is None or is_made(item) else before, item))
     known.clear()
-    for spot in spots:
-        keep_spot(known, spot)
+    for spot, item in spots:
+        keep_details(keep_spot(known, spot), item)
 
 
-def log_by_hand(bpy_scene: bpy.types.Scene) -> list[str]:
-    """Log which fruit were deleted or copied since `remember_fruit`; returns it as texts.
-
-    Fruit that were never stored (a .blend of the command line) are not logged, nor are fruit whose root is gone:
-    deleting a whole scene is not a review.
-    """
+def log_copies(bpy_scene: bpy.types.Scene) -> list[str]:
+    """Log which fruit were copied since `remember_fruit`; returns it as texts."""
     from ...engine.counting.accounts.review import Decision
 
     if owned_object(bpy_scene, "root") is None:
         return []
     frame, known = fruit_frame(bpy_scene), spots_of(bpy_scene.fruitlangs.review.known)
     items, notices = _originals(bpy_scene, frame, known), []
-    missing = [spot for spot in known if spot.id not in items]
-    if missing:
-        write_log(bpy_scene, Decision("reject", now(), "deleted", before=tuple(missing)))
-        notices.append(f"deleted by hand and rejected in the log: {_numbers([spot.id for spot in missing])}")
     own = set(items.values())
     copies = [item for item in standing(bpy_scene) if item not in own]
     for item, number in zip(copies, next_ids(bpy_scene, len(copies)), strict=True):
         _make_own(bpy_scene, item, number)
-        write_log(bpy_scene, Decision("add", now(), "copied", after=(spot_of(item, frame),)))
+        spot = spot_of(item, frame)
+        write_log(bpy_scene, Decision("add", now(), "copied", after=(spot,)))
+        if known:
+            keep_details(keep_spot(bpy_scene.fruitlangs.review.known, spot), item)
     if copies:
         notices.append(f"copied by hand and added in the log: {_numbers([item['id'] for item in copies])}")
-    remember_fruit(bpy_scene)
     return notices
+
+
+def log_deletions(bpy_scene: bpy.types.Scene) -> list[str]:
+    """Log which fruit were deleted since `remember_fruit`; returns it as texts.
+
+    Fruit that were never stored are not logged, nor are fruit whose root is gone: deleting a whole scene is not a
+    review.
+
+    Raises:
+        CountingError: many were deleted or unlinked, which may be an accident.
+    """
+    check_missing(bpy_scene)
+    missing = reject_missing(bpy_scene)
+    remember_fruit(bpy_scene)
+    return [f"deleted by hand and rejected in the log: {_numbers([spot.id for spot in missing])}"] if missing else []
 
 
 def _originals(bpy_scene: bpy.types.Scene, frame: SceneFrame, known: list[Spot]) -> dict[int, bpy.types.Object]:

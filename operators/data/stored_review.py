@@ -27,7 +27,8 @@ from .fruit_objects import (
     spot_of,
     standing,
 )
-from .manual_edits import log_by_hand, remember_fruit
+from .manual_edits import log_copies, log_deletions, remember_fruit
+from .missing_fruit import many_missing, missing_text, rejected_text
 from .write_fruits import label_fruit
 
 if TYPE_CHECKING:
@@ -37,10 +38,15 @@ if TYPE_CHECKING:
 
 def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
     """Log which fruit the user deleted and copied, returned as texts, and where the user's own fruit are now, since
-    they may have been moved and scaled."""
+    they may have been moved and scaled.
+
+    Raises:
+        CountingError: many fruit are missing, or the mesh of one was edited.
+        SceneError: the places and sizes of fruit are unknown.
+    """
     if owned_object(bpy_scene, "root") is None:
         return []
-    notices, frame = log_by_hand(bpy_scene), fruit_frame(bpy_scene)
+    notices, frame = log_copies(bpy_scene), fruit_frame(bpy_scene)
     keep_sizes(bpy_scene, frame)
     made = [item for item in owned_objects(bpy_scene, "fruit") if is_made(item)]
     spots = {spot.id: spot for spot in (spot_of(item, frame) for item in reversed(made))}
@@ -48,15 +54,16 @@ def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
         spot = spots.get(row.number)
         if spot is not None:
             row.center, row.axes = spot.center.tolist(), spot.axes.ravel().tolist()
-    return notices
+    return notices + log_deletions(bpy_scene)
 
 
 def keep_last_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
     """As `keep_corrections`, before the fruit are replaced: what cannot be read is not kept, and a text says so."""
+    missing = missing_text(bpy_scene)
     try:
         return keep_corrections(bpy_scene)
     except FruitLangsError as error:
-        return [f"changes by hand since the last decision are not kept: {error}"]
+        return [f"{missing} and are not rejected" if missing else f"changes by hand are not kept: {error}"]
 
 
 def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
@@ -93,7 +100,12 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts:
         row.number = found.renumbered.get(row.number, row.number)
     bpy_scene.fruitlangs.review.known.clear()  # an id may belong to another fruit now
     remember_fruit(bpy_scene)
-    return _not_applied(found.lost, others)
+    return [*filter(None, [_many_rejected(bpy_scene)]), *_not_applied(found.lost, others)]
+
+
+def _many_rejected(bpy_scene: bpy.types.Scene) -> str:
+    text = rejected_text(bpy_scene)
+    return f"{text}. Restore Fruit in step 5 counts them again" if text else ""
 
 
 def _labels(fruit_count: FruitCount, prompts: Sequence[str]) -> set[str]:
@@ -159,7 +171,7 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:
     """'counted 182, after review 185, 90 % interval 178–196'; without the middle part before any review."""
-    interval = reviewed_interval(bpy_scene)
+    interval = None if many_missing(bpy_scene) else reviewed_interval(bpy_scene)
     return counts_line(bpy_scene) + ("" if interval is None else f", 90 % interval {interval[0]}–{interval[1]}")
 
 
@@ -167,7 +179,9 @@ def counts_line(bpy_scene: bpy.types.Scene) -> str:
     """'counted 182, after review 185'; without the second part before any review."""
     shown = bpy_scene.fruitlangs.result
     parts = [f"counted {shown.count}"] if shown.count >= 0 else []
-    if is_reviewed(bpy_scene):
+    if many_missing(bpy_scene):
+        parts.append(missing_text(bpy_scene))
+    elif is_reviewed(bpy_scene):
         parts.append(f"after review {len(standing(bpy_scene))}")
     elif not parts:  # a .blend that the command line wrote
         parts.append(f"{len(standing(bpy_scene))} fruit")

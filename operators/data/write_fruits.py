@@ -19,6 +19,7 @@ from ..blender_data import (
     owned_collection,
     owned_objects,
     remove_objects,
+    unlinked_fruit,
 )
 from ..scene_frame import SceneFrame, keep_pose
 from ..viewport.fruit_colours import colour_fruit
@@ -49,7 +50,7 @@ def write_fruits(
     color and kind; if known also diameter_sd (in the same unit), visible_fraction, fallen and tree. The fruit of a tree
     of a row are also in a collection of their own.
     """
-    remove_objects(owned_objects(bpy_scene, "fruit"))
+    remove_objects([*owned_objects(bpy_scene, "fruit"), *unlinked_fruit(root)])
     for old in [each for each in local_collections(bpy_scene) if each.get(OWNER) in ("tree", "trees")]:
         bpy.data.collections.remove(old)
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
@@ -101,11 +102,11 @@ def _write(
     keep_pose(item)
     _set_properties(item, fruit, metres_per_unit)
     colour_fruit(item)
-    _put_on_tree(bpy_scene, item)
+    put_on_tree(bpy_scene, item)
     return item
 
 
-def _put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+def put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     """Link a fruit into the collection of its tree too, if it has one."""
     if "tree" not in item:
         return

@@ -75,14 +75,24 @@ class ExportFile(JobOperator):
         fruit_count = read_fruits(context.scene)
         write = self.writing(context, fruit_count)
         self._path = path
-        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}", *notices])
+        self._is_empty = not fruit_count.count
+        empty = f": {_empty_reason(context.scene)}" if self._is_empty else ""
+        self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}{empty}", *notices])
         return lambda progress: write(path, progress)
 
     def finish(self: Any, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.find()
         if bpy_scene is not None:
             bpy_scene.fruitlangs.result.exported = stored_path(self._path)
-        self.report({"INFO"}, self._said)
+        self.report({"WARNING" if self._is_empty else "INFO"}, self._said)
+
+
+def _empty_reason(bpy_scene: bpy.types.Scene) -> str:
+    """Why there is no fruit to export."""
+    shown = bpy_scene.fruitlangs.result
+    if shown.count > 0:
+        return f"all {shown.count} counted fruit are rejected"
+    return str(shown.zero_reason) or "no fruit are shown"
 
 
 def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:

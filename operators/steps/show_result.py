@@ -73,7 +73,7 @@ def show_reconstruction(
     notices = _enter(bpy_scene, made.origin)
     owners = _owners(bpy_scene, made)
     if owners is None and counted(bpy_scene):
-        forget_count(bpy_scene)
+        notices += forget_count(bpy_scene)
         notices.append("the earlier count was removed, because the Gaussians or their scale changed. Count again")
     first = owned_object(bpy_scene, "root") is None
     first_gaussians = owned_object(bpy_scene, "gaussians") is None

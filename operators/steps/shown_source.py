@@ -45,8 +45,9 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
 
 def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
     settings, root = bpy_scene.fruitlangs, owned_object(bpy_scene, "root")
-    source, decisions = known_path(settings.result.source), len(settings.review.log)
-    forget_count(bpy_scene)
+    source = known_path(settings.result.source)
+    notices = forget_count(bpy_scene)
+    decisions = len(settings.review.log)
     if decisions:
         kept = settings.review.aside.add()
         kept.source, kept.mark = settings.result.source, settings.result.mark
@@ -62,7 +63,8 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
         place_root(SceneFrame(root, Matrix()), Matrix(), None)
     for name in OF_SOURCE:
         settings.result.property_unset(name)
-    notices = [f"{kept_text(decisions, str(source))} until it is shown again"] if decisions else []
+    if decisions:
+        notices.append(f"{kept_text(decisions, str(source))} until it is shown again")
     if measured:
         notices.append(
             f"the scale, ground and region of {source} were removed, because they do not apply to this scene"
@@ -72,9 +74,10 @@ def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
     return notices
 
 
-def forget_count(bpy_scene: bpy.types.Scene) -> None:
-    """Remove the fruit and the answer with their texts in the panel; decisions stay in the log."""
-    keep_last_corrections(bpy_scene)
+def forget_count(bpy_scene: bpy.types.Scene) -> list[str]:
+    """Remove the fruit and the answer with their texts in the panel; decisions stay in the log. Returns what was
+    logged or could not be, as texts."""
+    notices = keep_last_corrections(bpy_scene)
     remove_objects(owned_objects(bpy_scene, "fruit"))
     settings = bpy_scene.fruitlangs
     settings.review.known.clear()
@@ -84,6 +87,7 @@ def forget_count(bpy_scene: bpy.types.Scene) -> None:
                 group.property_unset(each.identifier)
     bpy_scene.pop(SET_ID, None)
     bpy_scene.pop(AUDIT, None)
+    return notices
 
 
 def _forget_measures(bpy_scene: bpy.types.Scene) -> bool:

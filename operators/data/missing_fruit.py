@@ -1,0 +1,137 @@
+"""Fruit that were deleted or unlinked since the last check, and how they come back.
+
+One deleted fruit is a rejection. Many at once are more often an accident, for example a deleted collection: they are no
+decision until the user rejects or restores them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from ...engine.errors import CountingError
+from ..blender_data import owned_collection, owned_object, owned_objects, unlinked_fruit
+from ..viewport.fruit_colours import colour_fruit
+from .fruit_objects import REJECTED, REVIEW, is_made, judge, make_fruit, now, spots_of, standing, write_log
+from .write_fruits import put_on_tree
+
+if TYPE_CHECKING:
+    from ...engine.counting.accounts.review import Spot
+
+FEW = 3
+"""Number of fruit that may be missing at once and are rejected without a question."""
+SHARE = 0.1
+"""Share of the fruit above which more than `FEW` missing ones are a question: less than a tree of a row has."""
+PLAIN = (bool, int, float, str, list)
+"""Types of custom properties of fruit; renderers add others."""
+DELETED = "deleted"
+"""Reason in the log of fruit that were deleted by hand."""
+
+
+def missing_fruit(bpy_scene: bpy.types.Scene) -> list[Spot]:
+    """The fruit of the last check that are not in this Blender scene any more; none if its root is gone too."""
+    if owned_object(bpy_scene, "root") is None:
+        return []
+    present = {int(item.get("id", 0)) for item in standing(bpy_scene)}
+    return [spot for spot in spots_of(bpy_scene.fruitlangs.review.known) if spot.id not in present]
+
+
+def many_missing(bpy_scene: bpy.types.Scene) -> int:
+    """How many fruit are missing, if they are too many for a decision; else 0."""
+    known = bpy_scene.fruitlangs.review.known
+    if len(known) <= FEW or owned_object(bpy_scene, "root") is None:
+        return 0
+    present = {int(item.get("id", 0)) for item in standing(bpy_scene)}
+    missing = sum(row.number not in present for row in known)
+    return missing if missing > max(FEW, SHARE * len(known)) else 0
+
+
+def missing_text(bpy_scene: bpy.types.Scene) -> str:
+    """'117 of 117 fruit were deleted or unlinked'; empty if none or few were."""
+    missing = many_missing(bpy_scene)
+    return f"{missing} of {len(bpy_scene.fruitlangs.review.known)} fruit were deleted or unlinked" if missing else ""
+
+
+def check_missing(bpy_scene: bpy.types.Scene) -> None:
+    """Refuse to go on while many fruit are missing.
+
+    Raises:
+        CountingError: many fruit were deleted or unlinked since the last check.
+    """
+    text = missing_text(bpy_scene)
+    if text:
+        raise CountingError(
+            f"{text}. Undo, or press Restore Fruit or Reject Missing in step 5 (in a script: "
+            "bpy.ops.fruitlangs.restore_fruit() or reject_missing())"
+        )
+
+
+def reject_missing(bpy_scene: bpy.types.Scene, reason: str = DELETED) -> list[Spot]:
+    """Log all missing fruit as rejected, and return them."""
+    from ...engine.counting.accounts.review import Decision
+
+    missing = missing_fruit(bpy_scene)
+    if missing:
+        write_log(bpy_scene, Decision("reject", now(), reason, before=tuple(missing)))
+    return missing
+
+
+def restore_missing(bpy_scene: bpy.types.Scene) -> int:
+    """Bring the missing fruit back where they were at the last check, and return their number.
+
+    Unlinked objects are linked again; deleted ones are made from what `keep_details` stored.
+
+    Raises:
+        CountingError: a file of an earlier version does not have these details.
+    """
+    missing = {spot.id: spot for spot in missing_fruit(bpy_scene)}
+    details = {row.number: row.details for row in bpy_scene.fruitlangs.review.known}
+    root = owned_object(bpy_scene, "root")
+    assert root is not None
+    unlinked = {int(item.get("id", 0)): item for item in unlinked_fruit(root)}
+    if any(not details[number] for number in missing if number not in unlinked):
+        raise CountingError("The deleted fruit are not stored in this file. Undo, or import the result again")
+    fruits = owned_collection(bpy_scene, "fruits", "Fruits")
+    for number, spot in missing.items():
+        if number in unlinked:
+            fruits.objects.link(unlinked[number])
+        else:
+            _set_details(make_fruit(bpy_scene, spot, None), details[number], bpy_scene)
+    return len(missing)
+
+
+def keep_details(row: Any, item: bpy.types.Object) -> None:
+    """Store the custom properties of a fruit with its spot in `review.known`."""
+    values = {key: value.to_list() if hasattr(value, "to_list") else value for key, value in item.items()}
+    row.details = json.dumps({key: value for key, value in values.items() if isinstance(value, PLAIN)})
+
+
+def _set_details(item: bpy.types.Object, details: str, bpy_scene: bpy.types.Scene) -> None:
+    for key in list(item.keys()):
+        del item[key]
+    for key, value in json.loads(details).items():
+        item[key] = value
+    colour_fruit(item)
+    put_on_tree(bpy_scene, item)
+    item.hide_viewport = item.hide_render = False
+
+
+def rejected_text(bpy_scene: bpy.types.Scene) -> str:
+    """'the review rejects 117 of 117 fruit'; empty unless it rejects more than half of them, and more than `FEW`."""
+    counted = [item for item in owned_objects(bpy_scene, "fruit") if not is_made(item)]
+    rejected = sum(item.get(REVIEW) == REJECTED for item in counted)
+    return f"the review rejects {rejected} of {len(counted)} fruit" if rejected > max(FEW, len(counted) // 2) else ""
+
+
+def reopen_rejected(bpy_scene: bpy.types.Scene, spots: Sequence[Spot]) -> int:
+    """Undo the rejection of all fruit that exist, with their `spots` for the log, and return their number."""
+    from ...engine.counting.accounts.review import Decision
+
+    items = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == REJECTED]
+    write_log(bpy_scene, Decision("reopen", now(), "", before=tuple(spots)))
+    for item in items:
+        judge(item, "")
+    return len(items)

@@ -1,0 +1,86 @@
+"""What to do with fruit that are missing: restore them, or reject them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..blender_data import owned_objects
+from ..data.fruit_objects import REJECTED, REVIEW, fruit_frame, spot_of
+from ..data.manual_edits import log_copies, remember_fruit
+from ..data.missing_fruit import (
+    DELETED,
+    many_missing,
+    reject_missing,
+    rejected_text,
+    reopen_rejected,
+    restore_missing,
+)
+from ..jobs.jobs import busy, describe_error, editing
+from .review import has_root
+
+
+class FRUITLANGS_OT_restore_fruit(bpy.types.Operator):
+    bl_idname = "fruitlangs.restore_fruit"
+    bl_label = "Restore Fruit"
+    bl_description = "Bring back fruit that were deleted or unlinked, or else all rejected ones"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or editing(cls, context) or not has_root(cls, context):
+            return False
+        if not many_missing(context.scene) and not rejected_text(context.scene):
+            cls.poll_message_set("Most fruit are there")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy_scene = context.scene
+        try:
+            log_copies(bpy_scene)
+            if many_missing(bpy_scene):
+                back = restore_missing(bpy_scene)
+            else:
+                frame, fruits = fruit_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
+                rejected = [spot_of(item, frame) for item in fruits if item.get(REVIEW) == REJECTED]
+                back = reopen_rejected(bpy_scene, rejected)
+            remember_fruit(bpy_scene)
+        except Exception as error:
+            self.report({"ERROR"}, describe_error(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{back} fruit are back")
+        return {"FINISHED"}
+
+
+class FRUITLANGS_OT_reject_missing(bpy.types.Operator):
+    bl_idname = "fruitlangs.reject_missing"
+    bl_label = "Reject Missing"
+    bl_description = "Reject the fruit that were deleted or unlinked, so that they are not counted"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if busy(cls) or not has_root(cls, context):
+            return False
+        if not many_missing(context.scene):
+            cls.poll_message_set("No fruit are missing")
+            return False
+        return True
+
+    def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        review = context.scene.fruitlangs.review
+        reason, review.reason = review.reason.strip() or DELETED, ""
+        try:
+            log_copies(context.scene)
+            rejected = reject_missing(context.scene, reason)
+            remember_fruit(context.scene)
+        except Exception as error:
+            self.report({"ERROR"}, describe_error(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{len(rejected)} fruit are rejected")
+        return {"FINISHED"}
+
+
+CLASSES = (FRUITLANGS_OT_restore_fruit, FRUITLANGS_OT_reject_missing)
