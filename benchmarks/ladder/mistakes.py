@@ -161,4 +161,5 @@ def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence
 def _disc(camera: Camera, center: FloatArray, diameter: float) -> _Disc | None:
     """The picture of a sphere; None if it is not completely in front of the camera."""
     (u, v), z = camera.project(center)
-    return _Disc(float(u), float(v), float(camera.K[0, 0] * 0.5 * diameter / z)) if z > diameter else None
+    focal = max(camera.K[0, 0], camera.K[1, 1])
+    return _Disc(float(u), float(v), float(focal * 0.5 * diameter / z)) if z > diameter else None

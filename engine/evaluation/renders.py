@@ -95,6 +95,6 @@ def _seen_at(
     (u, v), z = camera.project(center)
     if z <= diameter:
         return False
-    reach = max(1.0, camera.K[0, 0] * 0.5 * diameter / z)
-    window = mask[max(int(v - reach), 0) : int(v + reach) + 1, max(int(u - reach), 0) : int(u + reach) + 1]
-    return u + reach >= 0 and v + reach >= 0 and bool((window == number).any())
+    across, along = (max(1.0, camera.K[axis, axis] * 0.5 * diameter / z) for axis in (0, 1))
+    window = mask[max(int(v - along), 0) : int(v + along) + 1, max(int(u - across), 0) : int(u + across) + 1]
+    return u + across >= 0 and v + along >= 0 and bool((window == number).any())

@@ -112,7 +112,7 @@ def _seen(
         normals=normals.reshape(-1, 3)[chosen],
         colors=photo.reshape(-1, 3)[chosen] / 255.0,
         fruit=ids.ravel()[chosen].astype(np.int64),
-        widths=z.ravel()[chosen] / camera.K[0, 0],
+        widths=z.ravel()[chosen] / np.sqrt(camera.K[0, 0] * camera.K[1, 1]),
     )
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...splatting.kernels.surface import NOTHING
-from .pixel_width import focal_length
 from .size import FruitSize
 from .visibility import Picture
 
@@ -40,7 +39,8 @@ SPREAD = 0.35
 class Regions:
     """R connected regions of pixels.
 
-    rows, columns: (R,) centre of the largest circle inside; widths: (R,) its diameter in pixels; areas: (R,) pixels;
+    rows, columns: (R,) centre of the largest circle inside; widths: (R,) its diameter, and areas: (R,), in widths of a
+    pixel;
     single: (R,) whether the region may be one fruit: round, wide enough, and not cut by the border of the view.
     """
 
@@ -51,15 +51,15 @@ class Regions:
     single: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, shown: NDArray[np.bool_]) -> Regions:
-        """The regions of the pixels (H, W) that are True."""
+    def of(cls, shown: NDArray[np.bool_], aspect: float = 1.0) -> Regions:
+        """The regions of the pixels (H, W) that are True; aspect: height of a pixel over its width."""
         labels, count = ndimage.label(shown)
         numbers = np.arange(1, count + 1)
-        distances = ndimage.distance_transform_edt(shown)
+        distances = ndimage.distance_transform_edt(shown, sampling=(aspect, 1.0))
         centers = np.array(ndimage.maximum_position(distances, labels, numbers), np.int64).reshape(-1, 2)
         rows, columns = centers.T
         radii = distances[rows, columns]  # to the centre of the nearest pixel outside
-        areas = np.bincount(labels.reshape(-1), minlength=count + 1)[1:].astype(np.float64)
+        areas = aspect * np.bincount(labels.reshape(-1), minlength=count + 1)[1:].astype(np.float64)
         cut = np.isin(numbers, np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
         single = (2.0 * radii >= NARROWEST) & (np.pi * (radii - 0.5) ** 2 >= LEAST_ROUND * areas) & ~cut
         return cls(rows, columns, 2.0 * radii, areas, single)
@@ -72,12 +72,14 @@ def size_from_pictures(pictures: Sequence[Picture], threshold: float, contains: 
     """
     found = []
     for picture in pictures:
-        regions = Regions.of((picture.fruit >= threshold) & (picture.depth < NOTHING))
-        depths, camera = picture.depth[regions.rows, regions.columns].astype(np.float64), picture.camera
+        camera = picture.camera
+        fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
+        regions = Regions.of((picture.fruit >= threshold) & (picture.depth < NOTHING), fx / fy)
+        depths = picture.depth[regions.rows, regions.columns].astype(np.float64)
         pixels = np.stack([regions.columns + 0.5, regions.rows + 0.5, np.ones(len(depths))], axis=1)
         rays = pixels @ np.linalg.inv(camera.K).T * depths[:, None]
         inside = contains(rays @ camera.world_to_camera[:3, :3] + camera.center)
-        scales = depths / focal_length(camera)
+        scales = depths / fx
         found.append((regions.widths[inside], scales[inside], regions.areas[inside], regions.single[inside]))
     width = common_width(*map(np.concatenate, zip(*found, strict=True)))
     return None if width is None else FruitSize(width, SPREAD)

@@ -142,11 +142,11 @@ class Verifier:
     ) -> FloatArray:
         """(C, 3) the moves that fit the shifts of all views best, weighted by their errors."""
         _, depths = self.views.project(centers, chosen)
-        pixels = self.views.lenses[np.maximum(chosen, 0), 0] * radius / depths
-        weights = np.exp(-2.0 * errors.double().numpy()) * (chosen >= 0) / pixels**2
-        slopes, wanted = self.views.slopes(centers, chosen), shifts.double().numpy() * pixels[..., None]
-        normal = np.einsum("ck,ckxi,ckxj->cij", weights, slopes, slopes) + np.eye(3) * STIFF / radius**2
-        moves = np.linalg.solve(normal, np.einsum("ck,ckxi,ckx->ci", weights, slopes, wanted)[..., None])[..., 0]
+        pixels = self.views.lenses[np.maximum(chosen, 0), :2] * radius / depths[..., None]
+        weights = (np.exp(-2.0 * errors.double().numpy()) * (chosen >= 0))[..., None] / pixels**2
+        slopes, wanted = self.views.slopes(centers, chosen), shifts.double().numpy() * pixels
+        normal = np.einsum("ckx,ckxi,ckxj->cij", weights, slopes, slopes) + np.eye(3) * STIFF / radius**2
+        moves = np.linalg.solve(normal, np.einsum("ckx,ckxi,ckx->ci", weights, slopes, wanted)[..., None])[..., 0]
         lengths = np.linalg.norm(moves, axis=1, keepdims=True)
         return moves * np.minimum(1.0, FARTHEST * radius / np.maximum(lengths, 1e-12))
 

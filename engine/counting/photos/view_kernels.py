@@ -88,10 +88,10 @@ def look(
     centre, and what is behind."""
     probabilities, offsets, depths, starts, sizes, _, lenses = views
     start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
-    pixels = lenses[view, 0] * radius / z
+    across, along = lenses[view, 0] * radius / z, lenses[view, 1] * radius / z
     framed, fruit, own, through = 0.0, 0.0, 0.0, 0.0
     for s in range(len(disc)):
-        x, y = u + pixels * disc[s, 0], v + pixels * disc[s, 1]
+        x, y = u + across * disc[s, 0], v + along * disc[s, 1]
         shown = between(probabilities, start, height, width, x, y)
         if shown < 0.0:
             continue
@@ -101,7 +101,7 @@ def look(
         if shown >= LIKELY:
             weight = 1.0 if depth < z + BEHIND * radius else 0.5
             fruit += weight
-            right, down = (int(x) + 0.5 - u) / pixels - offsets[at, 0], (int(y) + 0.5 - v) / pixels - offsets[at, 1]
+            right, down = (int(x) + 0.5 - u) / across - offsets[at, 0], (int(y) + 0.5 - v) / along - offsets[at, 1]
             own += weight * agreement(right * right + down * down)
         elif depth > z + THROUGH * radius:
             through += 1.0
@@ -115,8 +115,8 @@ def visible_from(views: Views, view: int, center: FloatArray, radius: float) -> 
     u, v, z = place(views[5][view], views[6][view], center)
     if z <= NEAREST * radius:
         return u, v, 0.0
-    beyond = BEYOND * radius * views[6][view, 0] / z
-    inside = -beyond <= u < views[4][view, 1] + beyond and -beyond <= v < views[4][view, 0] + beyond
+    beside, below = BEYOND * radius * views[6][view, 0] / z, BEYOND * radius * views[6][view, 1] / z
+    inside = -beside <= u < views[4][view, 1] + beside and -below <= v < views[4][view, 0] + below
     return u, v, z if inside else 0.0
 
 
@@ -189,15 +189,15 @@ def _fill(
     probabilities, offsets, depths, starts, sizes, _, lenses = views
     start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
     cells = crop.shape[1]
-    pixels = lenses[view, 0] * radius / z
-    steps = int(min(max(round(2.0 * span * pixels / cells), 1.0), CLOSEST_STEPS))
+    across, along = lenses[view, 0] * radius / z, lenses[view, 1] * radius / z
+    steps = int(min(max(round(2.0 * span * max(across, along) / cells), 1.0), CLOSEST_STEPS))
     for row in range(cells):
         for column in range(cells):
             probability, depth, inside, own, right, down = 0.0, 0.0, 0, 0.0, 0.0, 0.0
             for i in range(steps):
-                y = v + (2.0 * (row + (i + 0.5) / steps) / cells - 1.0) * span * pixels
+                y = v + (2.0 * (row + (i + 0.5) / steps) / cells - 1.0) * span * along
                 for j in range(steps):
-                    x = u + (2.0 * (column + (j + 0.5) / steps) / cells - 1.0) * span * pixels
+                    x = u + (2.0 * (column + (j + 0.5) / steps) / cells - 1.0) * span * across
                     shown = between(probabilities, start, height, width, x, y)
                     if shown < 0.0:
                         continue
@@ -208,7 +208,7 @@ def _fill(
                     depth += min(max(relative, -DEPTH_RANGE), DEPTH_RANGE) / DEPTH_RANGE
                     if shown < LEAST_SHOWN:
                         continue
-                    middle_x, middle_y = (int(x) + 0.5 - u) / pixels, (int(y) + 0.5 - v) / pixels
+                    middle_x, middle_y = (int(x) + 0.5 - u) / across, (int(y) + 0.5 - v) / along
                     off_x, off_y = middle_x - offsets[at, 0], middle_y - offsets[at, 1]
                     mine = agreement(off_x * off_x + off_y * off_y)
                     other = 0.0
@@ -236,8 +236,8 @@ def _disc(
     """Fill disc (4,) with a known fruit as a crop shows it: middle and radius, in radii of the sphere, and 1 in front
     of the sphere's centre, -1 behind it; False if it is too close to the camera."""
     x, y, depth = place(views[5][view], views[6][view], other)
-    scale = views[6][view, 0] * radius / z
-    disc[0], disc[1], disc[2] = (x - u) / scale, (y - v) / scale, other_radius * z / (max(depth, 1e-12) * radius)
+    across, along = views[6][view, 0] * radius / z, views[6][view, 1] * radius / z
+    disc[0], disc[1], disc[2] = (x - u) / across, (y - v) / along, other_radius * z / (max(depth, 1e-12) * radius)
     disc[3] = 1.0 if depth < z else -1.0
     return depth >= 2.0 * other_radius
 

@@ -35,9 +35,9 @@ def read_transforms(
 ) -> Scene:
     """Read a `transforms.json` (its path or its folder's) and the headers of its photos.
 
-    Intrinsics are `fl_x, fl_y, cx, cy, w, h` (or `camera_angle_x`) and `k1…, p1, p2`, a frame's own before the
-    file's; `camera_model` OPENCV (the default), OPENCV_FISHEYE or EQUIRECTANGULAR. `transform_matrix` is camera to
-    world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative to the
+    Intrinsics are `fl_x, fl_y, cx, cy, w, h` (or `camera_angle_x, camera_angle_y`) and `k1…, p1, p2`, a frame's own
+    before the file's; `camera_model` OPENCV (the default), OPENCV_FISHEYE or EQUIRECTANGULAR. `transform_matrix` is
+    camera to world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative to the
     file; a photo may lack its extension. Frames whose photo is missing are left out. The scene's frame is the file's;
     without a point cloud it has no points.
 
@@ -196,7 +196,10 @@ def _lens(values: Mapping[str, Any], photo: Path, where: str) -> Lens:
         fx = 0.5 * width / np.tan(0.5 * number("camera_angle_x"))
     else:
         raise SceneError(f"{where} has neither fl_x nor camera_angle_x. Export it with intrinsics")
-    fy = number("fl_y") if "fl_y" in values else fx
+    if "fl_y" in values:
+        fy = number("fl_y")
+    else:
+        fy = 0.5 * height / np.tan(0.5 * number("camera_angle_y")) if "camera_angle_y" in values else fx
     cx = number("cx") if "cx" in values else width / 2
     cy = number("cy") if "cy" in values else height / 2
     if model not in ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):

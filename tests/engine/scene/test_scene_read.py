@@ -66,6 +66,12 @@ def test_intrinsics_may_be_one_angle(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_scene(tmp_path).cameras[0].K, [[16, 0, 16], [0, 16, 12], [0, 0, 1]])
 
 
+def test_intrinsics_may_be_an_angle_for_each_axis(tmp_path: Path) -> None:
+    file = write_transforms(tmp_path, camera_angle_x=np.pi / 2, camera_angle_y=2.0 * np.arctan(0.5))
+    edit(file, fl_x=None, fl_y=None, cx=None, cy=None, w=None, h=None)
+    np.testing.assert_allclose(read_scene(tmp_path).cameras[0].K, [[16, 0, 16], [0, 24, 12], [0, 0, 1]])
+
+
 def test_photos_may_lack_their_extension(tmp_path: Path) -> None:
     file = write_transforms(tmp_path)
     edit_frame(file, 0, file_path="images/0")

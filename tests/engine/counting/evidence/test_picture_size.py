@@ -39,6 +39,17 @@ def test_the_width_of_discs_is_their_diameter_at_their_depth() -> None:
     assert size.diameter == pytest.approx(20.0 * DEPTH / 300.0, rel=0.08)
 
 
+def test_the_width_of_discs_is_the_same_in_pixels_that_are_not_square() -> None:
+    square = picture(SIX)
+    flat = Picture(
+        CAMERA.resized(CAMERA.width, 3 * CAMERA.height), square.depth.repeat(3, 0), square.fruit.repeat(3, 0)
+    )
+    size, other = (size_from_pictures([each], 0.5, everywhere) for each in (square, flat))
+    assert size is not None
+    assert other is not None
+    assert other.diameter == pytest.approx(size.diameter, rel=0.04)
+
+
 def test_clumps_and_half_hidden_fruit_do_not_change_the_width() -> None:
     clump = [(100.0 + 14.0 * index, 60.0, 10.0) for index in range(6)]
     views = [picture([*SIX, *clump]), picture([*SIX, (340.0, 40.0, 4.0)])]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from fruitlangs.engine.counting.evidence.visibility import Picture
-from fruitlangs.engine.counting.photos.verifier import known_near
+from fruitlangs.engine.counting.photos.verifier import Network, Verifier, known_near
 from fruitlangs.engine.counting.photos.view_kernels import DEPTH, DOWN, INSIDE, OTHERS, OWN, PROBABILITY, RIGHT
 from fruitlangs.engine.counting.photos.views import PhotoViews, cube_centers, occupied
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
@@ -27,21 +29,33 @@ def camera_at(turn: float) -> Camera:
 
 def picture_of(camera: Camera) -> tuple[Picture, PhotoMap]:
     """The rendered depth of a ball before a wall, and the map of a photo that shows it."""
-    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    rays = np.stack([(u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL, np.ones_like(u)], axis=-1)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    (fx, _, cx), (_, fy, cy), _ = camera.K
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1)
     a, b, c = (rays**2).sum(-1), -4.0 * rays[..., 2], 4.0 - RADIUS**2
     root = b * b - 4.0 * a * c
     hit = root > 0.0
     depth = np.where(hit, (-b - np.sqrt(np.maximum(root, 0.0))) / (2.0 * a), 5.0)
     shown = hit.astype(np.float32)
-    middle, radius = np.array([WIDTH / 2, HEIGHT / 2]), FOCAL * RADIUS / 2.0
-    offsets = (np.stack([u, v], axis=-1) - middle) / radius
+    offsets = rays[..., :2] / (RADIUS / 2.0)
     return Picture(camera, depth.astype(np.float32), shown), PhotoMap(shown, offsets.astype(np.float32))
 
 
 @pytest.fixture(scope="module")
 def views() -> PhotoViews:
     pictures, maps = zip(*(picture_of(camera_at(turn)) for turn in np.linspace(0.0, 2.0, 6)), strict=True)
+    return PhotoViews.of(pictures, maps)
+
+
+FLAT = 2.5
+"""Pixels of `flat` views are this many times as wide as they are high."""
+
+
+@pytest.fixture(scope="module")
+def flat() -> PhotoViews:
+    """The same views in pixels that are not square: fy is FLAT times fx."""
+    cameras = [camera_at(turn).resized(WIDTH, round(FLAT * HEIGHT)) for turn in np.linspace(0.0, 2.0, 6)]
+    pictures, maps = zip(*map(picture_of, cameras), strict=True)
     return PhotoViews.of(pictures, maps)
 
 
@@ -155,6 +169,55 @@ def test_slopes_are_the_change_of_pixels(views: PhotoViews) -> None:
         moved = center + step * np.eye(3)[axis]
         change = (views.project(moved, chosen)[0] - views.project(center, chosen)[0]) / step
         assert np.allclose(slopes[..., axis], change, rtol=1e-3, atol=1e-2)
+
+
+def test_crops_are_the_same_in_pixels_that_are_not_square(views: PhotoViews, flat: PhotoViews) -> None:
+    others = np.array([[0.0, 0.0, 2.2 * RADIUS]])
+    square, stretched = (crops_of(each, others, np.zeros((1, 1), np.int64)) for each in (views, flat))
+    assert np.array_equal(square[:, [INSIDE, OTHERS]], stretched[:, [INSIDE, OTHERS]])
+    for channel in (PROBABILITY, DEPTH, OWN, RIGHT, DOWN):
+        assert np.abs(square[:, channel] - stretched[:, channel]).mean() < 0.02
+
+
+def test_a_fine_axis_is_sampled_as_finely_as_it_is(views: PhotoViews) -> None:
+    """Each cell of a crop covers 2.5 pixels across and 6.25 along."""
+    picture, shown = picture_of(camera_at(0.0).resized(WIDTH, round(FLAT * HEIGHT)))
+    shown.probability[:] = 0.0
+    shown.probability[::4] = 1.0
+    crop = crops_of(PhotoViews.of([picture, picture], [shown, shown]), NOWHERE, np.full((1, 1), -1))[0]
+    assert 0.1 < crop[PROBABILITY, 4:12].min() <= crop[PROBABILITY, 4:12].max() < 0.6
+
+
+def test_views_show_the_same_of_a_ball_in_pixels_that_are_not_square(views: PhotoViews, flat: PhotoViews) -> None:
+    places, radii = np.array([BALL, [0.0, 0.0, 0.08], [0.0, 0.1, 0.0], [0.0, 0.0, 0.3]]), np.full(4, RADIUS)
+    np.testing.assert_allclose(flat.score(places, RADIUS), views.score(places, RADIUS), atol=0.35)
+    (square, sums), (stretched, flat_sums) = (each.choose(places, radii, 6) for each in (views, flat))
+    assert np.array_equal(np.sort(square, axis=1), np.sort(stretched, axis=1))
+    shares = [0, 1, 2, 4]
+    np.testing.assert_allclose(flat_sums[:, shares], sums[:, shares], atol=0.35)
+
+
+@pytest.mark.parametrize(("below", "chosen"), [(0.5, True), (1.2, False)])
+def test_a_ball_below_the_edge_is_chosen_by_its_radius_along_this_axis(below: float, chosen: bool) -> None:
+    picture, shown = picture_of(camera_at(0.0).resized(WIDTH, round(FLAT * HEIGHT)))
+    cut = picture.camera.height // 2 - round(below * FLAT * FOCAL * RADIUS / 2.0)  # rows that are left
+    camera = replace(picture.camera, height=cut)
+    part = Picture(camera, picture.depth[:cut], picture.fruit[:cut])
+    views = PhotoViews.of([part], [PhotoMap(shown.probability[:cut], shown.offsets[:cut])])
+    views_of_ball, _ = views.choose(BALL[None], np.array([RADIUS]), 1)
+    assert (views_of_ball[0, 0] == 0) == chosen
+
+
+def test_a_shift_in_radii_moves_a_centre_as_far_in_pixels_that_are_not_square(
+    views: PhotoViews, flat: PhotoViews
+) -> None:
+    shifts, errors = torch.tensor([[[0.3, -0.5]] * 6]), torch.tensor([[-1.0, 0.0, 0.5, -0.5, 0.2, 0.1]])
+    moves = [
+        Verifier(Network(), each, None)._moves(BALL[None], RADIUS, np.arange(6)[None], shifts, errors)  # type: ignore[arg-type]
+        for each in (views, flat)
+    ]
+    np.testing.assert_allclose(moves[1], moves[0], rtol=1e-9)
+    assert np.linalg.norm(moves[0]) > 0.2 * RADIUS
 
 
 def test_known_near_leaves_out_far_fruit_and_the_own_one() -> None:
