@@ -17,6 +17,7 @@ class FRUITLANGS_PG_block_tree(bpy.types.PropertyGroup):
 
     folder: StringProperty(name="Folder", description="Folder of its result in the block")
     problem: StringProperty(name="Problem", description="Why it has no count")
+    note: StringProperty(name="Note", description="What to know about its count, such as that photos were added since")
     counted: IntProperty(name="Counted", default=-1, min=-1, description="Fruit before a review; -1 without a count")
     reviewed: IntProperty(name="Reviewed", default=-1, min=-1, description="Fruit after the review; -1 without one")
 

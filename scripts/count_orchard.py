@@ -3,13 +3,15 @@
     python scripts/count_orchard.py orchard.csv --out results/block
     python scripts/count_orchard.py photos --prompt apple --out results/block
 
-Run it again to go on after an interruption, to try failed trees again, or after the manifest has changed: what is done
-stays. Exit code 0: every tree is counted; 1: some are not, with a line for each; 2: usage; 130: cancelled.
+Run it again to go on after an interruption, to try failed trees again, or after the manifest or photos have changed: a
+tree whose inputs are the same stays. Exit code 0: every tree is counted; 1: some are not, with a line for each; 2:
+usage; 130: cancelled.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,6 +37,8 @@ else:
     tyro = import_tyro()
 
 EXAMPLE = "orchard.csv --out results/block"
+NAMED = 5
+"""Trees that a line names of those that it is about."""
 MINUTE = 60
 """Seconds to which the time of a tree is rounded."""
 
@@ -100,9 +104,8 @@ def main() -> None:
         gigabytes=arguments.gigabytes,
         gpus=arguments.gpus,
     )
-    before = sum(state.stage == "done" for state in ledger.states().values())
-    if before:
-        say(f"{before} of {len(trees)} trees are done")
+    ledger.reopen()
+    say_before(ledger.states())
 
     if arguments.executor == "local" and not all_compiled():
         from fruitlangs.engine.compile_ahead import compile_once
@@ -122,6 +125,29 @@ def main() -> None:
     if failed:
         every = answer.document["trees"]
         raise CountingError(f"{failed} of {every} trees failed and are not in the sums. See {answer.files[0]}")
+
+
+def say_before(states: Mapping[str, TreeState]) -> None:
+    """Say how many trees are done, and which are counted again for which reason."""
+    done = sum(state.stage == "done" for state in states.values())
+    if done:
+        say(f"{done} of {len(states)} trees are done")
+    by_reason: dict[str, list[str]] = {}
+    for own, state in states.items():
+        if state.stage == "waiting" and state.reason:
+            by_reason.setdefault(state.reason, []).append(own)
+    for reason, trees in by_reason.items():
+        say(f"{counted_trees(len(trees))} counted again ({listed(trees)}): {reason}")
+
+
+def counted_trees(count: int) -> str:
+    return "1 tree is" if count == 1 else f"{count} trees are"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as a list, of which the first are given."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def state_text(state: TreeState, folder: Path) -> str:
@@ -144,10 +170,16 @@ def block_text(document: dict[str, Any]) -> str:
         for prompt, sums in prompts.items():
             lines += [_sums_text(prompt, sums), *(f"  {line}" for line in _parts(sums))]
     else:
-        likely = f"most likely {block['likely']:.0f} (90 % interval {block['low']:.0f}–{block['high']:.0f})"
-        lines = [f"block: {block['count']} visible fruit counted {where} trees, {likely}", *_parts(document)]
+        lines = [
+            f"block: {block['count']} visible fruit counted {where} trees, {_interval_text(block, '90 % interval ')}"
+        ]
+        lines += _parts(document)
     if document["elsewhere"]:
         lines.append(f"  {document['elsewhere']} counted fruit belong to no tree of their row and are not in the sums")
+    notes = list(document["notes"].items())
+    lines += [f"  note on {own}: {note}" for own, note in notes[:NAMED]]
+    if len(notes) > NAMED:
+        lines.append(f"  notes on {len(notes) - NAMED} more are in the tables")
     return "\n".join(lines)
 
 
@@ -164,9 +196,14 @@ def _parts(numbers: dict[str, Any]) -> list[str]:
 
 def _sums_text(name: str, sums: dict[str, Any]) -> str:
     trees = "1 tree" if sums["trees"] == 1 else f"{sums['trees']} trees"
-    return (
-        f"  {name}: {sums['count']} on {trees}, most likely {sums['likely']:.0f} ({sums['low']:.0f}–{sums['high']:.0f})"
-    )
+    return f"  {name}: {sums['count']} on {trees}, {_interval_text(sums)}"
+
+
+def _interval_text(sums: dict[str, Any], name: str = "") -> str:
+    """'most likely 33 (29–40)', or why a sum has no interval. name: of the interval."""
+    if sums["likely"] is None:
+        return f"without an interval, because {sums['without_interval']} of {sums['trees']} have none"
+    return f"most likely {sums['likely']:.0f} ({name}{sums['low']:.0f}–{sums['high']:.0f})"
 
 
 def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
@@ -177,11 +214,14 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
     """
     wrong, total = 0, 0.0
     for tree in trees:
-        if ledger.state(tree).stage == "done":
-            say(f"{tree.id}: done")
+        state = ledger.state(tree)
+        check = ledger.check(tree, state)
+        if state.stage == "done" and not check.outdated:
+            say(f"{tree.id}: done" + (f", but {check.note}" if check.note else ""))
             continue
         try:
             text, seconds = expected(tree)
+            text += f" (again: {check.note})" if check.outdated else ""
         except FruitLangsError as error:
             text, seconds = str(error), 0.0
             wrong += 1

@@ -71,15 +71,15 @@ def drive(
     failed.
 
     trees: those that the block must have, to which another command may add some; command: starts a worker, with the
-    folder of the block, the name of the run and the executor appended; free: usable bytes. Trees that failed before are
-    tried again. Workers that die are replaced as long as trees wait, and those of a dead node by Slurm as well.
+    folder of the block, the name of the run and the executor appended; free: usable bytes. Only trees that are open are
+    counted: `Ledger.reopen` opens those that failed before, or whose inputs have changed. Workers that die are replaced
+    as long as trees wait, and those of a dead node by Slurm as well.
 
     Raises:
         ConfigError: there is no such executor here, Slurm refuses a job, or another command took trees away.
         OutputError: workers end without any effect; tells what the last one wrote.
     """
     run, cores = run_name(), usable_cores()
-    ledger.reopen()
     most = workers.fitting(sum(state.is_open for state in ledger.states().values()), cores, free)
     jobs = _jobs(workers, [*command, str(ledger.path), run, workers.executor], ledger.path / LOG, run, most, cores)
     running: list[Any] = []

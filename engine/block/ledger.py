@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -21,11 +21,12 @@ from ..config import PRESETS
 from ..errors import FormatError, OutputError
 from ..result_folder import ResultFolder
 from ..storage.files import require_writable, write_text
-from .manifest import IDS, TreeEntry
+from .inputs import Check, Inputs, check_inputs
+from .manifest import MANIFEST, STATES, TreeEntry, names_folder
 
 Stage = Literal["waiting", "running", "done", "failed"]
-TREES, STATES, LOCKS, MANIFEST, LOG = "trees", "states", "locks", "manifest.json", "log"
-"""Folders and files of a block."""
+TREES, LOCKS, LOG = "trees", "locks", "log"
+"""Folders of a block, besides `STATES`."""
 MOST_CRASHES = 3
 """Times that a worker may die with a tree before the tree is given up."""
 
@@ -34,12 +35,14 @@ MOST_CRASHES = 3
 class TreeState:
     """What became of a tree.
 
-    fingerprint: of the entry that it is about; crashes: workers that died with it, without a word, one after another;
-    run: of the driver that last worked on it; seconds: of the count; reason: of a failure.
+    fingerprint: of the entry that it is about; inputs: from which it was counted, if it is done; crashes: workers that
+    died with it, without a word, one after another; run: of the driver that last worked on it; seconds: of the count;
+    reason: of a failure, or why an earlier count is repeated.
     """
 
     stage: Stage = "waiting"
     fingerprint: str = ""
+    inputs: Inputs = field(default_factory=Inputs)
     crashes: int = 0
     run: str = ""
     seconds: float = 0.0
@@ -98,7 +101,7 @@ class Ledger:
         """What became of a tree; waiting if it is new, was changed, or its result is gone."""
         try:
             stored = _state(json.loads(self._file(tree).read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):
+        except (AttributeError, OSError, TypeError, ValueError):
             return TreeState(fingerprint=tree.fingerprint)
         gone = stored.stage == "done" and not self.result(tree).holds_result()
         if stored.fingerprint != tree.fingerprint or gone:
@@ -117,18 +120,24 @@ class Ledger:
         return found
 
     def reopen(self) -> None:
-        """Let trees that failed until now wait again. Later failures stay: of two drivers at work, neither tries again
-        what failed with the other.
+        """Let trees wait again that failed until now, or whose inputs have changed since they were counted. Later
+        failures stay: of two drivers at work, neither tries again what failed with the other.
 
         Raises:
             OutputError: the folder cannot be written.
         """
         for tree in self.trees():
-            if self.state(tree).stage != "failed":
+            state = self.state(tree)
+            check = self.check(tree, state)
+            if state.stage != "failed" and not check.outdated:
                 continue
             with self.claimed(tree) as mine:
-                if mine and self.state(tree).stage == "failed":
-                    self.write(tree, TreeState(fingerprint=tree.fingerprint))
+                if mine and self.state(tree) == state:
+                    self.write(tree, TreeState(fingerprint=tree.fingerprint, reason=check.note))
+
+    def check(self, tree: TreeEntry, state: TreeState) -> Check:
+        """Whether the count of a tree that is done is of its present inputs; nothing to say of other trees."""
+        return check_inputs(tree, state.inputs) if state.stage == "done" else Check()
 
     def write(self, tree: TreeEntry, state: TreeState) -> None:
         """Note what became of a tree; only with its lock.
@@ -162,7 +171,7 @@ def _tree(entry: Mapping[str, Any]) -> TreeEntry:
     lists = {name: tuple(entry[name]) for name in ("prompt", "negative")}
     settings = {name: tuple(each) if isinstance(each, list) else each for name, each in entry["settings"].items()}
     tree = TreeEntry(**{**entry, **lists, "source": Path(entry["source"]), "settings": settings})
-    if not IDS.fullmatch(tree.id) or tree.preset not in PRESETS or not isinstance(tree.row, str):
+    if not names_folder(tree.id) or tree.preset not in PRESETS or not isinstance(tree.row, str):
         raise ValueError(f"the tree {tree.id!r}")
     if not all(isinstance(text, str) for text in (*tree.prompt, *tree.negative)):
         raise ValueError(f"the prompt of {tree.id}")
@@ -173,8 +182,11 @@ def _tree(entry: Mapping[str, Any]) -> TreeEntry:
 
 
 def _state(stored: Mapping[str, Any]) -> TreeState:
-    state = TreeState(**stored)
-    texts, numbers = (state.fingerprint, state.run, state.reason), (state.crashes, state.seconds)
+    state = TreeState(**{**stored, "inputs": Inputs(**stored.get("inputs", {}))})
+    texts, numbers = (
+        (state.fingerprint, state.run, state.reason, *astuple(state.inputs)),
+        (state.crashes, state.seconds),
+    )
     if state.stage not in get_args(Stage) or not all(isinstance(text, str) for text in texts):
         raise ValueError(f"stage {state.stage!r}")
     if not all(isinstance(number, int | float) and math.isfinite(number) for number in numbers):

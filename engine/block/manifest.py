@@ -19,6 +19,10 @@ from ..storage.keys import stage_key
 
 IDS = re.compile(r"[\w-][\w. -]{0,79}")
 """What an id looks like: it names a folder."""
+_RESERVED = re.compile(r"(con|prn|aux|nul|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE)
+"""Names of devices, which Windows gives to no file or folder, whatever their ending is."""
+MANIFEST, STATES = "manifest.json", "states"
+"""A file and a folder that together only the folder of a block has."""
 COLUMNS = {
     "id": "name of the tree, unique",
     "source": "folder of photos or of a model, video, or earlier result; relative to the manifest",
@@ -64,7 +68,7 @@ class TreeEntry:
         """The settings of every stage.
 
         Raises:
-            ConfigError: one of them has no such value.
+            ConfigError: one of them has no such value, or is unknown to this version.
         """
         stages: dict[str, dict[str, Any]] = {}
         for name, value in self.settings.items():
@@ -75,7 +79,7 @@ class TreeEntry:
             return Config(
                 train=STAGES["train"](**train), **{stage: STAGES[stage](**given) for stage, given in stages.items()}
             )
-        except ConfigError as error:
+        except (ConfigError, KeyError, TypeError) as error:
             raise ConfigError(f"tree {self.id}: {error}") from error
 
     @property
@@ -90,6 +94,16 @@ class TreeEntry:
         for name in ("row", "position", "latitude", "longitude"):  # they move the tree, not its count
             del what[name]
         return stage_key((), str(sorted((key, str(value)) for key, value in what.items())))
+
+
+def names_folder(own: str) -> bool:
+    """Whether an id can name a folder on every system."""
+    return IDS.fullmatch(own) is not None and not own.endswith((".", " ")) and _RESERVED.fullmatch(own) is None
+
+
+def holds_block(folder: Path) -> bool:
+    """Whether a folder is that of a block."""
+    return (folder / MANIFEST).is_file() and (folder / STATES).is_dir()
 
 
 def read_manifest(path: Path, *, prompt: Sequence[str] = (), settings: str = "") -> list[TreeEntry]:
@@ -139,6 +153,7 @@ def _require_own_ids(trees: Sequence[TreeEntry], places: Sequence[str], path: Pa
 def _folders(path: Path) -> list[Path]:
     """The folders in a folder that hold something to count, by name."""
     found = [each for each in sorted(path.iterdir()) if each.is_dir() and not each.name.startswith(".")]
+    found = [each for each in found if not holds_block(each)]  # an --out in the folder of the photos
     return [each for each in found if list_photos(each) or any(each.glob("*/*")) or any(each.glob("*.json"))]
 
 
@@ -224,7 +239,9 @@ def _entry(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, 
         if not str(given.get(name, "")).strip():
             raise wrong(f"{name} is missing")
     own = str(given["id"]).strip()
-    if not IDS.fullmatch(own) or own.endswith((".", " ")):
+    if IDS.fullmatch(own) and _RESERVED.fullmatch(own):
+        raise wrong(f"id '{own}' is the name of a device on Windows and cannot name a folder. Choose another id")
+    if not names_folder(own):
         raise wrong(f"id '{own[:40]}' names a folder: use letters, digits, spaces, - and _ only")
     prompt = _texts(given.get("prompt", ""))
     if not prompt:

@@ -57,8 +57,8 @@ def _template() -> Template:
 def _stills(folder: Path, trees: Sequence[CountedTree]) -> list[dict[str, str]]:
     counts: dict[str, int] = {}
     for tree in trees:
-        if tree.visible is not None and (folder / TREES / tree.folder / STILL).is_file():
-            counts[tree.folder] = counts.get(tree.folder, 0) + tree.visible.count
+        if tree.count is not None and (folder / TREES / tree.folder / STILL).is_file():
+            counts[tree.folder] = counts.get(tree.folder, 0) + tree.count
     found = []
     for own, count in list(counts.items())[:MOST_STILLS]:
         base = f"{TREES}/{quote(own)}"
@@ -79,7 +79,7 @@ def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:
         what, alike = "Positions along the rows", False  # rows are drawn as far apart as there is room
     else:
         return [], ""
-    most = max([tree.visible.count for tree in trees if tree.visible is not None], default=0)
+    most = max((tree.count or 0 for tree in trees), default=0)
     xs, ys = zip(*places, strict=True)
     wide, high = max(xs) - min(xs), max(ys) - min(ys)
     scale_x, scale_y = (WIDTH - 2 * MARGIN) / (wide or 1.0), (HEIGHT - 2 * MARGIN) / (high or 1.0)
@@ -87,7 +87,7 @@ def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:
         scale_x = scale_y = min(scale_x, scale_y)
     marks = []
     for tree, x, y in zip(trees, xs, ys, strict=True):
-        count = 0 if tree.visible is None else tree.visible.count
+        count = tree.count or 0
         failed = tree.state.stage == "failed"
         marks.append(
             {
@@ -95,8 +95,12 @@ def _marks(trees: Sequence[CountedTree]) -> tuple[list[dict[str, Any]], str]:
                 "x": MARGIN + (x - min(xs)) * scale_x,
                 "y": MARGIN + (y - min(ys)) * scale_y,
                 "radius": LARGEST * math.sqrt(count / most) if most and count else 4.0,
-                "color": "#c33" if failed else "#bbb" if tree.visible is None else "#2c7a2c",
-                "text": f"{tree.entry.id}: {tree.state.reason if failed else f'{count} fruit'}",
+                "color": "#c33" if failed else "#bbb" if tree.count is None else "#2c7a2c",
+                "text": f"{tree.entry.id}: {tree.state.reason if failed else _count_text(tree)}",
             }
         )
     return marks, what
+
+
+def _count_text(tree: CountedTree) -> str:
+    return "not counted yet" if tree.count is None else f"{tree.count} fruit"

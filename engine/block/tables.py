@@ -43,11 +43,10 @@ def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[st
         entry = tree.entry
         row |= {"tree": entry.id, "row": entry.row, "position": entry.position, "prompt": _prompt(tree)}
         row |= {"latitude": entry.latitude, "longitude": entry.longitude}
-        row |= {"state": tree.state.stage, "reason": tree.state.reason}
-        if tree.visible is not None:
-            row |= {"count": tree.counted, **_ends(tree.visible, "")}
-            row["reviewed"] = tree.visible.count if tree.reviewed else None
-            row |= _ends(tree.total, "with_hidden") if tree.total is not None else {}
+        row |= {"state": "outdated" if tree.outdated else tree.state.stage, "reason": tree.note or tree.state.reason}
+        if tree.count is not None:
+            row |= {"count": tree.counted, "reviewed": tree.reviewed}
+            row |= {**_ends(tree.visible, ""), **_ends(tree.total, "with_hidden")}
             row |= {"unit": "m" if tree.metric else "scene units", "volume": float(f"{tree.volume:.6g}")}
             if tree.diameters:
                 row["mean_diameter"] = round(float(np.mean(tree.diameters)), DECIMALS)
@@ -60,8 +59,11 @@ def rows_of(trees: Sequence[CountedTree], density: float | None) -> list[dict[st
     return rows
 
 
-def _ends(amount: Amount, name: str) -> dict[str, float]:
+def _ends(amount: Amount | None, name: str) -> dict[str, float | None]:
+    """The most likely number and the interval, by column; None where they are unknown."""
     low, high, likely = ("low", "high", "likely") if not name else (f"{name}_low", f"{name}_high", name)
+    if amount is None:
+        return dict.fromkeys((likely, low, high))
     return {likely: round(amount.likely, 1), low: round(amount.low, 1), high: round(amount.high, 1)}
 
 
@@ -69,15 +71,17 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
     """The block in numbers: states, what failed, and sums by row and in all, sizes, colours and weight; if the trees
     have several prompts, these also for each prompt.
 
-    all_trees: of the block, of which these are a random sample; None if these are all. Sizes are None with a reason in
-    `no_diameters` if results have different units, and the estimate for all trees with one in `no_estimate` if too few
-    trees are done.
+    all_trees: of the block, of which these are a random sample; None if these are all. `notes` says what to know about
+    counts, by result. A sum has no interval if `without_interval` of its trees have none. Sizes are None with a reason
+    in `no_diameters` if results have different units, and the estimate for all trees with one in `no_estimate` if too
+    few trees are done, or some have no interval.
     """
-    done = [tree for tree in trees if tree.visible is not None]
+    done = [tree for tree in trees if tree.count is not None]
     document: dict[str, Any] = {
         "trees": len(trees),
         "done": len(done),
         "failed": {tree.entry.id: tree.state.reason for tree in trees if tree.state.stage == "failed"},
+        "notes": {tree.folder or tree.entry.id: tree.note for tree in done if tree.note},
         "elsewhere": sum(tree.elsewhere for tree in done),
         "waiting": sum(tree.state.stage in ("waiting", "running") for tree in trees),
         "block": _sums(done),
@@ -92,7 +96,8 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         for prompt, numbers in document.get("prompts", {}).items():
             # A tree of another prompt was drawn, too, and bears none of this fruit.
             numbers["all_trees"] = _of_all(
-                [tree if _prompt(tree) == prompt else replace(tree, visible=NO_FRUIT) for tree in done], all_trees
+                [tree if _prompt(tree) == prompt else replace(tree, counted=0, visible=NO_FRUIT) for tree in done],
+                all_trees,
             )
     return document
 
@@ -116,8 +121,12 @@ def _numbers(done: Sequence[CountedTree], density: float | None) -> dict[str, An
 
 def _of_all(done: Sequence[CountedTree], all_trees: int) -> dict[str, Any]:
     """The estimate for all trees of the block from the counted ones, or why there is none."""
+    amounts = [tree.visible for tree in done if tree.visible is not None]
+    if len(amounts) < len(done):
+        without = f"{len(done) - len(amounts)} of {len(done)} counted trees have no interval"
+        return {"trees": all_trees, "no_estimate": without}
     try:
-        return {"trees": all_trees, **_ends(of_all([tree.visible for tree in done if tree.visible], all_trees), "")}
+        return {"trees": all_trees, **_ends(of_all(amounts, all_trees), "")}
     except ConfigError as error:
         return {"trees": all_trees, "no_estimate": str(error)}
 
@@ -137,11 +146,17 @@ def _grouped(name: Callable[[CountedTree], str], trees: Sequence[CountedTree]) -
 
 
 def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:
-    visible = [tree.visible for tree in trees if tree.visible is not None]
-    total = [tree.total for tree in trees if tree.total is not None]
-    found: dict[str, Any] = {"trees": len(trees), "count": sum(each.count for each in visible)}
-    found |= _ends(summed(visible), "") if visible else {}
-    return found | (_ends(summed(total), "with_hidden") if len(total) == len(trees) and total else {})
+    """Sums of counted trees. A sum has an interval only if each of its trees has one."""
+    found: dict[str, Any] = {"trees": len(trees), "count": sum(tree.count or 0 for tree in trees)}
+    found["without_interval"] = sum(tree.visible is None or tree.total is None for tree in trees)
+    found |= _ends(_sum([tree.visible for tree in trees]), "")
+    return found | _ends(_sum([tree.total for tree in trees]), "with_hidden")
+
+
+def _sum(amounts: Sequence[Amount | None]) -> Amount | None:
+    """The sum of what is known of trees; None if it is unknown of one of them, or without trees."""
+    known = [amount for amount in amounts if amount is not None]
+    return summed(known) if known and len(known) == len(amounts) else None
 
 
 def _colours(trees: Sequence[CountedTree]) -> dict[str, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,15 @@ from ..scene.gps import GpsTag, degrees_of, read_gps
 from ..scene.sfm.find_cameras import list_photos
 from ..scene.source import Source
 from ..training import CAMERAS
+from .inputs import Check
 from .ledger import Ledger, TreeState
 from .manifest import TreeEntry
-from .reviews import ReviewedFruit, fruit_of, read_review
+from .reviews import REVIEW, ReviewedFruit, fruit_of, read_review
 from .totals import Amount
 
 TAGS, TAGS_OF_ROW = 5, 100
 """Photos whose GPS tags give a tree its place, and the trees of a row theirs."""
+UNUSED_REVIEW = "its review is of an earlier count and is not used"
 MOST_FRUIT = 10**9
 """More fruit than a result can have: the file is damaged."""
 
@@ -34,25 +36,33 @@ MOST_FRUIT = 10**9
 class CountedTree:
     """A tree of the block.
 
-    folder: id of its line in the manifest, which names the folder of its result; counted: fruit before a review;
-    visible, total: None unless it is done, after the review if it was `reviewed`; diameters: metres or scene units;
-    volumes: of all fruit; metric: whether they are metres; colors: mean sRGB of each fruit; elsewhere: fruit of the
-    same result that belong to no tree, of the first tree of a row only. The place of `entry` is that of the photos if
-    the manifest does not give it.
+    folder: id of its line in the manifest, which names the folder of its result; counted, reviewed: fruit before and
+    after a review, None without a count or review; visible, total: after the review, None if the method gives no
+    interval; diameters: metres or scene units; volumes: of all fruit; metric: whether they are metres; colors: mean
+    sRGB of each fruit; elsewhere: fruit of the same result that belong to no tree, of the first tree of a row only;
+    outdated: its inputs have changed since it was counted; note: what the user should know about its count. The place
+    of `entry` is that of the photos if the manifest does not give it.
     """
 
     entry: TreeEntry
     state: TreeState
     folder: str = ""
     counted: int | None = None
+    reviewed: int | None = None
     visible: Amount | None = None
     total: Amount | None = None
-    reviewed: bool = False
     diameters: tuple[float, ...] = ()
     volume: float = 0.0
     metric: bool = False
     colors: tuple[tuple[int, int, int], ...] = ()
     elsewhere: int = 0
+    outdated: bool = False
+    note: str = ""
+
+    @property
+    def count(self) -> int | None:
+        """Its fruit, after the review if there is one; None if it is not counted."""
+        return self.counted if self.reviewed is None else self.reviewed
 
 
 def read_counts(ledger: Ledger) -> list[CountedTree]:
@@ -66,12 +76,20 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
         state = states[entry.id]
         if state.stage == "done":
             try:
-                found += _trees_of(entry, state, ledger.result(entry).path)
+                trees = _trees_of(entry, state, ledger.result(entry).path)
+                check = ledger.check(entry, state)
+                found += [_checked(tree, check) for tree in trees]
                 continue
             except FruitLangsError as error:
                 state = replace(state, stage="failed", reason=str(error))
         found.append(CountedTree(entry=_placed(entry), state=state, folder=entry.id))
     return found
+
+
+def _checked(tree: CountedTree, check: Check) -> CountedTree:
+    """The tree with what has changed since it was counted."""
+    note = "; ".join(filter(None, [check.note, tree.note]))
+    return replace(tree, outdated=check.outdated, note=note)
 
 
 def fruit_text(folder: Path) -> str:
@@ -108,8 +126,11 @@ def _described(entry: TreeEntry, state: TreeState, document: dict[str, Any], fol
     review = read_review(folder, document["set_id"])
     fruits, reviewed = fruit_of(document, review), review is not None
     if document.get("trees"):
-        return _row(entry, state, document, fruits, reviewed, folder)
-    return [_counted(_placed(entry), state, document, fruits, reviewed, folder=entry.id)]
+        trees = _row(entry, state, document, fruits, reviewed, folder)
+    else:
+        trees = [_counted(_placed(entry), state, document, fruits, reviewed, unit=document["unit"], folder=entry.id)]
+    unused = review is None and (folder / REVIEW).is_file()
+    return [replace(tree, note=UNUSED_REVIEW) for tree in trees] if unused else trees
 
 
 def _row(
@@ -144,7 +165,7 @@ def _row(
             longitude=longitude,
         )
         bears = [fruit for fruit in fruits if fruit.tree == tree["number"]]
-        found.append(_counted(own, state, {**document, **tree}, bears, reviewed, folder=entry.id))
+        found.append(_counted(own, state, tree, bears, reviewed, unit=document["unit"], folder=entry.id))
     elsewhere = sum(fruit.counts and fruit.tree is None for fruit in fruits)
     return [replace(found[0], elsewhere=elsewhere), *found[1:]]
 
@@ -156,32 +177,46 @@ def _counted(
     fruits: Sequence[ReviewedFruit],
     reviewed: bool,
     *,
+    unit: str,
     folder: str,
 ) -> CountedTree:
-    """A tree with its fruit. said: count and intervals of the tree before the review, and the unit of the result."""
+    """A tree with its fruit. said: count and intervals of the tree before the review; unit: of the result."""
     count = int(said["count"])
-    low, high = said.get("interval") or (count, count)
-    likely, total = said.get("likely"), said.get("total")
-    least, most = said.get("total_interval") or (count, count)
-    visible = _amount(count, count if likely is None else likely, low, high)
-    hidden = None if total is None else _amount(count, total, least, most)
-    if reviewed:
-        visible = _reviewed(visible, fruits)
-        hidden = None if hidden is None else _moved(hidden, visible)
+    if not 0 <= count <= MOST_FRUIT:
+        raise ValueError(f"{count} fruit")
+    visible, hidden = _visible(said, count), _total(said, count)
     standing = [fruit for fruit in fruits if fruit.counts]
+    if reviewed:
+        visible = None if visible is None else _reviewed(visible, fruits)
+        hidden = None if hidden is None or visible is None else _moved(hidden, visible)
     return CountedTree(
         entry=entry,
         state=state,
         folder=folder,
         counted=count,
+        reviewed=len(standing) if reviewed else None,
         visible=visible,
         total=hidden,
-        reviewed=reviewed,
         diameters=tuple(fruit.diameter for fruit in standing),
         volume=float(sum(fruit.volume for fruit in standing)),
-        metric=said["unit"] == "m",
+        metric=unit == "m",
         colors=tuple(fruit.color for fruit in standing),
     )
+
+
+def _visible(said: Mapping[str, Any], count: int) -> Amount | None:
+    """The number of visible fruit with its interval; None if either end or the most likely number is unknown. Of a 0
+    that is an answer the most likely number is 0."""
+    interval, likely = said.get("interval"), said.get("likely")
+    if likely is None and count == 0:
+        likely = 0.0
+    return None if interval is None or likely is None else _amount(count, likely, *interval)
+
+
+def _total(said: Mapping[str, Any], count: int) -> Amount | None:
+    """The same with hidden fruit."""
+    interval, total = said.get("total_interval"), said.get("total")
+    return None if interval is None or total is None else _amount(count, total, *interval)
 
 
 def _amount(count: int, likely: float, low: float, high: float) -> Amount:

@@ -11,6 +11,7 @@ from ..errors import Cancelled, FruitLangsError
 from ..pipeline import count_scene
 from ..progress import silent
 from ..storage.files import write_text
+from .inputs import read_inputs
 from .ledger import LOG, MOST_CRASHES, Ledger, TreeState
 from .manifest import TreeEntry
 
@@ -54,7 +55,7 @@ def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:
     again. Only a tree with which the worker died is tried again."""
     before = ledger.state(tree)
     crashes = before.crashes + 1 if before.stage == "running" else 0
-    state = TreeState(stage="running", fingerprint=tree.fingerprint, crashes=crashes, run=run)
+    state = TreeState(stage="running", fingerprint=tree.fingerprint, crashes=crashes, run=run, reason=before.reason)
     if crashes >= MOST_CRASHES:
         reason = f"{crashes} workers died with it without a word, perhaps for want of memory: use fewer --jobs"
         ledger.write(tree, replace(state, stage="failed", crashes=0, reason=reason))
@@ -62,6 +63,7 @@ def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:
     ledger.write(tree, state)
     begun = time.monotonic()
     try:
+        inputs = read_inputs(tree)  # before the count, so that a photo that is added during it is counted the next time
         count(tree, ledger)
     except FruitLangsError as error:
         reason = " ".join(str(error).split())
@@ -76,5 +78,6 @@ def _attempt(ledger: Ledger, tree: TreeEntry, run: str, count: Count) -> bool:
         reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'without a message'}. See {log}"
         ledger.write(tree, replace(state, stage="failed", crashes=0, reason=reason))
         return False
-    ledger.write(tree, replace(state, stage="done", crashes=0, seconds=round(time.monotonic() - begun, 1)))
+    seconds = round(time.monotonic() - begun, 1)
+    ledger.write(tree, replace(state, stage="done", inputs=inputs, crashes=0, seconds=seconds, reason=""))
     return True

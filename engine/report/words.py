@@ -39,14 +39,15 @@ def count_text(fruit_count: FruitCount) -> str:
     count, so is the reason.
     """
     count = f"{fruit_count.count} visible fruit"
-    if fruit_count.interval is None or fruit_count.total is None or fruit_count.total_interval is None:
+    if fruit_count.interval is None:
         return count
     text = f"{count} ({_interval(fruit_count.interval)})"
     likely = None if fruit_count.likely is None else round(fruit_count.likely)
     if likely not in (None, fruit_count.count):
         text = f"{count} counted, most likely {likely} ({_interval(fruit_count.interval)})"
-    low, high = fruit_count.total_interval
-    text += f". About {fruit_count.total:.0f} with hidden fruit ({low}–{high})"
+    if fruit_count.total is not None and fruit_count.total_interval is not None:
+        low, high = fruit_count.total_interval
+        text += f". About {fruit_count.total:.0f} with hidden fruit ({low}–{high})"
     if likely is not None and likely > fruit_count.count == fruit_count.interval[0]:
         text += ". The interval starts at the count because missed fruit are more likely than false ones"
     return text
@@ -78,10 +79,10 @@ def location_text(fruit_count: FruitCount) -> list[str]:
 
 
 def _tree_interval(tree: Tree) -> str:
-    if tree.interval is None or tree.total_interval is None:
+    if tree.interval is None:
         return ""
-    low, high = tree.total_interval
-    return f" ({_interval(tree.interval)}, with hidden fruit {low}–{high})"
+    hidden = "" if tree.total_interval is None else ", with hidden fruit {}–{}".format(*tree.total_interval)
+    return f" ({_interval(tree.interval)}{hidden})"
 
 
 def nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: float | None) -> str:

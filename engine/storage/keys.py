@@ -12,6 +12,10 @@ from typing import Any
 from .files import files_hash, text_hash
 
 _ENGINE = Path(__file__).resolve().parents[1]
+_KINDS = ("*.py", "*.wgsl", "*.json", "*.safetensors")
+"""Files of sources, fitted numbers and weights."""
+_AROUND_COUNTS = ("block", "evaluation", "photo_check")
+"""Packages on which no count of a scene depends."""
 
 
 @cache
@@ -22,11 +26,24 @@ def _code_hash(room: str) -> str:
     Raises:
         ValueError: there is neither.
     """
-    module, kinds = _ENGINE / f"{room}.py", ("*.py", "*.wgsl", "*.json", "*.safetensors")
-    files = [module] if module.is_file() else sorted(path for kind in kinds for path in (_ENGINE / room).rglob(kind))
+    module = _ENGINE / f"{room}.py"
+    files = [module] if module.is_file() else _code(room)
     if not files:
         raise ValueError(f"engine/{room} has no code")
     return files_hash(files, _ENGINE)
+
+
+@cache
+def program_key() -> str:
+    """A short name for the code, fitted numbers and weights on which the count of a scene depends."""
+    around = [_ENGINE / package for package in _AROUND_COUNTS]
+    files = [path for path in _code("") if not any(path.is_relative_to(folder) for folder in around)]
+    return files_hash(files, _ENGINE)[:16]
+
+
+def _code(room: str) -> list[Path]:
+    """The files of a package, sorted."""
+    return sorted(path for kind in _KINDS for path in (_ENGINE / room).rglob(kind))
 
 
 def stage_key(rooms: tuple[str, ...], *inputs: Any) -> str:

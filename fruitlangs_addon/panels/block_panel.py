@@ -31,9 +31,18 @@ class FRUITLANGS_UL_trees(bpy.types.UIList):
         flt_flag: int = 0,
     ) -> None:
         row = layout.split(factor=0.5, align=True)
-        row.label(text=item.name, icon="ERROR" if item.counted < 0 else "CHECKMARK" if item.reviewed >= 0 else "BLANK1")
+        row.label(text=item.name, icon=icon_of(item))
         for text in cells(item):
             row.label(text=text)
+
+
+def icon_of(item: Any) -> str:
+    """An error without a count, an information if there is a note on it, a check mark after a review."""
+    if item.counted < 0:
+        return "ERROR"
+    if item.note:
+        return "INFO"
+    return "CHECKMARK" if item.reviewed >= 0 else "BLANK1"
 
 
 def cells(item: Any) -> list[str]:
@@ -66,8 +75,8 @@ class FRUITLANGS_PT_block(SidebarPanel, bpy.types.Panel):
             row.label(text=text)
         layout.template_list(FRUITLANGS_UL_trees.bl_idname, "", block, "trees", block, "active", rows=6)
         tree = block.trees[block.active] if 0 <= block.active < len(block.trees) else None
-        if tree is not None and tree.problem:
-            draw_text(layout, f"{tree.name}: {tree.problem}", context, icon="ERROR")
+        if tree is not None and (tree.problem or tree.note):
+            draw_text(layout, f"{tree.name}: {tree.problem or tree.note}", context, icon=icon_of(tree))
         layout.operator(FRUITLANGS_OT_open_tree.bl_idname, icon="ZOOM_IN")
         layout.operator(FRUITLANGS_OT_update_block.bl_idname, icon="FILE_REFRESH")
         layout.prop(block, "colors", expand=True)

@@ -77,6 +77,11 @@ class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
         show_block(context, bpy_scene, result)
         trees = bpy_scene.fruitlangs.block.trees
         self.report({"INFO"}, f"{len(trees)} trees, {sum(max(tree.counted, 0) for tree in trees)} fruit counted")
+        noted = [tree for tree in trees if tree.note]
+        if noted:
+            self.report(
+                {"WARNING"}, f"Notes on the counts of {len(noted)} trees, first {noted[0].name}: {noted[0].note}"
+            )
 
 
 class FRUITLANGS_OT_open_tree(bpy.types.Operator):
@@ -212,7 +217,7 @@ def update_block(folder: Path, reviews: dict[str, tuple[str, Review]], progress:
     progress(0.1, "writing the tables")
     answer = publish_again(ledger)
     shown = read_overview(ledger, answer.trees, part(progress, 0.2, 1.0))
-    return Updated(reviewed=sum(tree.reviewed for tree in answer.trees), shown=shown, outdated=outdated)
+    return Updated(reviewed=sum(tree.reviewed is not None for tree in answer.trees), shown=shown, outdated=outdated)
 
 
 def read_set_id(result: Path) -> str:
@@ -308,7 +313,8 @@ def show_block(context: bpy.types.Context, bpy_scene: bpy.types.Scene, results: 
     for result in results:
         for tree in result.trees:
             entry = block.trees.add()
-            entry.name, entry.folder, entry.problem = tree.name, result.folder, tree.problem
+            entry.name, entry.folder = tree.name, result.folder
+            entry.problem, entry.note = tree.problem, tree.note
             entry.counted, entry.reviewed = tree.counted, tree.reviewed
     names = [tree.name for tree in block.trees]
     block["active"] = names.index(active) if active in names else 0

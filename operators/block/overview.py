@@ -34,11 +34,13 @@ APART = 1.2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShownTree:
-    """A tree. name: of its line in the table; problem: why it has no count; counted, reviewed: numbers, -1 without;
+    """A tree. name: of its line in the table; problem: why it has no count; note: what to know about its count;
+    counted, reviewed: numbers, -1 without;
     centers, axes, probabilities: (F, 3), (F, 3, 3) half axes and (F,) of its fruit, in the frame of the result."""
 
     name: str
     problem: str = ""
+    note: str = ""
     counted: int = -1
     reviewed: int = -1
     centers: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -88,7 +90,7 @@ def _read(path: Path, trees: Sequence[CountedTree], most: int) -> ShownResult:
     from ...engine.splatting.ply import read_ply
     from ...engine.training import CAMERAS, GAUSSIANS
 
-    if trees[0].visible is None:
+    if trees[0].count is None:
         return ShownResult(folder=path.name, trees=[_uncounted(tree) for tree in trees])
     document = parse_results(path / FRUITS_JSON)
     unit = document["metres_per_unit"] or 1.0
@@ -122,11 +124,12 @@ def _uncounted(tree: CountedTree, problem: str = "") -> ShownTree:
 
 
 def _tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> ShownTree:
-    assert tree.visible is not None
+    assert tree.counted is not None
     return ShownTree(
         name=tree.entry.id,
-        counted=tree.counted or 0,
-        reviewed=tree.visible.count if tree.reviewed else -1,
+        note=tree.note,
+        counted=tree.counted,
+        reviewed=-1 if tree.reviewed is None else tree.reviewed,
         centers=np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3),
         axes=np.array([fruit.axes for fruit in fruits], np.float64).reshape(-1, 3, 3) / unit,
         probabilities=np.array([fruit.probability for fruit in fruits], np.float64),
@@ -161,7 +164,7 @@ def _places(results: Sequence[ShownResult], own: dict[str, list[CountedTree]]) -
         [_mean([getattr(entry, name) for entry in its]) for its in entries]
         for name in ("latitude", "longitude", "position")
     )
-    metric = all(tree.metric for its in own.values() for tree in its if tree.visible is not None)
+    metric = all(tree.metric for its in own.values() for tree in its if tree.count is not None)
     if metric and None not in latitudes + longitudes:
         tags = [GpsTag(*place, None) for place in zip(latitudes, longitudes, strict=True)]  # type: ignore[arg-type]
         return list(local_metres(tags)[:, :2])

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from _terminal import report, run
 from fruitlangs.benchmarks.ladder.stages import write_transforms
+from fruitlangs.engine.block.inputs import read_inputs
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry, read_manifest
 from fruitlangs.engine.block.publish import publish_again, publish_block
@@ -331,7 +332,8 @@ def _write_block(valid: Path) -> None:
     for tree in trees:
         folder = ledger.result(tree).path
         folder.mkdir(parents=True)
-        ledger.write(tree, TreeState(stage="done", fingerprint=tree.fingerprint, run="1", seconds=3.0))
+        done = TreeState(stage="done", fingerprint=tree.fingerprint, inputs=read_inputs(tree), run="1", seconds=3.0)
+        ledger.write(tree, done)
     one, row = (ledger.result(tree).path for tree in trees)
     (one / FRUITS_JSON).write_text(json.dumps(document, indent=1), encoding="utf-8")
     added = Decision("add", "2026-11-28T10:00:00Z", "", (), (ball(1, "apple", np.zeros(3), 0.08),))

@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 import pytest
 
+from fruitlangs.engine.block.inputs import read_inputs
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.publish import publish_block
@@ -20,7 +21,7 @@ from fruitlangs.engine.block.reviews import Review, read_review, write_review
 from fruitlangs.engine.block.trees import read_counts
 from fruitlangs.engine.counting.accounts.review import Decision
 from fruitlangs.engine.pipeline import count_scene
-from fruitlangs.fruitlangs_addon.panels.block_panel import cells
+from fruitlangs.fruitlangs_addon.panels.block_panel import cells, icon_of
 from fruitlangs.operators.blender_data import get_attribute, owned_objects
 from fruitlangs.operators.block.block import OVERVIEW, TREE_OF
 from fruitlangs.operators.block.overview import ShownResult, read_overview
@@ -281,6 +282,35 @@ def test_a_tree_that_failed_cannot_be_opened(opened: Path) -> None:
 def test_a_folder_of_no_block_is_an_error(tmp_path: Path, extension: Any) -> None:
     with pytest.raises(RuntimeError, match="It is not the folder of a block"):
         bpy.ops.fruitlangs.open_block(directory=str(tmp_path))
+
+
+def test_a_count_whose_source_is_missing_or_has_changed_has_a_note_in_the_list(
+    block: Path, tmp_path: Path, extension: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "block"
+    shutil.copytree(block, copy)
+    ledger = Ledger(copy)
+    one = ledger.trees()[0]
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "0.jpg").touch()
+    moved = replace(one, source=photos)
+    ledger.write_trees([moved, *ledger.trees()[1:]])
+    ledger.write(moved, TreeState(stage="done", fingerprint=moved.fingerprint, inputs=read_inputs(moved)))
+    bpy.ops.fruitlangs.open_block(directory=str(copy))
+    trees = trees_of(bpy.context.scene)
+    assert (trees["one"].note, icon_of(trees["one"])) == ("", "BLANK1")
+    assert (icon_of(trees["two"]), icon_of(trees["lost"])) == ("INFO", "ERROR")
+    missing = f"its source {block / 'two'} is missing or empty, so its earlier count is kept unchecked"
+    assert trees["two"].note == missing
+    assert f"Notes on the counts of 3 trees, first two: {missing}" in capfd.readouterr().out
+    counted = trees["one"].counted
+    (photos / "1.jpg").touch()
+    bpy.ops.fruitlangs.update_block()
+    tree = trees_of(bpy.context.scene)["one"]
+    assert (tree.counted, tree.note) == (counted, "files of its source were added, removed or changed")
+    rows = {row["tree"]: row for row in csv.DictReader((copy / "orchard.csv").open())}
+    assert (rows["one"]["state"], rows["one"]["reason"], rows["one"]["count"]) == ("outdated", tree.note, str(counted))
 
 
 def test_many_trees_share_the_points_that_are_shown(block: Path, monkeypatch: pytest.MonkeyPatch) -> None:

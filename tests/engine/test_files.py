@@ -77,3 +77,35 @@ def test_a_key_changes_with_the_code_and_the_weights_that_it_names(
     write_text(tmp_path / changed, "after")
     assert key() != before
     keys._code_hash.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("name", "same"),
+    [
+        ("pipeline.py", False),
+        ("counting/accounts/interval.json", False),
+        ("language/weights.safetensors", False),
+        ("splatting/kernel.wgsl", False),
+        ("package/new.py", False),
+        ("block/tables.py", True),
+        ("evaluation/metrics.py", True),
+        ("photo_check/cost.py", True),
+        ("report/page.html", True),
+    ],
+)
+def test_the_key_of_the_program_changes_with_all_code_that_a_count_depends_on(
+    name: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keys, "_ENGINE", tmp_path)
+
+    def key() -> str:
+        keys.program_key.cache_clear()
+        return keys.program_key()
+
+    write_text(tmp_path / "count.py", "before")
+    try:
+        before = key()
+        write_text(tmp_path / name, "after")
+        assert (key() == before) == same
+    finally:
+        keys.program_key.cache_clear()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,9 +24,10 @@ def count(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def block(balls: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a manifest of two trees and a missing one."""
+    """A folder with a manifest of two trees, of which it has the photos of the second, and a missing one."""
     folder = tmp_path_factory.mktemp("block")
-    lines = [f"1,{balls},apple,A", f"2,{balls},apple,B", "3,missing,apple,B"]
+    shutil.copytree(balls, folder / "two")
+    lines = [f"1,{balls},apple,A", "2,two,apple,B", "3,missing,apple,B"]
     (folder / "orchard.csv").write_text("\n".join(["id,source,prompt,row", *lines, ""]))
     return folder
 
@@ -53,7 +55,33 @@ def test_a_block_is_counted_resumed_and_summed_up(block: Path) -> None:
     second = count(block / "orchard.csv", "--out", out, "--settings", QUICK)
     assert second.returncode == 0, second.stderr
     assert "2 of 2 trees are done" in second.stdout
+    assert "counted again" not in second.stdout
     assert (out / "trees" / "1" / "fruits.json").stat().st_mtime_ns == before
+
+    shutil.copy(block / "two" / "images" / "000.png", block / "two" / "images" / "099.png")
+    changed = "files of its source were added, removed or changed"
+    plan = count(block / "orchard.csv", "--out", out, "--settings", QUICK, "--dry-run").stdout.splitlines()
+    assert plan[0] == "1: done"
+    assert plan[1].startswith("2: 16 photos, about ")
+    assert plan[1].endswith(f" (again: {changed})")
+    third = count(block / "orchard.csv", "--out", out, "--settings", QUICK)
+    assert third.returncode == 0, third.stderr
+    assert f"1 of 2 trees are done\n1 tree is counted again (2): {changed}\n2: started\n2: 5 fruit in " in third.stdout
+    assert "1: started" not in third.stdout
+    assert (out / "trees" / "1" / "fruits.json").stat().st_mtime_ns == before
+
+    shutil.rmtree(block / "two")
+    plan = count(block / "orchard.csv", "--out", out, "--settings", QUICK, "--dry-run").stdout.splitlines()
+    missing = f"its source {block / 'two'} is missing or empty, so its earlier count is kept unchecked"
+    assert plan == ["1: done", f"2: done, but {missing}"]
+    fourth = count(block / "orchard.csv", "--out", out, "--settings", QUICK)
+    assert fourth.returncode == 0, fourth.stderr
+    assert f"  note on 2: {missing}\n" in fourth.stdout
+    assert json.loads((out / "orchard.json").read_text())["block"]["count"] == 10
+    assert {row["tree"]: row["reason"] for row in csv.DictReader((out / "orchard.csv").open())} == {
+        "1": "",
+        "2": missing,
+    }
 
 
 def dry_run(folder: Path, *lines: str) -> subprocess.CompletedProcess[str]:
@@ -97,7 +125,7 @@ def test_the_sums_of_several_prompts_are_said_apart(monkeypatch: pytest.MonkeyPa
     from count_orchard import block_text
 
     apple, pear = ({"trees": k, "count": 9 * k, "likely": 10.0 * k, "low": 9.0, "high": 12.0 * k} for k in (1, 2))
-    document = {"trees": 4, "done": 3, "rows": {}, "elsewhere": 0, "block": pear}
+    document = {"trees": 4, "done": 3, "rows": {}, "elsewhere": 0, "notes": {}, "block": pear}
     document["prompts"] = {
         "apple": {**apple, "rows": {"A": apple}},
         "pear": {**pear, "rows": {}, "all_trees": {"trees": 9, "likely": 60.0, "low": 30.0, "high": 90.0}},
@@ -108,6 +136,39 @@ def test_the_sums_of_several_prompts_are_said_apart(monkeypatch: pytest.MonkeyPa
         "    row A: 9 on 1 tree, most likely 10 (9–12)",
         "  pear: 18 on 2 trees, most likely 20 (9–24)",
         "    all 9 trees: 60 (30–90)",
+    ]
+
+
+def test_a_sum_without_an_interval_and_notes_on_counts_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    from count_orchard import block_text
+
+    unknown = {"trees": 7, "count": 70, "without_interval": 2, "likely": None, "low": None, "high": None}
+    document = {"trees": 8, "done": 7, "rows": {"A": unknown}, "elsewhere": 0, "block": unknown}
+    document["notes"] = {f"t{number}": f"note {number}" for number in range(7)}
+    without = "without an interval, because 2 of 7 have none"
+    assert block_text(document).splitlines() == [
+        f"block: 70 visible fruit counted on 7 of 8 trees, {without}",
+        f"  row A: 70 on 7 trees, {without}",
+        *(f"  note on t{number}: note {number}" for number in range(5)),
+        "  notes on 2 more are in the tables",
+    ]
+
+
+def test_trees_that_are_counted_again_are_listed_by_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    from count_orchard import say_before
+
+    from fruitlangs.engine.block.ledger import TreeState
+
+    states = {f"t{number}": TreeState(reason="newer") for number in range(7)}
+    say_before({**states, "a": TreeState(reason="photos"), "b": TreeState(stage="done"), "c": TreeState()})
+    assert capsys.readouterr().out.splitlines() == [
+        "1 of 10 trees are done",
+        "7 trees are counted again (t0, t1, t2, t3, t4 and 2 more): newer",
+        "1 tree is counted again (a): photos",
     ]
 
 

@@ -334,6 +334,7 @@ def result_folder() -> str:
 
 def block_of_copies(result: Path) -> Path:
     """A block with copies of a result in two rows, and a tree that failed."""
+    from fruitlangs.engine.block.inputs import read_inputs
     from fruitlangs.engine.block.ledger import Ledger, TreeState
     from fruitlangs.engine.block.manifest import TreeEntry
     from fruitlangs.engine.block.publish import publish_block
@@ -346,7 +347,7 @@ def block_of_copies(result: Path) -> Path:
     ledger.write_trees(trees)
     for tree in trees[:COPIES]:
         shutil.copytree(result, ledger.result(tree).path, dirs_exist_ok=True)
-        ledger.write(tree, TreeState(stage="done", fingerprint=tree.fingerprint))
+        ledger.write(tree, TreeState(stage="done", fingerprint=tree.fingerprint, inputs=read_inputs(tree)))
     lost = TreeState(stage="failed", fingerprint=trees[-1].fingerprint, reason=f"{trees[-1].id} has 2 photos")
     ledger.write(trees[-1], lost)
     publish_block(ledger)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fruitlangs.engine.block.manifest import COLUMNS, TreeEntry, read_manifest
+from fruitlangs.engine.block.ledger import Ledger
+from fruitlangs.engine.block.manifest import COLUMNS, TreeEntry, names_folder, read_manifest
 from fruitlangs.engine.config import PRESETS
 from fruitlangs.engine.errors import ConfigError, FormatError
 
@@ -120,6 +121,9 @@ def test_a_folder_of_folders_needs_no_manifest(tmp_path: Path) -> None:
         ("id,source,prompt\n1,,apple\n", "line 2: source is missing"),
         ("id,source,prompt\n1,a,\n", "line 2: what shall be counted?"),
         ("id,source,prompt\n../1,a,apple\n", "line 2: id '../1' names a folder"),
+        ("id,source,prompt\ncon,a,apple\n", "line 2: id 'con' is the name of a device on Windows"),
+        ("id,source,prompt\nNul.tar.gz,a,apple\n", "line 2: id 'Nul.tar.gz' is the name of a device on Windows"),
+        ("id,source,prompt\n1.,a,apple\n", "line 2: id '1.' names a folder"),
         ("id,source,prompt\n1,a,apple,more\n", "line 2 has more cells than columns"),
         ("id,source,prompt,position\n1,a,apple,near\n", "line 2: position 'near' is not a number"),
         ("id,source,prompt,preset\n1,a,apple,best\n", "line 2: preset 'best' is none of quick, standard, paper"),
@@ -153,6 +157,34 @@ def test_what_is_wrong_is_one_line_with_its_place(content: str, text: str, tmp_p
         read_manifest(written(tmp_path, content))
     assert text in str(caught.value)
     assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize("ending", ["", ".", " ", ".txt", ".tar.gz", " .txt"])
+@pytest.mark.parametrize(
+    "device",
+    ["con", "PRN", "Aux", "nul", *(f"{port}{n}" for port in ("COM", "lpt") for n in (*range(10), "¹", "²", "³"))],
+)
+def test_no_name_of_a_device_names_a_folder(device: str, ending: str) -> None:
+    assert not names_folder(f"{device}{ending}")
+
+
+@pytest.mark.parametrize(
+    "own", ["1", "cone", "con1", "com", "COM10", "lpt-1", "icon", "a.con", "tree con", "con-1", "nullo", "x.nul"]
+)
+def test_ids_that_only_resemble_the_name_of_a_device_name_a_folder(own: str) -> None:
+    assert names_folder(own)
+
+
+@pytest.mark.parametrize("own", ["", ".", "1.", "1 ", ".1", "a/b", "a:b", "x" * 81])
+def test_ids_that_are_no_folder_on_some_system_name_none(own: str) -> None:
+    assert not names_folder(own)
+
+
+def test_the_folder_of_a_block_among_those_of_trees_is_no_tree(tmp_path: Path) -> None:
+    (tmp_path / "tree").mkdir()
+    (tmp_path / "tree" / "a.jpg").write_bytes(b"")
+    Ledger(tmp_path / "block").write_trees(read_manifest(tmp_path, prompt=["plum"]))
+    assert [tree.id for tree in read_manifest(tmp_path, prompt=["plum"])] == ["tree"]
 
 
 @pytest.mark.parametrize(

@@ -141,6 +141,52 @@ def test_a_block_of_several_prompts_has_sums_by_prompt_in_place_of_one(tmp_path:
     assert "<td>pear or quince</td><td>1</td><td>10</td> <td>12</td><td>10–16</td> <td>20</td>" in page
 
 
+def test_a_sum_with_a_tree_that_has_no_interval_has_none_and_says_so(tmp_path: Path) -> None:
+    one, two, three, _ = block(tmp_path)
+    unknown = replace(two, visible=None, total=None)
+    trees = [one, unknown, three]
+    rows, document = rows_of(trees, None), summary(trees, all_trees=30, density=None)
+    names = ("likely", "low", "high", "with_hidden", "with_hidden_low", "with_hidden_high")
+    assert [rows[1][name] for name in ("count", *names)] == [10, *[None] * 6]
+    assert [rows[0][name] for name in ("count", *names)] == [10, 12.0, 10.0, 16.0, 20.0, 15.0, 30.0]
+    for sums in (document["block"], document["rows"]["A"]):
+        assert [sums[name] for name in names] == [None] * 6
+        assert sums["without_interval"] == 1
+    assert (document["block"]["count"], document["rows"]["A"]["count"]) == (30, 20)
+    assert (document["rows"]["B"]["high"], document["rows"]["B"]["without_interval"]) == (16.0, 0)
+    assert document["all_trees"] == {"trees": 30, "no_estimate": "1 of 3 counted trees have no interval"}
+    page = " ".join(write_page(tmp_path, trees, rows, document).read_text().split())
+    assert '<span class="big">30</span> visible fruit counted on 3 of 3 trees.' in page
+    assert "1 of 3 trees has no interval, so their sum has none." in page
+    assert "A: 1 of 2 trees has no interval, so their sum has none." in page
+    assert "<td>A</td><td>2</td><td>20</td> <td></td><td></td> <td></td>" in page
+    assert "<td>t 1</td><td>A</td><td>apple</td> <td>10</td><td></td><td></td> <td></td>" in page
+    assert "No estimate for all 30 trees. 1 of 3 counted trees have no interval." in page
+    assert "With hidden fruit about" not in page
+    assert "use the most likely number" not in page
+
+
+def test_only_what_is_unknown_of_a_sum_is_empty(tmp_path: Path) -> None:
+    one, two, _, _ = block(tmp_path)
+    sums = summary([one, replace(two, total=None)], all_trees=None, density=None)["block"]
+    assert (sums["likely"], sums["with_hidden"], sums["without_interval"]) == (24.0, None, 1)
+
+
+def test_places_of_trees_without_an_interval_have_empty_properties(tmp_path: Path) -> None:
+    one, two, _, _ = block(tmp_path)
+    trees = [replace(one, visible=None, total=None), two]
+    rows, document = rows_of(trees, None), summary(trees, all_trees=None, density=None)
+    files = write_tables(tmp_path, trees, rows, document)
+    first = json.loads(files[2].read_text())["features"][0]["properties"]
+    assert (first["count"], first["low"], first["with_hidden"]) == (10, None, None)
+    with files[0].open() as file:
+        assert [line["low"] for line in csv.DictReader(file)] == ["", "10.0"]
+    (path,) = write_geopackage(files[2])
+    about, _, _, columns = pyogrio.raw.read(path, layer="trees")
+    low = dict(zip(about["fields"], columns, strict=True))["low"]
+    assert np.isnan(low).tolist() == [True, False]
+
+
 def test_rows_sizes_and_all_trees_are_of_one_prompt_each(tmp_path: Path) -> None:
     one, two, three, _ = block(tmp_path)
     pear = replace(three, entry=replace(three.entry, prompt=("pear",), row="A"), diameters=(0.05, 0.06))
@@ -243,7 +289,7 @@ def test_a_geopackage_of_a_damaged_map_is_an_error(tmp_path: Path) -> None:
 
 def test_weights_need_metres(tmp_path: Path) -> None:
     tree = block(tmp_path)[0]
-    unknown = CountedTree(entry=tree.entry, state=tree.state, visible=TREE, volume=3.0)
+    unknown = CountedTree(entry=tree.entry, state=tree.state, counted=10, visible=TREE, volume=3.0)
     assert rows_of([unknown], 900.0)[0]["yield_kg"] is None
 
 
@@ -368,6 +414,87 @@ def test_the_count_of_a_result_in_words_names_the_trees_of_a_row(tmp_path: Path)
     assert "is not a results file" in fruit_text(path.parent)
 
 
+@pytest.mark.parametrize(
+    ("changed", "visible", "total"),
+    [
+        ({"interval": None}, None, Amount(count=2, likely=4.0, low=2, high=6)),
+        ({"likely": None}, None, Amount(count=2, likely=4.0, low=2, high=6)),
+        ({"total": None}, Amount(count=2, likely=2.2, low=1, high=3), None),
+        ({"total_interval": None}, Amount(count=2, likely=2.2, low=1, high=3), None),
+        (
+            {"count": 0, "likely": None, "interval": [0, 7], "total": 0.0, "total_interval": [0, 9]},
+            Amount(count=0, likely=0.0, low=0, high=7),
+            Amount(count=0, likely=0.0, low=0, high=9),
+        ),
+    ],
+    ids=["interval", "most likely", "total", "total interval", "a zero"],
+)
+def test_what_a_result_does_not_know_stays_unknown(
+    changed: dict[str, Any], visible: Amount | None, total: Amount | None, tmp_path: Path
+) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    path = ledger.result(row).path / "fruits.json"
+    document = json.loads(path.read_text())
+    document |= {"likely": 9.0, "interval": [8, 10], "total": 9.0, "total_interval": [8, 10]}  # of the whole row
+    document["trees"][0] |= changed
+    path.write_text(json.dumps(document))
+    one, two = read_counts(ledger)
+    assert (one.count, one.visible, one.total) == (changed.get("count", 2), visible, total)
+    assert two.visible == Amount(count=1, likely=1.1, low=1, high=3)
+    write_review(path.parent, "1", Review(fruits=[reviewed(1, "confirmed")]))
+    one, _ = read_counts(ledger)
+    assert one.count == 1
+    assert (one.visible is None, one.total is None) == (visible is None, visible is None or total is None)
+
+
+def test_a_tree_of_a_row_whose_entry_lacks_an_interval_has_not_that_of_the_row(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",))
+    ledger.write_trees([row])
+    row_result(ledger, row)
+    path = ledger.result(row).path / "fruits.json"
+    document = json.loads(path.read_text()) | {"likely": 9.0, "interval": [8, 10]}
+    del document["trees"][0]["likely"]
+    path.write_text(json.dumps(document))
+    assert [tree.visible is None for tree in read_counts(ledger)] == [True, False]
+
+
+def test_a_count_that_is_outdated_or_whose_source_is_missing_says_so_in_tables_and_page(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    gone, old = (TreeEntry(id=own, source=tmp_path / own, prompt=("apple",)) for own in ("gone", "old"))
+    ledger.write_trees([gone, old])
+    for each in (gone, old):
+        row_result(ledger, each)
+    old.source.mkdir()
+    Image.new("RGB", (8, 8)).save(old.source / "0.jpg")
+    answer = publish_block(ledger)
+    missing, outdated = f"its source {gone.source} is missing or empty", "an earlier version counted it"
+    rows = rows_of(answer.trees, None)
+    assert [row["state"] for row in rows] == ["done", "done", "outdated", "outdated"]
+    assert [row["count"] for row in rows] == [2, 1, 2, 1]
+    assert all(row["reason"].startswith(missing) for row in rows[:2])
+    assert all(row["reason"].startswith(outdated) for row in rows[2:])
+    notes = answer.document["notes"]
+    assert list(notes) == ["gone", "old"]
+    assert notes["gone"].startswith(missing)
+    assert answer.document["block"]["count"] == 6
+    page = " ".join((ledger.path / "orchard.html").read_text().split())
+    assert "Notes on counts that are in the sums" in page
+    assert f"<li>gone: {missing}" in page
+    assert f"<li>old: {outdated}" in page
+
+
+def test_the_map_does_not_say_0_of_a_tree_that_waits(tmp_path: Path) -> None:
+    trees = block(tmp_path)[:2]
+    trees[1] = CountedTree(entry=trees[1].entry, state=TreeState())
+    page = write_page(tmp_path, trees, rows_of(trees, None), summary(trees, all_trees=None, density=None)).read_text()
+    assert "<title>t 0: 10 fruit</title>" in page
+    assert "<title>t 1: not counted yet</title>" in page
+
+
 def test_trees_of_a_row_without_gps_tags_have_the_place_of_their_line(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path / "block")
     row = TreeEntry(id="west", source=tmp_path / "row", prompt=("apple",), latitude=47.5, longitude=9.5)
@@ -439,7 +566,7 @@ def test_the_tables_use_the_review_of_a_tree_and_keep_what_was_counted(tmp_path:
     decided = [reviewed(1, "rejected"), reviewed(1, ""), reviewed(2, "confirmed"), reviewed(None, "added")]
     write_review(ledger.result(row).path, "1", Review(fruits=decided))
     one, two = read_counts(ledger)
-    assert [(tree.counted, tree.visible and tree.visible.count) for tree in (one, two)] == [(2, 1), (1, 2)]
+    assert [(tree.counted, tree.reviewed, tree.count) for tree in (one, two)] == [(2, 1, 1), (1, 2, 2)]
     assert one.diameters == (0.1,)
     assert two.colors == ((60, 140, 40),) * 2
     assert two.visible is not None
@@ -461,10 +588,12 @@ def test_a_review_of_an_earlier_count_is_not_used_and_a_damaged_one_is_a_failure
     row_result(ledger, row)
     folder = ledger.result(row).path
     write_review(folder, "another set", Review(fruits=[reviewed(1, "rejected")]))
-    assert not any(tree.reviewed for tree in read_counts(ledger))
+    trees = read_counts(ledger)
+    assert [tree.reviewed for tree in trees] == [None, None]
+    assert all("its review is of an earlier count and is not used" in tree.note for tree in trees)
     (folder / REVIEW).write_text('{"set_id": "1", "fruits": [{"tree": 1}]}')
     (failed,) = read_counts(ledger)
-    assert failed.visible is None
+    assert failed.count is None
     assert "review.json is damaged" in failed.state.reason
 
 

@@ -151,7 +151,8 @@ def test_the_folder_of_no_block_is_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "changed", [{"colour": "red"}, {"id": "../t"}, {"id": 3}, {"prompt": [3]}, {"latitude": "n"}, {"settings": 3}]
+    "changed",
+    [{"colour": "red"}, {"id": "../t"}, {"id": "nul"}, {"id": 3}, {"prompt": [3]}, {"latitude": "n"}, {"settings": 3}],
 )
 def test_a_damaged_folder_or_one_of_another_version_is_an_error_that_says_what_to_do(
     ledger: Ledger, changed: dict[str, object]
