@@ -9,6 +9,7 @@ from statistics import mean
 
 import numpy as np
 
+from ...engine.block.totals import SHARED_ALL, SHARED_VISIBLE
 from ...engine.evaluation.camera_errors import CameraErrors
 from ...engine.evaluation.metrics import CountMetrics
 from ...engine.evaluation.summary import summarise
@@ -16,12 +17,15 @@ from ..ladder.ladder import StageResult
 from ..ladder.pages import table_parts, visibility_rows
 from ..ladder.stages import END_TO_END, TRUE_MASKS, TRUE_POSES
 from ..markdown import markdown
+from ..shared_errors import MeasuredTree, held_sums, held_sums_left_out, shared_error
 from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
 from .studies import CONDITIONS, SEEDS, SPECIES, STUDIES, of_study
 
 MIN_TREES = 10
 """The share of fewer trees is too uncertain to be given an interval."""
+SUM_SIZE = 3
+"""Trees of a species in a sum: as many as were measured of each."""
 METHODS = {"voting": "ours", "template": "the paper's template", "fruitnerf": "FruitNeRF's clustering"}
 
 
@@ -326,6 +330,38 @@ def share_interval(shares: Sequence[float]) -> tuple[float, float]:
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
+def shared_errors(records: Sequence[Record]) -> str:
+    """The correlation of errors within species, and how often the intervals of sums of three trees of a species hold,
+    by the share of the variance that is taken as common to them."""
+    lines = [["number", "correlation within species", "one tree", "sums: independent", "half shared", "as used"]]
+    lines[0] += ["from the other species"]
+    for stage, cameras in ((END_TO_END, "photos alone"), (TRUE_POSES, "true cameras")):
+        for name, shared in (("visible", SHARED_VISIBLE), ("total", SHARED_ALL)):
+            trees = _measured_trees(records, stage, name)
+            if len(trees) < 3 or min(map(len, trees.values())) < 2:
+                continue
+            found = shared_error(trees)
+            held = [mean(held_sums(own, 0.0, 1) for own in trees.values())]
+            held += [mean(held_sums(own, each, SUM_SIZE) for own in trees.values()) for each in (0.0, 0.5, shared)]
+            held.append(held_sums_left_out(trees, SUM_SIZE))
+            correlation = f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"
+            fruit = {"visible": "visible", "total": "all"}[name]
+            lines.append([f"{fruit}, {cameras}", correlation, *(f"{100 * each:.0f} %" for each in held)])
+    return markdown(lines) if len(lines) > 1 else ""
+
+
+def _measured_trees(records: Sequence[Record], stage: str, number: str) -> dict[str, list[MeasuredTree]]:
+    """{species: its trees in a stage of the ladder}. number: of the fruit that are counted, visible or total."""
+    found: dict[str, list[MeasuredTree]] = {}
+    for record in of_study("ladder", records).values():
+        result = record.result
+        interval = result.interval if number == "visible" else result.total_interval
+        if record.trial.stage == stage and interval is not None and result.near is not None:
+            tree = MeasuredTree(true=getattr(result.near, number), low=interval[0], high=interval[1])
+            found.setdefault(result.species, []).append(tree)
+    return found
+
+
 def summary_line(name: str, records: Sequence[Record]) -> str:
     """Mean F1, precision and recall with true cameras of a study of all species, and its worst scene."""
     own = [each.result for each in of_study(name, records).values() if each.trial.stage == TRUE_POSES]
@@ -359,6 +395,7 @@ TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "methods": methods,
     TWO_PHOTOS: two_photos,
     "intervals": intervals,
+    "shared-errors": shared_errors,
 }
 """{name of a block of a document: its table}."""
 STUDY_OF: Mapping[str, str] = {name: name for name in STUDIES} | {"photos-alone": "ladder", "missed": "ladder"}

@@ -13,6 +13,7 @@ from jinja2 import Environment, Template, select_autoescape
 
 from ..storage.files import write_text
 from .ledger import TREES
+from .totals import SHARED_ALL, SHARED_VISIBLE
 from .trees import CountedTree
 
 PAGE, STILL, REPORT = "orchard.html", "still.jpg", "report.html"
@@ -42,6 +43,8 @@ def write_page(
         width=WIDTH,
         height=HEIGHT,
         stills=_stills(folder, trees),
+        shared_visible=SHARED_VISIBLE,
+        shared_all=SHARED_ALL,
         size=lambda value, unit: f"{1000.0 * value:.1f} mm" if unit == "m" else f"{value:.4g} {unit}",
     )
     write_text(folder / PAGE, text)

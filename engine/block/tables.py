@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..errors import ConfigError
+from ..errors import ConfigError, VocabularyError
 from ..language.colours import fruit_colours
-from ..language.vocabulary import FRUIT_COLOURS
+from ..language.vocabulary import FRUIT_COLOURS, parse, split
 from ..storage.files import write_text
 from .ledger import TREES
-from .totals import Amount, of_all, summed
+from .totals import SHARED_ALL, SHARED_VISIBLE, Amount, of_all, summed
 from .trees import CountedTree
 
 COLUMNS = (
@@ -126,9 +126,20 @@ def _of_all(done: Sequence[CountedTree], all_trees: int) -> dict[str, Any]:
         without = f"{len(done) - len(amounts)} of {len(done)} counted trees have no interval"
         return {"trees": all_trees, "no_estimate": without}
     try:
-        return {"trees": all_trees, **_ends(of_all(amounts, all_trees), "")}
+        return {"trees": all_trees, **_ends(of_all(amounts, list(map(_kind, done)), all_trees), "")}
     except ConfigError as error:
         return {"trees": all_trees, "no_estimate": str(error)}
+
+
+def _kind(tree: CountedTree) -> str:
+    """The kinds of fruit that are counted on a tree: the nouns of its prompts."""
+    nouns = set()
+    for prompt in tree.entry.prompt:
+        try:
+            nouns.add(parse(prompt).noun)
+        except VocabularyError:  # a taught word, or one that only another encoder knows
+            nouns.add(" ".join(split(prompt)))
+    return " or ".join(sorted(nouns))
 
 
 def _prompt(tree: CountedTree) -> str:
@@ -149,14 +160,14 @@ def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:
     """Sums of counted trees. A sum has an interval only if each of its trees has one."""
     found: dict[str, Any] = {"trees": len(trees), "count": sum(tree.count or 0 for tree in trees)}
     found["without_interval"] = sum(tree.visible is None or tree.total is None for tree in trees)
-    found |= _ends(_sum([tree.visible for tree in trees]), "")
-    return found | _ends(_sum([tree.total for tree in trees]), "with_hidden")
+    found |= _ends(_sum([tree.visible for tree in trees], trees, SHARED_VISIBLE), "")
+    return found | _ends(_sum([tree.total for tree in trees], trees, SHARED_ALL), "with_hidden")
 
 
-def _sum(amounts: Sequence[Amount | None]) -> Amount | None:
+def _sum(amounts: Sequence[Amount | None], trees: Sequence[CountedTree], shared: float) -> Amount | None:
     """The sum of what is known of trees; None if it is unknown of one of them, or without trees."""
     known = [amount for amount in amounts if amount is not None]
-    return summed(known) if known and len(known) == len(amounts) else None
+    return summed(known, list(map(_kind, trees)), shared) if known and len(known) == len(trees) else None
 
 
 def _colours(trees: Sequence[CountedTree]) -> dict[str, int]:

@@ -25,7 +25,7 @@ from fruitlangs.engine.block.page import write_page
 from fruitlangs.engine.block.publish import publish_again, publish_block
 from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
-from fruitlangs.engine.block.totals import Amount, of_all, summed
+from fruitlangs.engine.block.totals import SHARED_ALL, SHARED_VISIBLE, Amount, of_all, summed
 from fruitlangs.engine.block.trees import CountedTree, fruit_text, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
 from fruitlangs.engine.errors import ConfigError, OutputError
@@ -33,21 +33,28 @@ from fruitlangs.engine.errors import ConfigError, OutputError
 TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
 
 
-def test_half_of_each_variance_adds_up_linearly_and_the_rest_as_independent_errors() -> None:
-    whole = summed([TREE] * 100)
+def test_the_shared_part_of_each_variance_adds_up_linearly_and_the_rest_as_independent_errors() -> None:
+    whole = summed([TREE] * 100, ["apple"] * 100, 0.3)
     assert (whole.count, whole.likely) == (1000, 1200.0)
-    assert whole.high - whole.likely == pytest.approx(4.0 * math.sqrt(0.5 * 100 + 0.5 * 100**2))
+    assert whole.high - whole.likely == pytest.approx(4.0 * math.sqrt(0.7 * 100 + 0.3 * 100**2))
     assert whole.likely - whole.low == pytest.approx(0.5 * (whole.high - whole.likely))
 
 
-def test_the_interval_of_one_tree_is_its_own() -> None:
-    assert summed([TREE]) == TREE
+def test_errors_are_shared_within_a_kind_of_fruit_and_independent_between_kinds() -> None:
+    together = summed([TREE] * 4, ["apple", "pear", "apple", "apple"], 1.0)
+    assert together.high - together.likely == pytest.approx(4.0 * math.hypot(3, 1))
+    assert together.likely - together.low == pytest.approx(2.0 * math.hypot(3, 1))
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.3, 1.0])
+def test_the_interval_of_one_tree_is_its_own(shared: float) -> None:
+    assert summed([TREE], ["apple"], shared) == TREE
 
 
 def test_all_trees_are_estimated_from_a_sample_with_the_spread_between_trees() -> None:
-    alike = of_all([TREE] * 10, 100)
+    alike = of_all([TREE] * 10, ["apple"] * 10, 100)
     assert alike.likely == pytest.approx(120.0 * 10)
-    different = of_all([Amount(count=k, likely=k, low=k, high=k) for k in range(5, 15)], 100)
+    different = of_all([Amount(count=k, likely=k, low=k, high=k) for k in range(5, 15)], ["apple"] * 10, 100)
     spread = np.std(np.arange(5, 15), ddof=1)
     expected = 100 * spread / math.sqrt(10) * math.sqrt(0.9) * 1.8331  # Student's t of 9 degrees, 95 %
     assert different.likely == pytest.approx(950.0)
@@ -55,7 +62,8 @@ def test_all_trees_are_estimated_from_a_sample_with_the_spread_between_trees() -
 
 
 def test_a_sample_of_all_trees_is_their_sum() -> None:
-    assert of_all([TREE] * 4, 4) == summed([TREE] * 4)
+    kinds = ["apple", "apple", "pear", "pear"]
+    assert of_all([TREE] * 4, kinds, 4) == summed([TREE] * 4, kinds, SHARED_VISIBLE)
 
 
 def test_the_interval_for_all_trees_holds_nine_times_in_ten() -> None:
@@ -64,7 +72,9 @@ def test_the_interval_for_all_trees_holds_nine_times_in_ten() -> None:
     for _ in range(400):
         block = random.poisson(random.gamma(20.0, 5.0, 60))
         sample = random.choice(block, 12, replace=False)
-        found = of_all([Amount(count=int(k), likely=float(k), low=float(k), high=float(k)) for k in sample], 60)
+        found = of_all(
+            [Amount(count=int(k), likely=float(k), low=float(k), high=float(k)) for k in sample], ["apple"] * 12, 60
+        )
         held += found.low <= block.sum() <= found.high
     assert 0.86 < held / 400 < 0.94
 
@@ -72,12 +82,12 @@ def test_the_interval_for_all_trees_holds_nine_times_in_ten() -> None:
 @pytest.mark.parametrize(("sample", "trees", "text"), [(5, 4, "more than the 4 of the block"), (2, 9, "or more")])
 def test_an_impossible_sample_is_an_error(sample: int, trees: int, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        of_all([TREE] * sample, trees)
+        of_all([TREE] * sample, ["apple"] * sample, trees)
 
 
 @pytest.mark.parametrize("trees", [3, 4, 5])
 def test_the_interval_of_all_trees_holds_its_most_likely_number(trees: int) -> None:
-    found = of_all([Amount(count=10, likely=7.0, low=6.0, high=10.0)] * 3, trees)
+    found = of_all([Amount(count=10, likely=7.0, low=6.0, high=10.0)] * 3, ["apple"] * 3, trees)
     assert found.low <= found.likely <= found.high
 
 
@@ -185,6 +195,27 @@ def test_places_of_trees_without_an_interval_have_empty_properties(tmp_path: Pat
     about, _, _, columns = pyogrio.raw.read(path, layer="trees")
     low = dict(zip(about["fields"], columns, strict=True))["low"]
     assert np.isnan(low).tolist() == [True, False]
+
+
+def test_sums_of_several_kinds_of_fruit_share_errors_within_each_kind_only(tmp_path: Path) -> None:
+    one, two, three, _ = block(tmp_path)
+
+    def asked(tree: CountedTree, *prompt: str) -> CountedTree:
+        return replace(tree, entry=replace(tree.entry, prompt=prompt))
+
+    def sums(*trees: CountedTree) -> tuple[float, float]:
+        found = summary(trees, all_trees=None, density=None)["block"]
+        return found["high"] - found["likely"], found["with_hidden_high"] - found["with_hidden"]
+
+    visible, hidden = sums(one, two, three)
+    assert visible == pytest.approx(math.sqrt(16.0 * ((1 - SHARED_VISIBLE) * 3 + SHARED_VISIBLE * 9)), abs=0.1)
+    assert hidden == pytest.approx(math.sqrt(100.0 * ((1 - SHARED_ALL) * 3 + SHARED_ALL * 9)), abs=0.1)
+    of_one_kind = sums(asked(one, "red apple"), asked(two, "Apples", "green apple"), three)
+    assert of_one_kind == (visible, hidden)
+    visible, _ = sums(asked(one, "pear"), two, three)
+    assert visible == pytest.approx(math.sqrt(16.0 * ((1 - SHARED_VISIBLE) * 3 + SHARED_VISIBLE * 5)), abs=0.1)
+    visible, _ = sums(asked(one, "pear"), asked(two, "my own word"), three)
+    assert visible == pytest.approx(math.sqrt(16.0 * 3), abs=0.1)
 
 
 def test_rows_sizes_and_all_trees_are_of_one_prompt_each(tmp_path: Path) -> None:
