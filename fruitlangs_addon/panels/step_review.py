@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ...operators.data.fruit_objects import diameter_head, fruit_collection, metres_per_unit
+from ...operators.data.fruit_objects import diameter_head, fruit_collection, metres_per_unit, usual_diameter
 from ...operators.data.missing_fruit import missing_text, rejected_text
 from ...operators.data.read_fruits import counted
 from ...operators.data.stored_review import entry_text, review_line
@@ -20,7 +20,6 @@ from ...operators.review.review import (
     FRUITLANGS_OT_relabel_fruit,
     FRUITLANGS_OT_reopen_fruit,
     FRUITLANGS_OT_split_fruit,
-    usual_diameter,
 )
 from .audit_panel import FRUITLANGS_PT_review_why
 from .fruit_list import FRUITLANGS_UL_fruits, draw_head

@@ -93,24 +93,70 @@ def fruit_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
     """The scene frame for the fruit of this Blender scene.
 
     Raises:
+        CountingError: the user scaled or moved a fruit so that it cannot be one, or edited its mesh.
         SceneError: it is unknown, or more than half of the counted fruit are not where they were counted: what moved
             them together, away from the cameras, was no correction of fruit.
     """
-    frame = scene_frame(bpy_scene)
-    counted, moved = 0, 0
-    for item in owned_objects(bpy_scene, "fruit"):
-        pose = stored_pose(item)
-        if pose is None or is_made(item):
-            continue
-        found = fruit_ellipsoid(item, frame)
-        counted += 1
-        away = float(np.linalg.norm(found.center - pose[:3, 3]))
-        moved += away > MOVED * float(np.linalg.norm(pose[:3, :3], axis=0).min())
-    if counted >= LEAST_TOGETHER and 2 * moved > counted:
+    frame, fruits = scene_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
+    counted = [item for item in fruits if stored_pose(item) is not None and not is_made(item)]
+    moved = [item for item in counted if _is_moved(item, frame)]
+    if len(counted) >= LEAST_TOGETHER and 2 * len(moved) > len(counted):
         raise SceneError(
-            f"{moved} of {counted} fruit are not where they were counted, so places and sizes are unknown. {REMEDY}"
+            f"{len(moved)} of {len(counted)} fruit are not where they were counted, so places and sizes are unknown. "
+            f"{REMEDY}"
         )
+    for item in fruits:
+        if item.get(REVIEW) != REJECTED:
+            _check_edited(bpy_scene, item, frame)
     return frame
+
+
+def _is_moved(item: bpy.types.Object, frame: SceneFrame) -> bool:
+    """Whether a fruit is away from where it was written."""
+    pose = stored_pose(item)
+    if pose is None:
+        return False
+    away = float(np.linalg.norm(fruit_ellipsoid(item, frame).center - pose[:3, 3]))
+    return away > MOVED * float(np.linalg.norm(pose[:3, :3], axis=0).min())
+
+
+def _check_edited(bpy_scene: bpy.types.Scene, item: bpy.types.Object, frame: SceneFrame) -> None:
+    """Refuse a fruit that the user moved or scaled if it cannot be one any more; one without a size is an error only
+    where the size counts."""
+    spot = spot_of(item, frame)
+    scaled = _is_scaled(bpy_scene, item, spot) and spot.diameter > 0.0
+    if scaled or _is_moved(item, frame):
+        check_made(bpy_scene, item.name, spot.center, spot.diameter if scaled else None)
+
+
+def _is_scaled(bpy_scene: bpy.types.Scene, item: bpy.types.Object, spot: Spot) -> bool:
+    """Whether the size of a fruit differs from its stored one."""
+    now_metres = spot.diameter * (metres_per_unit(bpy_scene) or 1.0)
+    return abs(now_metres - float(item.get("diameter", 0.0))) > SAME * now_metres
+
+
+def check_made(bpy_scene: bpy.types.Scene, name: str, center: NDArray[np.float64], diameter: float | None) -> None:
+    """Refuse a position (3,) and a diameter, scene units, that no fruit of this scene has. diameter: None if it was not
+    changed.
+
+    Raises:
+        CountingError: it is far outside the tree, or much larger or smaller than the others.
+    """
+    from ...engine.counting.accounts.plausible import check_position, check_size
+
+    frame = scene_frame(bpy_scene)
+    cameras = [frame.of(item).translation for item in owned_objects(bpy_scene, "camera")]
+    check_position(name, center, np.array(cameras, np.float64).reshape(-1, 3))
+    if diameter is not None:
+        check_size(name, diameter, usual_diameter(bpy_scene))
+
+
+def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
+    """Median diameter of the current fruit, else of the rejected ones, scene units; 0 without any."""
+    unit = metres_per_unit(bpy_scene) or 1.0
+    items = standing(bpy_scene) or owned_objects(bpy_scene, "fruit")
+    sizes = [float(item["diameter"]) / unit for item in items if "diameter" in item]
+    return float(np.median(sizes)) if sizes else 0.0
 
 
 def keep_sizes(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> None:
@@ -121,7 +167,7 @@ def keep_sizes(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> None:
     unit = metres_per_unit(bpy_scene) or 1.0
     for item in owned_objects(bpy_scene, "fruit"):
         spot = spot_of(item, frame)
-        if abs(spot.diameter * unit - float(item.get("diameter", 0.0))) > SAME * spot.diameter * unit:
+        if _is_scaled(bpy_scene, item, spot):
             item["diameter"] = spot.diameter * unit
             for key, axis in zip(LENGTHS, spot.axes, strict=True):
                 item[key] = 2.0 * float(np.linalg.norm(axis)) * unit

@@ -100,7 +100,7 @@ def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts:
         row.number = found.renumbered.get(row.number, row.number)
     bpy_scene.fruitlangs.review.known.clear()  # an id may belong to another fruit now
     remember_fruit(bpy_scene)
-    return [*filter(None, [_many_rejected(bpy_scene)]), *_not_applied(found.lost, others)]
+    return [*filter(None, [_many_rejected(bpy_scene)]), *found.refused, *_not_applied(found.lost, others)]
 
 
 def _many_rejected(bpy_scene: bpy.types.Scene) -> str:

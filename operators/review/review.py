@@ -19,6 +19,7 @@ from ..data.fruit_objects import (
     CONFIRMED,
     REJECTED,
     REVIEW,
+    check_made,
     fruit_collection,
     fruit_frame,
     give_members,
@@ -29,7 +30,7 @@ from ..data.fruit_objects import (
     next_ids,
     now,
     spot_of,
-    standing,
+    usual_diameter,
     write_log,
 )
 from ..data.manual_edits import remember_fruit
@@ -182,7 +183,7 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
 
         items = chosen(context)
         before = _spots(context, items)
-        whole = merged(before, next_ids(context.scene, 1)[0])
+        whole = merged(before, next_ids(context.scene, 1)[0], usual_diameter(context.scene))
         own = np.concatenate([members(context.scene, item)[0] for item in items])
         give_members(context.scene, own, whole.id)
         made = make_fruit(context.scene, whole, items[0])
@@ -209,7 +210,8 @@ class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
         item = chosen(context)[0]
         before = _spots(context, [item])[0]
         own, places = members(context.scene, item)
-        spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts))
+        usual = usual_diameter(context.scene)
+        spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts), usual=usual)
         made = [make_fruit(context.scene, spot, item) for spot in spots]
         give_members(context.scene, own, np.array([spot.id for spot in spots])[owners] if len(own) else 0)
         self.log(context, "split", [before], spots)
@@ -277,18 +279,11 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
         size = self.diameter or new_diameter(context.scene)
         if not size > 0.0:
             raise CountingError(NO_SIZE)
+        check_made(context.scene, "The new fruit", np.array(self.center), size)
         spot = ball(next_ids(context.scene, 1)[0], label, np.array(self.center), size)
         made = make_fruit(context.scene, spot, None)
         self.log(context, "add", after=[spot])
         select_only(context, [made])
-
-
-def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
-    """Median diameter of the current fruit, else of the rejected ones, scene units; 0 without any."""
-    unit = metres_per_unit(bpy_scene) or 1.0
-    items = standing(bpy_scene) or owned_objects(bpy_scene, "fruit")
-    sizes = [float(item["diameter"]) / unit for item in items if "diameter" in item]
-    return float(np.median(sizes)) if sizes else 0.0
 
 
 def new_diameter(bpy_scene: bpy.types.Scene) -> float:

@@ -10,10 +10,11 @@ from mathutils import Vector
 
 from ...engine.errors import FruitLangsError
 from ...engine.report.words import place
+from ..data.fruit_objects import usual_diameter
 from ..data.stored_audit import read_audit
 from ..scene_frame import scene_frame
 from ..viewport.viewport import look_at_point, shown_screens
-from .review import CLOSE, has_root, usual_diameter
+from .review import CLOSE, has_root
 
 
 class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import CountingError
 from ..fruit import NEAR
+from .plausible import check_merge, check_size
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -63,13 +64,15 @@ class Decision:
 class Reviewed:
     """Fruit with the decisions about them. spots and standings: (F,); sources: (F,) index of the counted fruit, -1 for
     one that the user made; origins: (F,) the counted fruit that each is or was made from; lost: decisions about fruit
-    that were not found; taken: ids in use; last: the highest id ever used; renumbered: {id in the log: id now}."""
+    that were not found; refused: why merges were not made again, which joined fruit too far apart to be one; taken: ids
+    in use; last: the highest id ever used; renumbered: {id in the log: id now}."""
 
     spots: list[Spot]
     standings: list[Standing]
     sources: list[int]
     origins: list[frozenset[int]]
     lost: list[Decision]
+    refused: list[str]
     taken: set[int]
     last: int
     renumbered: dict[int, int]
@@ -97,7 +100,7 @@ def replay(decisions: Sequence[Decision], fruits: Sequence[Spot], last: int = 0)
 
     If the count now agrees with a fruit that the user made (parts of a split, the result of a merge, an addition), the
     counted fruit stay and are confirmed. A fruit that the user made keeps its id unless the count gave it to another;
-    then it gets one above all ids in use and above `last`.
+    then it gets one above all ids in use and above `last`. A merge of fruit that cannot be one is not made again.
     """
     state = Reviewed(
         spots=list(fruits),
@@ -105,11 +108,19 @@ def replay(decisions: Sequence[Decision], fruits: Sequence[Spot], last: int = 0)
         sources=list(range(len(fruits))),
         origins=[frozenset([index]) for index in range(len(fruits))],
         lost=[],
+        refused=[],
         taken={spot.id for spot in fruits},
         last=last,
         renumbered={},
     )
+    usual = float(np.median([spot.diameter for spot in fruits])) if fruits else 0.0
     for decision in decisions:
+        try:
+            if decision.action == "merge":
+                _check_parts(decision.before, usual)
+        except CountingError as error:
+            state.refused.append(str(error))
+            continue
         if not _apply(state, decision):
             state.lost.append(decision)
     return state
@@ -209,15 +220,17 @@ def corrected_interval(
     return max(int(np.ceil(after - below - 0.5)), 0), after + above
 
 
-def merged(spots: Sequence[Spot], number: int) -> Spot:
-    """One fruit for several: the solid ellipsoid with their common centre and second moments.
+def merged(spots: Sequence[Spot], number: int, usual: float = 0.0) -> Spot:
+    """One fruit for several: the solid ellipsoid with their common centre and second moments. usual: the usual diameter
+    of fruit, scene units; 0 if unknown.
 
     Raises:
-        CountingError: none of them has a size.
+        CountingError: none of them has a size, or they are too far apart to be one fruit.
     """
     volumes = np.array([spot.diameter**3 for spot in spots])
     if not volumes.sum() > 0.0:
         raise CountingError("The fruit have no size. Scale one of them up first")
+    _check_parts(spots, usual)
     weights = volumes / volumes.sum()
     center = weights @ np.stack([spot.center for spot in spots])
     spread = np.zeros((3, 3))
@@ -230,20 +243,28 @@ def merged(spots: Sequence[Spot], number: int) -> Spot:
     return Spot(number, spots[0].label, center, axes)
 
 
+def _check_parts(spots: Sequence[Spot], usual: float) -> None:
+    lengths = [2.0 * np.linalg.norm(spot.axes, axis=1).max() for spot in spots]
+    centers = np.array([spot.center for spot in spots]).reshape(-1, 3)
+    check_merge([spot.id for spot in spots], centers, np.array(lengths), usual)
+
+
 def split(
-    spot: Spot, parts: int, points: FloatArray, numbers: Sequence[int], seed: int = 0
+    spot: Spot, parts: int, points: FloatArray, numbers: Sequence[int], seed: int = 0, usual: float = 0.0
 ) -> tuple[list[Spot], IntArray]:
     """Split a fruit into `parts` spheres of its total volume, and assign each of its points (P, 3) to a part (P,).
 
     The points, positions of its Gaussians, are clustered; the distance of the parts from the centre follows from the
-    points. With too few points the parts lie in a row along the longest axis.
+    points. With too few points the parts lie in a row along the longest axis. usual: the usual diameter of fruit, scene
+    units; 0 if unknown.
 
     Raises:
-        CountingError: fewer than two parts are asked for, or more than twelve.
+        CountingError: fewer than two parts are asked for, or more than twelve, or parts too small for fruit.
     """
     if not 2 <= parts <= 12:
         raise CountingError(f"A fruit is split into 2 to 12 parts, not {parts}")
     radius = spot.diameter / 2.0 / parts ** (1.0 / 3.0)
+    check_size(f"{parts} parts", 2.0 * radius, usual)
     if len(points) >= 4 * parts:
         from sklearn.cluster import KMeans  # here, because a panel that asks for intervals must work without it
 

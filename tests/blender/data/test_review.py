@@ -242,7 +242,7 @@ def test_a_fruit_that_gets_the_label_it_has_keeps_its_name(shown):
 
 
 def test_what_cannot_be_done_is_reported_and_changes_nothing(shown, monkeypatch):
-    def missing(*_):
+    def missing(*_, **__):
         raise ModuleNotFoundError("No module named 'sklearn'", name="sklearn")
 
     monkeypatch.setattr("fruitlangs.engine.counting.accounts.review.split", missing)
@@ -683,3 +683,61 @@ def test_reviews_of_two_scenes_in_one_file_are_apart(shown, counted, result_of, 
     bpy.ops.fruitlangs.reject_fruit()
     assert (len(standing(shown)), len(standing(other))) == (2, 3)
     assert len(read_log(other)) == 0
+
+
+def test_fruit_far_apart_are_not_merged(shown):
+    fruit(3).location.y += 2.0
+    select(1, 3)
+    with pytest.raises(RuntimeError, match=r"Fruit 1 and 3 are .* fruit lengths apart"):
+        bpy.ops.fruitlangs.merge_fruit()
+    assert numbers() == [1, 2, 3]
+    assert read_log(shown) == []
+
+
+def test_an_old_merge_of_fruit_far_apart_is_stated_and_not_made(shown, again):
+    from fruitlangs.engine.counting.accounts.review import Decision, Spot
+    from fruitlangs.operators.data.fruit_objects import write_log
+
+    one, two, _ = (spot_of(item, scene_frame(shown)) for item in owned_objects(shown, "fruit"))
+    far = dataclasses.replace(two, center=two.center + 9.0)
+    write_log(shown, Decision("merge", "2026-05-01", "", (one, far), (Spot(9, "apple", two.center, np.eye(3)),)))
+    again()
+    assert numbers() == [1, 2, 3]
+    assert "fruit lengths apart, so they are not parts of one fruit" in shown.fruitlangs.result.notices
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"center": (5.0, 6.0, 7.0), "diameter": 40.0}, "new fruit is 200 times the usual one"),
+        ({"center": (5.0, 6.0, 7.0), "diameter": 0.001}, "new fruit is 0.005 times the usual one"),
+        ({"center": (500.0, 6.0, 7.0)}, "times as far from the middle of the photos"),
+    ],
+)
+def test_an_added_fruit_of_another_world_is_refused(shown, given, reason):
+    with pytest.raises(RuntimeError, match=reason):
+        bpy.ops.fruitlangs.add_fruit(**given)
+    assert numbers() == [1, 2, 3]
+    assert read_log(shown) == []
+
+
+def test_a_split_into_crumbs_is_refused(shown):
+    fruit(1).scale *= 0.5
+    select(1)
+    with pytest.raises(RuntimeError, match="diameter of 12 parts is"):
+        bpy.ops.fruitlangs.split_fruit(parts=12)
+    assert numbers() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("edit", ["move", "scale"])
+def test_a_fruit_moved_or_scaled_out_of_this_world_is_neither_confirmed_nor_exported(shown, edit, tmp_path):
+    if edit == "move":
+        fruit(2).location.x = 500.0
+    else:
+        fruit(2).scale *= 30.0
+    select(2)
+    with pytest.raises(RuntimeError, match=r"apple\.002"):
+        bpy.ops.fruitlangs.confirm_fruit()
+    with pytest.raises(RuntimeError, match=r"apple\.002"):
+        bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
+    assert read_log(shown) == []

@@ -292,7 +292,7 @@ def test_an_import_is_the_remedy_and_says_what_is_not_kept(shown, counted_with, 
     for number in (1, 2):
         fruit(number).location.x += 5.0
     show_result(bpy.context, shown, result_of(counted_with(metres_per_unit=0.25), tmp_path))
-    assert "changes by hand since the last decision are not kept" in shown.fruitlangs.result.notices
+    assert "changes by hand are not kept" in shown.fruitlangs.result.notices
     np.testing.assert_allclose(measures(shown), expected(counted_with), rtol=1e-5, atol=1e-6)
 
 

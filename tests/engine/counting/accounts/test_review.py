@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fruitlangs.engine.counting.accounts.plausible import check_position, check_size
 from fruitlangs.engine.counting.accounts.review import Decision, Spot, ball, corrected_interval, merged, replay, split
 from fruitlangs.engine.errors import CountingError
 
@@ -117,8 +118,8 @@ def test_decisions_that_follow_from_each_other_hold_together():
 
 @given(st.permutations(range(5)))
 def test_the_order_in_which_the_machine_lists_its_fruit_changes_nothing(order):
-    fruits = row(5)
-    log = [decision("reject", [fruits[1]]), decision("merge", fruits[2:4], [merged(fruits[2:4], 9)])]
+    fruits = [*row(4), ball(5, "apple", np.array([3.07, 0, 0]), 0.1)]
+    log = [decision("reject", [fruits[1]]), decision("merge", fruits[3:5], [merged(fruits[3:5], 9)])]
     straight, shuffled = replay(log, fruits), replay(log, [fruits[index] for index in order])
     told = [
         sorted((spot.id, standing) for spot, standing in zip(each.spots, each.standings, strict=True))
@@ -202,3 +203,57 @@ def test_a_split_without_points_lies_along_the_longest_axis():
 def test_a_split_into_no_parts_or_too_many_is_an_error(parts):
     with pytest.raises(CountingError, match="2 to 12 parts"):
         split(row(1)[0], parts, np.zeros((0, 3)), range(parts))
+
+
+def test_a_merge_of_fruit_far_apart_is_refused_with_distance_and_limit():
+    near = [ball(4, "apple", np.array([x, 0.0, 0.0]), 0.1) for x in (0.0, 0.2)]
+    assert merged(near, 3).diameter > 0.1
+    far = [*near, ball(9, "apple", np.array([0.21, 0.0, 0.0]), 0.1)]
+    with pytest.raises(CountingError, match=r"Fruit 4 and 9 are 2\.1 fruit lengths apart.*up to 2 lengths"):
+        merged(far, 3)
+
+
+def test_halves_of_a_usual_fruit_and_of_a_long_one_are_merged():
+    crumbs = [ball(1, "apple", np.array([x, 0.0, 0.0]), 0.02) for x in (0.0, 0.08)]
+    with pytest.raises(CountingError):
+        merged(crumbs, 3)
+    assert merged(crumbs, 3, usual=0.08).diameter > 0.02
+    long = [Spot(1, "eggplant", np.array([x, 0.0, 0.0]), np.diag([0.15, 0.03, 0.03])) for x in (0.0, 0.55)]
+    assert merged(long, 3).diameter > 0.06
+
+
+def test_an_old_merge_of_fruit_far_apart_is_not_made_again_and_says_why():
+    two = [row(5)[0], row(5)[4]]
+    log = [decision("merge", two, [ball(9, "apple", np.array([2.0, 0, 0]), 2.0)]), decision("reject", row(5)[1:2])]
+    found = replay(log, row(5))
+    assert [spot.id for spot in found.spots] == [1, 2, 3, 4, 5]
+    assert found.standings == ["", "rejected", "", "", ""]
+    assert found.lost == []
+    assert len(found.refused) == 1
+    assert "40.0 fruit lengths apart" in found.refused[0]
+
+
+def test_parts_too_small_for_fruit_are_refused():
+    whole = ball(1, "apple", np.zeros(3), 0.1)
+    assert len(split(whole, 12, np.zeros((0, 3)), range(12), usual=0.1)[0]) == 12
+    with pytest.raises(CountingError, match=r"diameter of 12 parts is 0\.1\d* times the usual one"):
+        split(whole, 12, np.zeros((0, 3)), range(12), usual=0.3)
+
+
+@pytest.mark.parametrize(("ratio", "refused"), [(0.19, True), (0.21, False), (1.0, False), (4.9, False), (5.1, True)])
+def test_a_size_is_from_a_fifth_to_five_times_the_usual_one(ratio, refused):
+    if refused:
+        with pytest.raises(CountingError, match=r"diameter of apple\.003 is .* from 0\.2 to 5 times is possible"):
+            check_size("apple.003", ratio * 0.08, 0.08)
+        return
+    check_size("apple.003", ratio * 0.08, 0.08)
+    check_size("apple.003", 100.0 * ratio, 0.0)
+
+
+def test_a_position_is_within_three_times_the_reach_of_the_cameras():
+    cameras = np.array([[4.0, 0, 0], [-4, 0, 0], [0, 4, 0], [0, -4, 0]])
+    check_position("apple.003", np.array([0.0, 0, 11.9]), cameras)
+    check_position("apple.003", np.array([0.0, 0, 99.0]), cameras[:1])
+    for away in (12.1, np.nan):
+        with pytest.raises(CountingError, match="times as far from the middle of the photos"):
+            check_position("apple.003", np.array([0.0, 0, away]), cameras)
