@@ -251,7 +251,7 @@ def _explained(species: Sequence[Sequence[_TwoWays]]) -> list[float]:
 
 
 def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
-    """The trees that were counted in both ways."""
+    """The trees that were counted in both ways, with our estimate of all fruit."""
     own = of_study(TWO_PHOTOS, records)
     found = []
     for trial, record in own.items():
@@ -259,11 +259,13 @@ def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
         near = _near(ours)
         if trial.method != TWO_PHOTOS or ours is None or near is None or record.result.counted is None:
             continue
+        if ours.result.total_estimate is None:
+            continue
         tree = _TwoWays(
             species=record.result.species,
             seen=record.result.counted,
             counted=near.predicted,
-            estimate=ours.result.total_estimate or math.nan,
+            estimate=ours.result.total_estimate,
             total=near.total,
         )
         found.append(tree)

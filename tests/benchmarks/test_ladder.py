@@ -59,6 +59,12 @@ def test_true_masks_on_true_and_on_trained_geometry_find_the_balls(evaluated: Pa
     assert rows[COUNTING_ONLY]["psnr"] == ""
 
 
+def test_a_stage_has_our_estimate_of_all_fruit_within_its_interval(evaluated: Path) -> None:
+    row = next(row for row in rows_of(evaluated) if row["ablation_stage"] == COUNTING_ONLY)
+    low, estimate, high = (float(row[f"total_{name}"]) for name in ("low", "estimate", "high"))
+    assert 5 <= low <= estimate <= high
+
+
 def test_the_pages_hold_tables_plot_and_mistakes(evaluated: Path) -> None:
     assert "loses most" in (evaluated / "ladder.md").read_text(encoding="utf-8")
     page = (evaluated / "index.html").read_text(encoding="utf-8")

@@ -46,7 +46,7 @@ def test_the_opposite_photo_is_from_the_other_side_of_the_tree() -> None:
     assert opposite([ring_camera(2.0 * np.pi * number / 8) for number in range(8)]) == 4
 
 
-def measured(species: str, seed: int, seen: int, ours: int, estimate: float, total: int) -> list[Record]:
+def measured(species: str, seed: int, seen: int, ours: int, estimate: float | None, total: int) -> list[Record]:
     """A tree with this many fruit, counted in two photos and by us."""
     assert RESULT.near is not None
     scene, near = f"{species}-load-{seed}", replace(RESULT.near, predicted=ours, total=total)
@@ -103,6 +103,13 @@ def test_a_difference_between_species_is_not_part_of_r2() -> None:
     assert [float(cell) for cell in together.split("|")[2:5]] == pytest.approx(
         [float(cell) for cell in alone.split("|")[2:5]], abs=0.002
     )
+
+
+def test_an_estimate_of_0_is_an_error_of_100_percent_and_a_tree_without_one_is_left_out() -> None:
+    wrong = [*APPLES[:4], *measured("apple", 303, 150, 200, 0.0, 330)]
+    assert line_of("| 3 apple", wrong).endswith("| 36 %, 100 % |")
+    without = [*APPLES[:4], *measured("apple", 303, 150, 200, None, 330)]
+    assert line_of("| 2 apple", without).startswith("| 2 apple | 110–200 |")
 
 
 def test_a_single_tree_has_no_other_to_get_a_factor_from() -> None:

@@ -104,6 +104,7 @@ def test_examples_are_read_as_they_were_written_and_later_ones_replace_earlier_o
     ]  # fmt: skip
     evidence, given = read[0].evidence, again.evidence
     assert (evidence.photos, evidence.dissent, read[1].total) == (True, 0.25, other.total)
+    assert (read[1].evidence.photos, read[1].evidence.dissent) == (False, 0.0)
     assert [evidence.expected, evidence.variance] == pytest.approx([given.expected, given.variance], rel=1e-6)
     assert evidence.covariates == pytest.approx(given.covariates, rel=1e-6)
 
