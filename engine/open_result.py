@@ -48,7 +48,7 @@ def open_result(folder: Path) -> Result:
         config=stored,
         seconds={},
         reused=log.reused,
-        notices=log.notices,
+        notices=list(dict.fromkeys([*document.get("notices", ()), *log.notices])),
         out=folder,
         set_id=document["set_id"],
     )

@@ -9,25 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-
-from torch import Tensor
 
 from .compile_ahead import compiled_ahead
 from .config import Config
 from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.accounts.zero import Quality
-from .counting.count import count_fruit
 from .counting.fruit import FruitCount
 from .counting.photos.verifier import require_trained_for
+from .counting.prompted import Searched, count_prompts
 from .counting.published.template_shape import read_template
 from .errors import ConfigError, FruitLangsError, OutputError
-from .language.encoders.encoder import Encoder, sees_fruit
+from .language.encoders.encoder import sees_fruit
 from .language.features.embedder import Embedder
-from .language.features.photo_features import PhotoFeatures
-from .language.prompts.colour_choice import ColourChoice, colour_split
-from .language.prompts.photo_probability import PhotoMap, photo_probabilities, photos_for
 from .language.prompts.relevancy import check_prompts, taught_words
 from .language.prompts.selection import select
 from .photo_size import width_notices
@@ -101,19 +95,17 @@ def count_scene(
         known = _known(made, source, out)
         with run.log.timed("count"):
             probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
-            sought = _sought(prompts, negatives, probability, made, encoder, run.log, part(progress, 0.9, 0.92))
-            fruit_count = count_fruit(
-                made.gaussians,
-                sought.probability,
-                made.scene.cameras,
-                config.count,
-                label=_label(prompts, encoder),
-                known=known,
-                up=made.scene.up,
+            searched = Searched(
+                scene=made.scene,
+                gaussians=made.gaussians,
+                features=made.features,
+                photos=made.photos,
+                encoder=encoder,
+                config=config.count,
                 quality=Quality.of(made.origin["training"]),
-                photos=sought.photos,
-                choice=sought.choice,
-                progress=part(progress, 0.9, 0.97),
+            )
+            fruit_count = count_prompts(
+                searched, prompts, negatives, probability, known=known, progress=part(progress, 0.9, 0.97)
             )
         result = Result(
             scene=made.scene,
@@ -216,53 +208,6 @@ def _before_prompts(
     return scaled(made, encoder, run.config.units, run.log)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sought:
-    """What fruit are searched in: the probability of each Gaussian (N,) and the maps of the photos; and which colours
-    are counted, where these two are of the fruit of any colour."""
-
-    probability: Tensor
-    photos: Sequence[PhotoMap] | None = None
-    choice: ColourChoice | None = None
-
-
-def _sought(
-    prompts: Sequence[str],
-    negatives: Sequence[str],
-    probability: Tensor,
-    made: Reconstruction,
-    encoder: Encoder,
-    log: RunLog,
-    progress: Progress,
-) -> _Sought:
-    """What the prompts' fruit are searched in; probability: (N,) that each Gaussian matches the prompts."""
-    config = made.config.count
-    if config.method != "voting" or config.select == "dual":
-        return _Sought(probability)
-    split = colour_split(encoder, prompts, negatives)
-    wanted = (prompts, negatives) if split is None else (split.prompts, split.negatives)
-    photos = _photos_for(wanted, made, encoder, log, progress)
-    maps = None if photos is None else photo_probabilities(photos, made.features, encoder, *wanted)
-    if split is None:
-        return _Sought(probability, maps)
-    uncoloured = select(made.features, encoder, *wanted, config, made.gaussians.means)
-    return _Sought(uncoloured, maps, ColourChoice.of(split, made.gaussians, photos))
-
-
-def _photos_for(
-    sought: tuple[Sequence[str], Sequence[str]], made: Reconstruction, encoder: Encoder, log: RunLog, progress: Progress
-) -> PhotoFeatures | None:
-    """What the pixels of the photos say about the prompts and negatives; None if there are no photos."""
-    if made.photos is None or not sees_fruit(encoder):
-        return made.photos
-    photos = photos_for(made.photos, made.scene, made.features, encoder, *sought, progress=progress)
-    if photos is None:
-        log.notices.append(
-            "a taught word is searched in the photos, and they are missing: fruit that Gaussians lose were not counted"
-        )
-    return photos
-
-
 def _narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
     """A message if the photos that were trained on were scaled down until the fruit became too narrow."""
     if "imported" in made.origin:
@@ -291,8 +236,3 @@ def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
             if known.last:
                 return known
     return NO_FRUIT
-
-
-def _label(prompts: Sequence[str], encoder: Encoder) -> str:
-    """The label of the counted fruit: "Apples" → "apple"; several prompts are joined."""
-    return " or ".join(dict.fromkeys(encoder.label(prompt) for prompt in prompts))

@@ -107,8 +107,7 @@ def count_fruit(
     check_trees(config, up)
     inside = _inside(region, gaussians)
     highest = float(probabilities[inside].max())
-    chosen = np.flatnonzero(inside & (probabilities >= config.threshold))
-    matching = Matching.of(gaussians, probabilities, chosen, cameras, label, quality)
+    matching = Matching.of(gaussians, probabilities, inside, cameras, label, quality, photos, config.threshold)
 
     def nothing(reason: str, diameter: float | None = None, *, points: int = 0, visible: bool = True) -> FruitCount:
         matching.require_answer(reason, diameter)
@@ -158,7 +157,8 @@ def count_fruit(
     clusters = colours.keep(within)
     spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
     described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
-    counted = replace(described, notices=[*quality.notices, *notices, *_long(found)])
+    refused = len(within.spheres) - len(spheres)
+    counted = replace(described, notices=[*quality.notices, *notices, *_long(found)], other_colors=refused)
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
@@ -169,7 +169,8 @@ def count_fruit(
         return placed
     if len(within.spheres):
         matching.require_answer(colours.refusal)
-        return placed
+        notice = f"no {label} was counted, but {refused} fruit of other colours were found"
+        return replace(placed, notices=[*placed.notices, notice])
     if len(found.spheres):
         matching.require_answer("all fruit that were found lie outside the region")
         return placed
@@ -177,7 +178,9 @@ def count_fruit(
         raise CountingError(f"The 0 for {label} is not a count: {notices[0]}")
     matching.require_answer(NO_SHAPE, sized.diameter)
     estimated = searched is not None and len(searched.found.spheres) > 0 and size is not None
-    return placed if estimated else matching.with_bounds(placed, sized.diameter)
+    if estimated and photos is None:
+        return placed
+    return matching.with_bounds(placed, sized.diameter, searched=estimated)
 
 
 def _described(

@@ -66,7 +66,7 @@ def member_ids(count: int, fruits: Sequence[Fruit]) -> NDArray[np.int32]:
 @dataclass(frozen=True, eq=False)
 class Tree:
     """One tree of a row. number: from 1 along the row; position: (3,) in the scene frame; count: of its fruit;
-    interval, likely, total, total_interval: as in `FruitCount`, for the fruit of this tree."""
+    interval, likely, total, total_interval, other_fruit: as in `FruitCount`, for the fruit of this tree."""
 
     number: int
     position: NDArray[np.float64]
@@ -75,6 +75,7 @@ class Tree:
     likely: float | None = None
     total: float | None = None
     total_interval: tuple[int, int] | None = None
+    other_fruit: int = 0
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,9 @@ class FruitCount:
     mean_diameter: scene units, None without fruit; last_id: the highest id that this and earlier counts of the scene
     gave; max_probability: the highest of any Gaussian; points, point_fruit_ids: (P, 3) and (P,) the sampled surface
     points with the id of their fruit (-1 none); point_colors: (P, 3) uint8 sRGB; pixel_width: median width of the fruit
-    in pixels of the photos as they were read, None if it is not known.
+    in pixels of the photos as they were read, None if it is not known; other_fruit: number of fruit of other kinds, if
+    these are at least as many as the count, so that the encoder may have taken fruit of the prompt for them, else 0;
+    other_colors: number of fruit that were not counted because of their color.
     """
 
     fruits: Sequence[Fruit]
@@ -122,6 +125,8 @@ class FruitCount:
     trees: Sequence[Tree] = ()
     notices: Sequence[str] = ()
     pixel_width: float | None = None
+    other_fruit: int = 0
+    other_colors: int = 0
 
     @property
     def count(self) -> int:

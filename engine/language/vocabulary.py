@@ -29,8 +29,10 @@ COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown"
 FRUIT_COLOURS = ("red", "orange", "yellow", "green", "blue", "purple", "pink")
 """Colours that people use for fruit: one in shade looks brown or black, but is called red."""
 
+ANY_FRUIT = "fruit"
+"""The word for fruit of any kind."""
 GENERAL = {
-    "fruit": FRUITS,
+    ANY_FRUIT: FRUITS,
     "citrus": ("lemon", "orange"),
     "plant": ("leaf", "branch", "trunk", "flower", "hedge", "grass"),
     "ground": ("soil", "grass"),
@@ -79,7 +81,7 @@ def parse(prompt: str, taught: Collection[str] = ()) -> Phrase:
             raise VocabularyError(_complaint(word, prompt, taught))
     things = [thing(word) for word in read]
     place = _noun(things, [bool(_colour(word)) for word in read], prompt)
-    noun = ("fruit" if _RIPENESS.keys() & read else "") if place is None else things[place]
+    noun = (ANY_FRUIT if _RIPENESS.keys() & read else "") if place is None else things[place]
     named: list[str] = []
     ripeness: list[str] = []
     for i, word in enumerate(read):
@@ -146,7 +148,7 @@ def _noun(nouns: Sequence[str], colours: Sequence[bool], prompt: str) -> int | N
         return frozenset(GENERAL.get(nouns[i], (nouns[i],)))
 
     narrowest = min(sure, key=lambda i: len(meaning(i)))
-    general = {"fruit"} if nouns[narrowest] not in (*CONCEPTS, *GENERAL) else set()  # a taught word is a fruit too
+    general = {ANY_FRUIT} if nouns[narrowest] not in (*CONCEPTS, *GENERAL) else set()  # a taught word is a fruit too
     if not all(meaning(narrowest) <= meaning(i) or nouns[i] in general for i in sure):
         raise VocabularyError(f"The prompt '{prompt}' names more than one object. Give each as a separate prompt")
     return narrowest

@@ -75,6 +75,8 @@ def fruits_document(
         "trees": [_tree_entry(tree) for tree in fruit_count.trees],
         "mean_diameter": None if fruit_count.mean_diameter is None else fruit_count.mean_diameter * unit,
         "pixel_width": None if fruit_count.pixel_width is None else round(fruit_count.pixel_width, 1),
+        "other_fruit": fruit_count.other_fruit,
+        "other_colors": fruit_count.other_colors,
         "notices": list(notices),
         "fruits": [_fruit_entry(fruit, unit) for fruit in fruit_count.fruits],
         "earlier_fruits": _earlier_entries(known, {fruit.id for fruit in fruit_count.fruits}, unit),
@@ -123,7 +125,8 @@ def _earlier_entries(known: KnownFruit, found: Collection[int], unit: float) -> 
 
 def _tree_entry(tree: Tree) -> dict[str, Any]:
     position = [round(float(value), 6) for value in tree.position]
-    return {"number": tree.number, "position": position, "count": tree.count, **_intervals(tree)}
+    numbers = {"number": tree.number, "position": position, "count": tree.count}
+    return {**numbers, **_intervals(tree), "other_fruit": tree.other_fruit}
 
 
 def _intervals(counted: FruitCount | Tree) -> dict[str, Any]:
@@ -209,10 +212,18 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
         mean_diameter=None if mean is None else mean / unit,
         last_id=document["last_id"],
         trees=[
-            Tree(entry["number"], np.array(entry["position"], np.float64), entry["count"], **_stored_intervals(entry))
+            Tree(
+                entry["number"],
+                np.array(entry["position"], np.float64),
+                entry["count"],
+                other_fruit=entry.get("other_fruit", 0),
+                **_stored_intervals(entry),
+            )
             for entry in document["trees"]
         ],
-        pixel_width=document.get("pixel_width"),  # results of earlier versions have none, nor `likely`
+        pixel_width=document.get("pixel_width"),  # results of earlier versions have none of these, nor `likely`
+        other_fruit=document.get("other_fruit", 0),
+        other_colors=document.get("other_colors", 0),
         **_stored_intervals(document),
     )
 

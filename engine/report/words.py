@@ -86,7 +86,12 @@ def _tree_interval(tree: Tree) -> str:
 
 
 def nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: float | None) -> str:
-    """Why there is no fruit: nothing reached `threshold`, or what reached it does not have the shape of a fruit."""
+    """Why there is no fruit: those that were found are of other kinds or colours, nothing reached `threshold`, or what
+    reached it does not have the shape of a fruit."""
+    if fruit_count.other_fruit:
+        return f"the {fruit_count.other_fruit} fruit that were found look like other kinds"
+    if fruit_count.other_colors:
+        return f"the {fruit_count.other_colors} fruit that were found have other colours"
     highest = fruit_count.max_probability
     if highest < threshold:
         return f"nothing reached the threshold {threshold:.2f}; the highest probability is {highest:.2f}"

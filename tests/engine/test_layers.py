@@ -45,6 +45,7 @@ LAYERS = (
     ("engine/counting/regions", "engine/counting/published", "engine/counting/photos", "engine/counting/sizing"),
     ("engine/counting/accounts",),
     ("engine/counting/count",),
+    ("engine/counting/prompted",),
     ("engine/report", "engine/compile_ahead"),
     ("engine/result_folder",),
     ("engine/evaluation/truth", "engine/evaluation/number_table"),

@@ -81,8 +81,18 @@ def test_an_older_result_is_asked_again_and_finds_its_members_by_place(counted, 
 def test_a_result_is_shown_with_its_answer_where_its_encoder_is_missing(counted, without_encoder):
     opened = open_result(counted.out)
     torch.testing.assert_close(opened.probability, counted.probability, rtol=0, atol=0)
-    assert opened.notices == []
+    assert list(opened.notices) == list(counted.notices)
     assert all("reproduced poorly" in notice for notice in counted.notices)
+
+
+def test_an_opened_result_says_again_what_was_wrong_with_its_count(counted, tmp_path):
+    folder = shutil.copytree(counted.out, tmp_path / "doubtful", ignore=shutil.ignore_patterns("cache"))
+    document = json.loads((folder / "fruits.json").read_text())
+    document |= {"notices": ["38 fruit of other kinds were found"], "other_fruit": 38}
+    (folder / "fruits.json").write_text(json.dumps(document))
+    opened = open_result(folder)
+    assert opened.notices[0] == "38 fruit of other kinds were found"
+    assert opened.fruit_count.other_fruit == 38
 
 
 def test_an_older_result_whose_encoder_is_missing_is_still_shown(counted, before_selections, without_encoder):

@@ -1,19 +1,22 @@
 """Whether a count of 0 is an answer: with Gaussians that match the prompt, or in a poor reconstruction, it may not be.
 Other counts in a poor reconstruction have a notice.
 
-A known cause of the 0 is an error. Otherwise the 0 is an answer, and its interval admits what may be there.
+A known cause of the 0 is an error. Otherwise the 0 is an answer, and its interval admits what may be there: what the
+photos show, or without them what Gaussians match.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import CountingError
+from ...language.prompts.photo_probability import PhotoMap
 from ...scene.camera import Camera
 from ...splatting.gaussians import Gaussians
 from ..evidence.cluster import LINKS
@@ -21,6 +24,7 @@ from ..evidence.pixel_width import focal_length
 from ..evidence.surface_points import SURFACE
 from ..fruit import FruitCount
 from ..geometry.cells import Cells, linked, separated
+from .photo_regions import PhotoRegions
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -33,6 +37,10 @@ lost a third of their fruit."""
 LEAST_PIXELS, ENOUGH_PIXELS = 8.0, 14.0
 """Width in pixels below which fruit are too small to have a shape in Gaussians, and from which sharp ones have one: on
 all 16 scenes of the ladder with fruit of 12 to 17 pixels, their surfaces gave the size."""
+
+WEAK = 0.1
+"""Probability from which a Gaussian may be on a surface that photos show as fruit: the mean over all views is lower
+where some views show leaves."""
 
 
 @dataclass(frozen=True)
@@ -91,27 +99,36 @@ UNKNOWN = Quality()
 class Matching:
     """The M Gaussians in the counted part of the scene that match the prompt, and what may be the cause of a 0.
 
-    label: of the fruit; positions: (M, 3) scene units, by descending probability; outline: typical width of a Gaussian,
-    scene units; cameras, quality: of the reconstruction.
+    label: of the fruit; positions: (M, 3) scene units, by descending probability; weak_positions: (W, 3) of Gaussians
+    that match at least weakly, likewise; outline: typical width of a Gaussian, scene units; cameras, quality: of the
+    reconstruction; maps: what each camera's photo shows of the prompt, None without photos; threshold: of the
+    probability; whole: whether all of the scene is counted.
     """
 
     label: str
     positions: FloatArray
+    weak_positions: FloatArray
     outline: float
     cameras: Sequence[Camera]
     quality: Quality
+    maps: Sequence[PhotoMap] | None
+    threshold: float
+    whole: bool
 
     @classmethod
     def of(
-        cls, gaussians: Gaussians, probabilities: FloatArray, matching: IntArray, cameras: Sequence[Camera], label: str,
-        quality: Quality,
+        cls, gaussians: Gaussians, probabilities: FloatArray, inside: NDArray[np.bool_], cameras: Sequence[Camera],
+        label: str, quality: Quality, maps: Sequence[PhotoMap] | None, threshold: float,
     ) -> Matching:  # fmt: skip
-        """The Gaussians at `matching` (M,) of all with probabilities (N,)."""
-        order = matching[np.argsort(-probabilities[matching], kind="stable")]
-        positions = gaussians.means.detach().double().cpu().numpy()[order]
-        widths = gaussians.scales.detach().double().cpu().numpy()[order].max(axis=1)
-        outline = 2.0 * SURFACE * float(np.median(widths)) if len(widths) else 0.0
-        return cls(label, positions, outline, cameras, quality)
+        """The Gaussians that are inside (N,) the counted part, of all with probabilities (N,)."""
+        weak = np.flatnonzero(inside & (probabilities >= min(WEAK, threshold)))
+        weak = weak[np.argsort(-probabilities[weak], kind="stable")]
+        positions = gaussians.means.detach().double().cpu().numpy()[weak]
+        count = int((probabilities[weak] >= threshold).sum())
+        widths = gaussians.scales.detach().double().cpu().numpy()[weak[:count]].max(axis=1)
+        outline = 2.0 * SURFACE * float(np.median(widths)) if count else 0.0
+        whole = bool(inside.all())
+        return cls(label, positions[:count], positions, outline, cameras, quality, maps, threshold, whole)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -139,20 +156,49 @@ class Matching:
         known = self.quality.ssim is not None and not self.quality.blurred
         return known and (self.pixels(diameter) or 0.0) >= ENOUGH_PIXELS
 
-    def with_bounds(self, counted: FruitCount, diameter: float | None = None, *, visible: bool = True) -> FruitCount:
-        """A count of 0 with intervals up to the fruit that may be there, and a notice that says so; unchanged if no
-        Gaussian matches. visible: whether these fruit would be visible."""
+    def with_bounds(
+        self, counted: FruitCount, diameter: float | None = None, *, visible: bool = True, searched: bool = False
+    ) -> FruitCount:
+        """A count of 0 with intervals up to the fruit that may be there, and a notice that says so.
+
+        visible: whether these fruit would be visible; searched: the count has intervals from candidates in the photos,
+        which the photos can only narrow. Without photos, an unchanged count if no Gaussian matches.
+        """
+        if self.maps is not None and visible:
+            return self._bounded_by_photos(counted, diameter, searched=searched)
         if len(self) == 0:
             return counted
         most = max(self.most(diameter), counted.interval[1] if counted.interval else 0)
         may = f"up to {most} {'' if visible else 'hidden '}fruit may be there. The audit has the reason"
-        return replace(
-            counted,
-            interval=(0, most if visible else 0),
-            total=counted.total or 0.0,
-            total_interval=(0, max(most, counted.total_interval[1] if counted.total_interval else 0)),
-            notices=[*counted.notices, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}"],
+        total = max(most, counted.total_interval[1] if counted.total_interval else 0)
+        bounded = _up_to(counted, most if visible else 0, total)
+        return _with_notice(bounded, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}")
+
+    def _bounded_by_photos(self, counted: FruitCount, diameter: float | None, *, searched: bool) -> FruitCount:
+        """A count of 0 with intervals up to what the photos show, and a notice if they show anything."""
+        shown = self.shown(diameter)
+        high, highest = shown, shown
+        if searched and counted.interval and counted.total_interval:
+            high, highest = min(shown, counted.interval[1]), min(shown, counted.total_interval[1])
+        bounded = _up_to(counted, high, highest)
+        if shown == 0:
+            return bounded
+        places = "1 place that matches" if shown == 1 else f"{shown} places that match"
+        return _with_notice(
+            bounded,
+            f"no fruit was counted, but photos show {places} {self.label} (probability about "
+            f"{self._regions.probability:.2f}, about {self._regions.width:.0f} pixels wide). The audit has the reason",
         )
+
+    def shown(self, diameter: float | None) -> int:
+        """How many fruit the photos may show: places that several of them show, or regions that one shows at once."""
+        places = self._regions.count_places(self.weak_positions, diameter)
+        return max(places, self._regions.at_once) if self.whole else places
+
+    @cached_property
+    def _regions(self) -> PhotoRegions:
+        assert self.maps is not None
+        return PhotoRegions.of(self.maps, self.cameras, self.threshold)
 
     def most(self, diameter: float | None) -> int:
         """How many fruit these Gaussians may be: the number of places a diameter apart; without a diameter, the number
@@ -171,6 +217,17 @@ class Matching:
         focal = np.array([focal_length(camera) for camera in self.cameras])
         front = depths > 0.0
         return float(np.median(diameter * focal[front] / depths[front])) if front.any() else None
+
+
+def _up_to(counted: FruitCount, high: int, highest: int) -> FruitCount:
+    """A count of 0 with intervals from 0 up to the number of visible fruit and of all fruit."""
+    likely = None if counted.likely is None else min(counted.likely, float(high))
+    total = min(counted.total or 0.0, float(highest))
+    return replace(counted, likely=likely, interval=(0, high), total=total, total_interval=(0, highest))
+
+
+def _with_notice(counted: FruitCount, notice: str) -> FruitCount:
+    return replace(counted, notices=[*counted.notices, notice])
 
 
 def most_fruit(positions: FloatArray, diameter: float) -> int:

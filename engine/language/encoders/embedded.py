@@ -25,7 +25,7 @@ from ...storage.files import halved, read_tensors, write_tensors
 from ..colours import cielab, colour_words
 from ..taught.library import Library
 from ..taught.word import TaughtWord
-from ..vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
+from ..vocabulary import ANY_FRUIT, COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import ColourSplit, FruitView, Question, TaughtQuestion
 from .network import Network, at_pixels, levels_at, resized
 from .offsets import OffsetNetwork, offsets_identity, stored_offsets
@@ -189,6 +189,16 @@ class EmbeddedEncoder:
 
     def kinds(self) -> Tensor:
         return _basis(FRUITS, CONCEPTS)
+
+    @property
+    def kind_words(self) -> Sequence[str]:
+        return FRUITS
+
+    def of_any_kind(self, prompt: str) -> str | None:
+        phrase = self.parse(prompt)
+        if not self._all_fruit(phrase) or set(phrase.concepts) >= set(FRUITS):
+            return None
+        return phrase.text.removesuffix(phrase.noun) + ANY_FRUIT
 
     def split_colours(self, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
         """See `ColourEncoder`. All prompts must name the same fruit; a negative chooses if it is as general."""

@@ -124,6 +124,25 @@ class ColourEncoder(Encoder, Protocol):
         ...
 
 
+class KindEncoder(Encoder, Protocol):
+    """An encoder that distinguishes kinds of fruit, and has a word for fruit of any kind."""
+
+    @property
+    def kind_words(self) -> Sequence[str]:
+        """The word of each of the `kinds`."""
+        ...
+
+    def of_any_kind(self, prompt: str) -> str | None:
+        """The prompt for fruit of any kind in the same colours: "red plum" → "red fruit".
+
+        None if the prompt names no fruit, or already any kind.
+
+        Raises:
+            VocabularyError: an unknown word.
+        """
+        ...
+
+
 class DenseEncoder(Encoder, Protocol):
     """An encoder that processes whole photos and needs no masks."""
 
@@ -183,6 +202,11 @@ def sees_fruit(encoder: Encoder) -> TypeGuard[FruitEncoder]:
 def splits_colours(encoder: Encoder) -> TypeGuard[ColourEncoder]:
     """Whether an encoder tells colours apart from kinds of fruit."""
     return hasattr(encoder, "split_colours")
+
+
+def names_kinds(encoder: Encoder) -> TypeGuard[KindEncoder]:
+    """Whether an encoder names the kinds of fruit that it distinguishes."""
+    return hasattr(encoder, "kind_words")
 
 
 def sees_crops(encoder: Encoder) -> TypeGuard[CropEncoder]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ import torch
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting import count, sizing
-from fruitlangs.engine.counting.accounts.zero import Quality, most_fruit, separate_groups
+from fruitlangs.engine.counting.accounts.zero import Matching, Quality, most_fruit, separate_groups
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.evidence.size import FruitSize
+from fruitlangs.engine.counting.evidence.visibility import draw
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.counting.published import fruitnerf, template
 from fruitlangs.engine.errors import CountingError
+from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 from fruitlangs.engine.report.words import count_text, nothing_found
 
 CONFIG = CountConfig(sample_budget=4_000)
@@ -67,6 +70,12 @@ def unlike(tree: sim.Simulation) -> sim.Simulation:
     return dataclasses.replace(tree, probability=np.full(len(tree.gaussians), 0.31))
 
 
+def photos_of(tree: sim.Simulation, probability: np.ndarray) -> list[PhotoMap]:
+    """What photos show of Gaussians with these probabilities."""
+    pictures = draw(tree.gaussians, np.asarray(probability, np.float64), tree.cameras)
+    return [PhotoMap(picture.fruit, np.zeros((*picture.fruit.shape, 2), np.float32)) for picture in pictures]
+
+
 def test_a_word_that_nothing_matches_is_0_without_an_interval(tree: sim.Simulation) -> None:
     result = counted(unlike(tree), quality=BLURRED)
     assert (result.count, result.interval, result.total_interval, result.notices) == (0, None, None, ())
@@ -76,6 +85,68 @@ def test_a_word_that_nothing_matches_in_a_poor_reconstruction_is_an_error(tree: 
     said = r"The 0 for apple is not a count: held-out photos .* \(PSNR 15.0 dB, SSIM 0.35\), and no Gaussian reaches"
     with pytest.raises(CountingError, match=said):
         counted(unlike(tree), quality=POOR)
+
+
+def test_a_word_that_neither_gaussians_nor_photos_match_is_a_certain_0(tree: sim.Simulation) -> None:
+    result = counted(unlike(tree), photos=photos_of(tree, np.zeros(len(tree.gaussians))))
+    assert (result.count, result.interval, result.total_interval, result.notices) == (0, (0, 0), (0, 0), ())
+
+
+def test_gaussians_that_match_where_photos_show_nothing_are_a_certain_0(tree: sim.Simulation) -> None:
+    nothing_shown = photos_of(tree, np.zeros(len(tree.gaussians)))
+    for made in (transparent, sideless):
+        result = counted(made(tree), quality=GOOD, photos=nothing_shown)
+        assert (result.interval, result.total_interval, list(result.notices)) == ((0, 0), (0, 0), [])
+
+
+def test_photos_that_show_what_no_gaussian_matches_give_an_interval_and_say_what(tree: sim.Simulation) -> None:
+    shown = photos_of(tree, tree.probability)
+    result = counted(unlike(tree), photos=shown)
+    assert result.count == 0
+    assert result.interval == result.total_interval
+    assert result.interval is not None
+    assert 5 <= result.interval[1] <= 16  # 8 fruit in clumps of 3, and 8 single Gaussians
+    assert re.match(
+        rf"no fruit was counted, but photos show {result.interval[1]} places that match apple "
+        r"\(probability about 0\.\d\d, about \d+ pixels wide\)",
+        result.notices[-1],
+    )
+    two = [PhotoMap(each.probability * (view < 2), each.offsets) for view, each in enumerate(shown)]
+    assert counted(unlike(tree), photos=two).interval == (0, 0)
+
+
+def test_what_photos_show_outside_the_region_is_not_in_the_interval_of_a_0(tree: sim.Simulation) -> None:
+    shown = photos_of(tree, tree.probability)
+    center = tree.truth.centers[0]
+    box = tuple(float(value) for value in (*(center - 0.7), *(center + 0.7)))
+    result = counted(unlike(tree), dataclasses.replace(CONFIG, box=box), photos=shown)
+    assert result.interval is not None
+    assert 1 <= result.interval[1] <= 2
+
+
+def test_candidates_that_photos_do_not_show_are_not_in_the_interval_of_a_0(sheets: sim.Simulation) -> None:
+    config = dataclasses.replace(CONFIG, diameter=1.0)
+    nothing_shown = photos_of(sheets, np.zeros(len(sheets.gaussians)))
+    result = counted(sheets, config, quality=GOOD, photos=nothing_shown)
+    assert (result.count, result.interval, result.total_interval) == (0, (0, 0), (0, 0))
+
+
+def test_photos_narrow_the_interval_from_candidates_and_never_widen_it(tree: sim.Simulation) -> None:
+    everywhere, shown = np.ones(len(tree.gaussians), bool), photos_of(tree, tree.probability)
+    matching = Matching.of(
+        tree.gaussians, tree.probability, everywhere, tree.cameras, "apple", GOOD, shown, CONFIG.threshold
+    )
+    places = matching.shown(1.0)
+    assert 5 <= places <= 16
+    none = FruitCount(fruits=[], audit=[], max_probability=0.9, mean_diameter=None)
+    candidates = dataclasses.replace(none, interval=(0, 241), likely=50.0, total=60.0, total_interval=(0, 300))
+    narrowed = matching.with_bounds(candidates, 1.0, searched=True)
+    assert (narrowed.interval, narrowed.likely, narrowed.total) == ((0, places), places, places)
+    assert narrowed.total_interval == (0, places)
+    few = dataclasses.replace(none, interval=(0, 2), likely=0.5, total=0.7, total_interval=(0, 3))
+    assert matching.with_bounds(few, 1.0, searched=True).interval == (0, 2)
+    assert matching.with_bounds(few, 1.0, searched=True).total_interval == (0, 3)
+    assert matching.with_bounds(few, 1.0).interval == (0, places)
 
 
 @pytest.mark.parametrize(("made", "reason"), [(transparent, "are transparent"), (sideless, "faces the cameras")])

@@ -10,6 +10,7 @@ import pytest
 import torch
 from PIL import Image
 from safetensors import safe_open
+from taught_words import word_of
 
 from fruitlangs.engine.config import EmbedConfig
 from fruitlangs.engine.errors import EncoderError, VocabularyError
@@ -200,3 +201,34 @@ def test_colours_that_do_not_split_one_kind_of_fruit_stay_in_the_prompt(
     tiny: EmbeddedEncoder, prompts: list[str], negatives: list[str]
 ):
     assert tiny.split_colours(prompts, negatives) is None
+
+
+@pytest.mark.parametrize(
+    ("prompt", "general"),
+    [
+        ("plums", "fruit"),
+        ("red plum", "red fruit"),
+        ("prune verte", "green fruit"),
+        ("unripe plum", "unripe fruit"),
+        ("orange orange", "orange fruit"),
+        ("citrus", "fruit"),
+        ("fruit", None),
+        ("red fruit", None),
+        ("red", None),
+        ("leaf", None),
+    ],
+)
+def test_a_prompt_for_a_kind_has_one_for_any_kind_in_the_same_colours(
+    tiny: EmbeddedEncoder, prompt: str, general: str | None
+):
+    assert tiny.of_any_kind(prompt) == general
+    assert general is None or set(parse(general).concepts) == set(FRUITS)
+
+
+def test_a_taught_fruit_has_a_prompt_for_any_kind(tiny: EmbeddedEncoder):
+    taught = tiny.with_words({"fig": word_of("fig", 1.0)})
+    assert taught.of_any_kind("green fig") == "green fruit"
+
+
+def test_the_words_of_kinds_are_in_the_order_of_their_vectors(tiny: EmbeddedEncoder):
+    torch.testing.assert_close(tiny.encode_text(tiny.kind_words) @ tiny.kinds().T, torch.eye(len(FRUITS)))

@@ -118,7 +118,7 @@ def test_fruits_json_counts_hanging_and_fallen_fruit_apart_and_by_tree(tmp_path:
     assert (document["count"], document["hanging"], document["fallen"]) == (2, 1, 1)
     assert [(fruit["fallen"], fruit["tree"]) for fruit in document["fruits"]] == [(False, 1), (True, None)]
     first = {"number": 1, "position": [0.0, 0.5, -1.0], "count": 1}
-    first |= {"likely": None, "interval": None, "total": None, "total_interval": None}
+    first |= {"likely": None, "interval": None, "total": None, "total_interval": None, "other_fruit": 0}
     assert document["trees"] == [first, {**first, "number": 2, "position": [5.0, 0.5, -1.0], "count": 0}]
 
 
@@ -181,6 +181,20 @@ def test_width_and_notes_come_back_from_fruits_json_and_older_results_have_none(
     assert stored_count(document, np.zeros(0, np.int32)).pixel_width == 13.6
     del document["pixel_width"], document["notices"]
     assert stored_count(document, np.zeros(0, np.int32)).pixel_width is None
+
+
+def test_other_kinds_and_colours_come_back_from_fruits_json_and_older_results_have_none() -> None:
+    trees = [dataclasses.replace(tree, other_fruit=tree.number) for tree in placed().trees]
+    doubtful = dataclasses.replace(placed(), other_fruit=38, other_colors=7, trees=trees)
+    document = fruits_document(doubtful, config={}, provenance={}, files={}, metres_per_unit=None)
+    stored = stored_count(document, np.zeros(0, np.int32))
+    assert (stored.other_fruit, stored.other_colors) == (38, 7)
+    assert [tree.other_fruit for tree in stored.trees] == [1, 2]
+    del document["other_fruit"], document["other_colors"]
+    for tree in document["trees"]:
+        del tree["other_fruit"]
+    older = stored_count(document, np.zeros(0, np.int32))
+    assert (older.other_fruit, older.other_colors, [tree.other_fruit for tree in older.trees]) == (0, 0, [0, 0])
 
 
 def test_a_zero_with_an_interval_shows_it_with_its_reason() -> None:

@@ -17,6 +17,7 @@ from fruitlangs.engine.language.encoders.encoder import ColourSplit
 from fruitlangs.engine.language.features.photo_features import PhotoFeatures
 from fruitlangs.engine.language.prompts.colour_choice import ColourChoice
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
+from fruitlangs.engine.report.words import nothing_found
 from fruitlangs.engine.scene.camera import Camera
 
 CONFIG = CountConfig(sample_budget=4_000)
@@ -72,6 +73,10 @@ def test_a_colour_that_no_fruit_has_is_a_counted_0_with_its_reason(tree: sim.Sim
     assert none.count == 0
     assert none.interval == (0, 0)
     assert any(entry.reason == "its fruit are not blue" for entry in none.audit)
+    found = counted(tree, None).count
+    assert none.other_colors == found
+    assert none.notices[-1] == f"no apple was counted, but {found} fruit of other colours were found"
+    assert nothing_found(none, 0.5, None) == f"the {found} fruit that were found have other colours"
 
 
 def test_fruit_between_two_colours_widen_the_interval_of_each(tree: sim.Simulation) -> None:
