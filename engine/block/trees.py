@@ -88,18 +88,19 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
 
 def _checked(tree: CountedTree, check: Check) -> CountedTree:
     """The tree with what has changed since it was counted."""
-    note = "; ".join(filter(None, [check.note, tree.note]))
-    return replace(tree, outdated=check.outdated, note=note)
+    return replace(tree, outdated=check.outdated, note=_notes(check.note, tree.note))
 
 
 def fruit_text(folder: Path) -> str:
-    """The count of a result in words: '98 fruit', of a row '98 fruit on 6 trees'. Of a damaged one, what is wrong."""
+    """The count of a result in words: '98 fruit', of a row '98 fruit on 6 trees', with fruit that may have been taken
+    for other kinds '0 fruit, 38 of other kinds'. Of a damaged one, what is wrong."""
     try:
         document = parse_results(folder / FRUITS_JSON)
     except FormatError as error:
         return str(error)
-    trees = document.get("trees")
-    return f"{document['count']} fruit" + (f" on {len(trees)} trees" if isinstance(trees, list) and trees else "")
+    trees, other = document.get("trees"), document.get("other_fruit")
+    text = f"{document['count']} fruit" + (f" on {len(trees)} trees" if isinstance(trees, list) and trees else "")
+    return text + (f", {other} of other kinds" if other else "")
 
 
 def _trees_of(entry: TreeEntry, state: TreeState, folder: Path) -> list[CountedTree]:
@@ -130,7 +131,7 @@ def _described(entry: TreeEntry, state: TreeState, document: dict[str, Any], fol
     else:
         trees = [_counted(_placed(entry), state, document, fruits, reviewed, unit=document["unit"], folder=entry.id)]
     unused = review is None and (folder / REVIEW).is_file()
-    return [replace(tree, note=UNUSED_REVIEW) for tree in trees] if unused else trees
+    return [replace(tree, note=_notes(tree.note, UNUSED_REVIEW)) for tree in trees] if unused else trees
 
 
 def _row(
@@ -201,7 +202,23 @@ def _counted(
         volume=float(sum(fruit.volume for fruit in standing)),
         metric=unit == "m",
         colors=tuple(fruit.color for fruit in standing),
+        note=_note_on_kinds(int(said.get("other_fruit", 0)), count),
     )
+
+
+def _note_on_kinds(other_fruit: int, count: int) -> str:
+    """What to know about a count that is at most half of all fruit; empty if it is not."""
+    if not other_fruit:
+        return ""
+    return (
+        f"only {count} fruit were counted, and {other_fruit} that look like other kinds are in the interval. If these "
+        "are meant, count with the word fruit"
+    )
+
+
+def _notes(*notes: str) -> str:
+    """The notes that are not empty, in one line."""
+    return "; ".join(filter(None, notes))
 
 
 def _visible(said: Mapping[str, Any], count: int) -> Amount | None:

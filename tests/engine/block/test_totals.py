@@ -445,6 +445,34 @@ def test_the_count_of_a_result_in_words_names_the_trees_of_a_row(tmp_path: Path)
     assert "is not a results file" in fruit_text(path.parent)
 
 
+def test_a_0_where_fruit_of_other_kinds_are_is_no_quiet_0_of_a_block(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "block")
+    row, lone = (TreeEntry(id=own, source=tmp_path / own, prompt=("plum",)) for own in ("west", "lone"))
+    ledger.write_trees([row, lone])
+    for each in (row, lone):
+        row_result(ledger, each)
+    path = ledger.result(row).path / "fruits.json"
+    document = json.loads(path.read_text())
+    document["trees"][1] |= {"count": 0, "interval": [0, 54], "total_interval": [0, 66], "other_fruit": 38}
+    path.write_text(json.dumps(document))
+    path = ledger.result(lone).path / "fruits.json"
+    document = json.loads(path.read_text()) | {"trees": [], "fruits": [], "count": 0, "other_fruit": 25}
+    path.write_text(json.dumps(document | {"interval": [0, 30], "total": 0.0, "total_interval": [0, 40]}))
+    assert fruit_text(path.parent) == "0 fruit, 25 of other kinds"
+    trees = read_counts(ledger)
+    assert [re.findall(r"only 0 fruit were counted, and (\d+) that look", tree.note) for tree in trees] == [
+        [], ["38"], ["25"]
+    ]  # fmt: skip
+    answer = summary(trees, all_trees=None, density=None)
+    assert set(answer["notes"]) == {"west", "lone"}
+    assert answer["block"]["high"] > 54
+    assert ["look like other kinds" in line["reason"] for line in rows_of(trees, None)] == [False, True, True]
+    write_review(path.parent, "another set", Review(fruits=[]))
+    _, _, lone_tree = read_counts(ledger)
+    assert "its review is of an earlier count" in lone_tree.note
+    assert "25 that look like other kinds" in lone_tree.note
+
+
 @pytest.mark.parametrize(
     ("changed", "visible", "total"),
     [
