@@ -21,16 +21,14 @@ from ..blender_data import (
 )
 from ..scene_frame import REMEDY, SceneFrame, scene_frame, stored_pose
 from .fruit_shape import fruit_ellipsoid
-from .write_fruits import LENGTHS, write_fruit
+from .write_fruits import LENGTHS, MADE, REJECTED, REVIEW, write_fruit
 
 if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Decision, Spot
 
-REVIEW = "review"
-"""Custom property of a reviewed fruit: 'confirmed', 'rejected', or 'added' if the user made it."""
-REJECTED, CONFIRMED, ADDED = "rejected", "confirmed", "added"
-MADE = "made_by_user"
-"""Custom property of a fruit that the user made, which stays when it is rejected."""
+CONFIRMED, ADDED = "confirmed", "added"
+"""Values of `REVIEW` in addition to `REJECTED`; 'added' if the user made the fruit, which stays in `MADE` when it is
+rejected."""
 LAST_ID = "fruitlangs_last_id"
 """Custom property of the Blender scene: the highest id that a fruit ever had in it."""
 SAME = 1e-3
@@ -187,11 +185,12 @@ def judge(item: bpy.types.Object, verdict: str) -> None:
     if verdict == ADDED or is_made(item):
         item[MADE] = True
         verdict = REJECTED if verdict == REJECTED else ADDED
+    if REJECTED in (verdict, item.get(REVIEW)):  # what else the user hides stays hidden
+        item.hide_viewport = item.hide_render = verdict == REJECTED
     if verdict:
         item[REVIEW] = verdict
     elif REVIEW in item:
         del item[REVIEW]
-    item.hide_viewport = item.hide_render = verdict == REJECTED
 
 
 def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | None) -> bpy.types.Object:

@@ -37,6 +37,8 @@ def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> N
     item[PHOTO] = "" if photo is None else photo.name
     item[SIZE] = [camera.width, camera.height]
     item[ASPECT] = float(camera.K[0, 0] / camera.K[1, 1])
+    for key in (FILE, LENS):
+        item.pop(key, None)
     path = getattr(photo, "path", None)
     if path is None:
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
@@ -9,9 +10,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..blender_data import new_object, owned_collection, owned_objects, remove_objects
+from ..blender_data import new_object, original, owned_collection, owned_objects, remove_objects
 from ..scene_frame import in_world, keep_pose
-from .photo_files import ASPECT, SIZE, keep_photo, remove_backgrounds
+from .photo_files import ASPECT, FILE, LENS, PHOTO, SIZE, keep_photo, remove_backgrounds
 from .write_root import looked_at
 
 if TYPE_CHECKING:
@@ -25,34 +26,62 @@ BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> list[bpy.types.Object]:
-    """Replace this Blender scene's photo cameras; one that shows the middle of the scene becomes active.
+    """Write this Blender scene's photo cameras, into the existing one of each photo; without an active camera, one that
+    shows the middle of the scene becomes active.
 
     A camera is named after its photo and stores in custom properties what is needed to show it (see `photo_files`).
     """
-    was_ours = bpy_scene.camera is None or bpy_scene.camera in owned_objects(bpy_scene, "camera")
-    remove_backgrounds(owned_objects(bpy_scene, "camera"))
-    remove_objects(owned_objects(bpy_scene, "camera"))
-    collection = owned_collection(bpy_scene, "cameras", "Cameras")
-    size = 0.04 * scene.extent if len(scene.cameras) else 1.0
-    scale = float(abs(in_world(root).to_3x3().determinant()) ** (1.0 / 3.0))
-    objects = []
+    earlier = _by_photo(owned_objects(bpy_scene, "camera"))
     # A scene read from a result whose photos are missing has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
     photos: list[Photo | None] = [*scene.images] or [None] * len(scene.cameras)
+    objects = []
     for camera, photo, name in zip(scene.cameras, photos, names, strict=True):
-        data = bpy.data.cameras.new(PurePath(name).name)
-        set_intrinsics(data, camera)
-        data.display_size = size
-        # Unlike everything else below the root, clipping is in world units.
-        data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
-        item = new_object(PurePath(name).stem, data, "camera", collection, root)
-        keep_photo(item, camera, photo)
-        item.matrix_basis = Matrix(blender_pose(camera).tolist())
-        keep_pose(item)
+        item = earlier.pop(name, None) or _new_camera(bpy_scene, scene, name, root)
+        _write_camera(bpy_scene, item, camera, photo, root)
         objects.append(item)
-    if objects and was_ours:
+    remove_backgrounds(earlier.values())
+    remove_objects(earlier.values())
+    if objects and bpy_scene.camera is None:
         show_through(bpy_scene, objects[middle_view(scene)])
     return objects
+
+
+def _by_photo(items: Iterable[bpy.types.Object]) -> dict[str, bpy.types.Object]:
+    """{photo: its camera}, without a photo by the name of the camera; copies of a camera are left to the user."""
+    same: dict[str, list[bpy.types.Object]] = {}
+    for item in items:
+        same.setdefault(item.get(PHOTO) or item.name, []).append(item)
+    found = {name: original(cameras) for name, cameras in same.items()}
+    return {name: item for name, item in found.items() if item is not None}
+
+
+def _new_camera(bpy_scene: bpy.types.Scene, scene: Scene, name: str, root: bpy.types.Object) -> bpy.types.Object:
+    data = bpy.data.cameras.new(PurePath(name).name)
+    size = 0.04 * scene.extent
+    data.display_size = size
+    # Unlike everything else below the root, clipping is in world units.
+    scale = float(abs(in_world(root).to_3x3().determinant()) ** (1.0 / 3.0))
+    data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
+    collection = owned_collection(bpy_scene, "cameras", "Cameras")
+    return new_object(PurePath(name).stem, data, "camera", collection, root)
+
+
+def _write_camera(
+    bpy_scene: bpy.types.Scene, item: bpy.types.Object, camera: Camera, photo: Photo | None, root: bpy.types.Object
+) -> None:
+    before = [item.get(FILE), item.get(LENS)]
+    resized = SIZE in item and list(item[SIZE]) != [camera.width, camera.height]
+    keep_photo(item, camera, photo)
+    if [item.get(FILE), item.get(LENS)] != before:
+        remove_backgrounds([item])
+    item.data.type = "PERSP"
+    set_intrinsics(item.data, camera)
+    item.parent, item.matrix_parent_inverse = root, Matrix()
+    item.matrix_basis = Matrix(blender_pose(camera).tolist())
+    keep_pose(item)
+    if resized and bpy_scene.camera == item:
+        show_through(bpy_scene, item)
 
 
 def middle_view(scene: Scene) -> int:

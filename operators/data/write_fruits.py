@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import bmesh
@@ -21,18 +21,28 @@ from ..blender_data import (
     remove_objects,
     unlinked_fruit,
 )
-from ..scene_frame import SceneFrame, keep_pose
+from ..scene_frame import SceneFrame, keep_pose, stored_pose
 from ..viewport.fruit_colours import colour_fruit
 from .fruit_shape import is_unit_sphere
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import Fruit, FruitCount
 
+REVIEW, MADE = "review", "made_by_user"
+"""Custom properties of a fruit: 'confirmed', 'rejected' or 'added' if it was reviewed; set if the user made it."""
+REJECTED = "rejected"
+SHOWN = "fruitlangs_shown"
+"""Custom property of a fruit that Next Uncertain showed since its last start."""
 TREE = "tree"
 """Custom property of a fruit, and of the collection of a tree: the number of the tree."""
 LENGTHS = ("length", "width", "thickness")
 MEASURED = ("diameter", "diameter_sd", *LENGTHS)
 """Custom properties that are lengths."""
+WRITTEN = (
+    *("id", "label", *MEASURED, "probability", "visible_fraction", "views", "color", "kind", "fallen", TREE),
+    *(REVIEW, MADE, SHOWN),
+)
+"""All custom properties that a count and its review store in a fruit."""
 
 
 def write_fruits(
@@ -42,7 +52,7 @@ def write_fruits(
     *,
     metres_per_unit: float | None = None,
 ) -> list[bpy.types.Object]:
-    """Replace this Blender scene's fruit objects.
+    """Write this Blender scene's fruit objects, into the existing one of each fruit, and delete the others.
 
     Each is named label.id (`apple.001`), is at the fruit's centre in the scene frame (the root places it in the world),
     has its axes as rotation and scale, and has the custom properties of its entry in `fruits.json`: id, label,
@@ -50,13 +60,73 @@ def write_fruits(
     color and kind; if known also diameter_sd (in the same unit), visible_fraction, fallen and tree. The fruit of a tree
     of a row are also in a collection of their own.
     """
-    remove_objects([*owned_objects(bpy_scene, "fruit"), *unlinked_fruit(root)])
-    for old in [each for each in local_collections(bpy_scene) if each.get(OWNER) in ("tree", "trees")]:
-        bpy.data.collections.remove(old)
-    collection = owned_collection(bpy_scene, "fruits", "Fruits")
-    meshes: dict[str, bpy.types.Mesh] = {}
-    frame = SceneFrame(root, Matrix())
-    return [_write(bpy_scene, fruit, frame, collection, meshes, metres_per_unit) for fruit in fruit_count.fruits]
+    earlier = owned_objects(bpy_scene, "fruit")
+    again = _used_again(earlier, fruit_count.fruits)
+    meshes = {label: _sphere_like(label, earlier) for label in sorted({fruit.label for fruit in fruit_count.fruits})}
+    kept = set(again.values())
+    remove_objects([*(item for item in earlier if item not in kept), *unlinked_fruit(root)])
+    frame, collection = SceneFrame(root, Matrix()), owned_collection(bpy_scene, "fruits", "Fruits")
+    items = []
+    for fruit in fruit_count.fruits:
+        item = again.get(fruit.id)
+        if item is None:
+            item = _new_fruit(bpy_scene, fruit, collection, meshes)
+        else:
+            _forget(item)
+            _show_sphere(item, meshes[fruit.label])
+        items.append(_write(bpy_scene, item, fruit, frame, collection, metres_per_unit))
+    _clean(bpy_scene, meshes)
+    return items
+
+
+def _sphere_like(label: str, earlier: Sequence[bpy.types.Object]) -> bpy.types.Mesh:
+    """A new sphere, with the materials of the earlier fruit of that label."""
+    mesh = _unit_sphere(label)
+    old = next((item.data for item in earlier if item.get("label") == label), None)
+    if old is not None:
+        mesh.materials.clear()
+        for material in old.materials:
+            mesh.materials.append(material)
+    return mesh
+
+
+def _used_again(earlier: Sequence[bpy.types.Object], fruits: Sequence[Fruit]) -> dict[int, bpy.types.Object]:
+    """{id: object} of the fruit that an earlier count found too: number, label and position are the same."""
+    from ...engine.counting.fruit import NEAR
+
+    named, found = {(item.get("id"), item.get("label")): item for item in earlier}, dict[int, bpy.types.Object]()
+    for fruit in fruits:
+        item = named.get((fruit.id, fruit.label))
+        pose = None if item is None else stored_pose(item)
+        away = np.inf if pose is None else float(np.linalg.norm(pose[:3, 3] - fruit.center))
+        if item is not None and away <= NEAR * fruit.diameter:
+            found[fruit.id] = item
+    return found
+
+
+def _forget(item: bpy.types.Object) -> None:
+    """Remove what an earlier count and the review stored in a fruit object."""
+    if item.get(REVIEW) == REJECTED:
+        item.hide_viewport = item.hide_render = False
+    for key in WRITTEN:
+        item.pop(key, None)
+
+
+def _clean(bpy_scene: bpy.types.Scene, meshes: Mapping[str, bpy.types.Mesh]) -> None:
+    """Delete the collections of trees without fruit, and give new meshes the names of those that they replaced."""
+    for role in ("tree", "trees"):
+        for each in [each for each in local_collections(bpy_scene) if each.get(OWNER) == role]:
+            if not len(each.objects) and not len(each.children):
+                bpy.data.collections.remove(each)
+    for label, mesh in meshes.items():
+        if bpy.data.meshes.get(label) is None:
+            mesh.name = label
+
+
+def _show_sphere(item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    old, item.data = item.data, mesh
+    if old.users == 0:
+        bpy.data.meshes.remove(old)
 
 
 def write_fruit(
@@ -67,7 +137,8 @@ def write_fruit(
     others = owned_objects(bpy_scene, "fruit")
     meshes = {item["label"]: item.data for item in others if "label" in item and is_unit_sphere(item)}
     collection = owned_collection(bpy_scene, "fruits", "Fruits")
-    return _write(bpy_scene, fruit, frame, collection, meshes, metres_per_unit)
+    item = _new_fruit(bpy_scene, fruit, collection, meshes)
+    return _write(bpy_scene, item, fruit, frame, collection, metres_per_unit)
 
 
 def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) -> None:
@@ -84,17 +155,24 @@ def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) 
     colour_fruit(item)
 
 
+def _new_fruit(
+    bpy_scene: bpy.types.Scene, fruit: Fruit, collection: bpy.types.Collection, meshes: dict[str, bpy.types.Mesh]
+) -> bpy.types.Object:
+    mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
+    return new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, None)
+
+
 def _write(
     bpy_scene: bpy.types.Scene,
+    item: bpy.types.Object,
     fruit: Fruit,
     frame: SceneFrame,
     collection: bpy.types.Collection,
-    meshes: dict[str, bpy.types.Mesh],
     metres_per_unit: float | None,
 ) -> bpy.types.Object:
-    mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
-    item = new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, frame.root)
-    item.matrix_parent_inverse = frame.in_root
+    item.parent, item.matrix_parent_inverse = frame.root, frame.in_root
+    item.delta_location, item.delta_scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    item.delta_rotation_euler, item.delta_rotation_quaternion = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     item.location = tuple(np.asarray(fruit.center, dtype=float))
     item.scale = tuple(fruit.lengths.tolist())
     item.rotation_mode = "QUATERNION"
@@ -103,12 +181,17 @@ def _write(
     _set_properties(item, fruit, metres_per_unit)
     colour_fruit(item)
     put_on_tree(bpy_scene, item)
+    if not item.users_collection:
+        collection.objects.link(item)
     return item
 
 
 def put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     """Link a fruit into the collection of its tree too, if it has one."""
-    if "tree" not in item:
+    for each in [each for each in item.users_collection if each.get(OWNER) == "tree"]:
+        if each.get(TREE) != item.get(TREE):
+            each.objects.unlink(item)
+    if TREE not in item:
         return
     trees, name = owned_collection(bpy_scene, "trees", "Trees"), f"Tree {item['tree']}"
     own = next((each for each in trees.children if each.get(TREE) == item["tree"]), None)
@@ -116,7 +199,8 @@ def put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
         own = bpy.data.collections.new(name)
         own[OWNER], own[TREE] = "tree", item["tree"]
         trees.children.link(own)
-    own.objects.link(item)
+    if own not in item.users_collection:
+        own.objects.link(item)
 
 
 def _name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:

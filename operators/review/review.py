@@ -35,7 +35,7 @@ from ..data.fruit_objects import (
 )
 from ..data.manual_edits import remember_fruit
 from ..data.stored_review import keep_corrections
-from ..data.write_fruits import label_fruit
+from ..data.write_fruits import SHOWN, label_fruit
 from ..jobs.jobs import busy, describe_error, editing
 from ..scene_frame import scene_frame
 from ..tools.pick_tool import PickTool
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
 CLOSE = 8.0
 """Distance in diameters from which a fruit is shown."""
-SHOWN = "fruitlangs_shown"
-"""Custom property of a fruit that Next Uncertain showed since its last start."""
 NO_SIZE = "The size of the new fruit is unknown. Enter its diameter below Add first"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import bpy
 import numpy as np
 import pytest
@@ -11,10 +13,12 @@ from mathutils import Euler, Matrix, Vector
 from fruitlangs.fruitlangs_addon.panels.step_count import FRUITLANGS_PT_count
 from fruitlangs.fruitlangs_addon.panels.step_scene import FRUITLANGS_PT_scene
 from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.data.read_cameras import read_up
+from fruitlangs.operators.data.fruit_objects import REVIEW
+from fruitlangs.operators.data.read_cameras import read_cameras, read_up
 from fruitlangs.operators.data.read_fruits import read_fruits
 from fruitlangs.operators.data.read_gaussians import deleted_gaussians
 from fruitlangs.operators.data.write_root import write_root
+from fruitlangs.operators.photos.photo_backgrounds import background_of
 from fruitlangs.operators.root_placement import shown_placement
 from fruitlangs.operators.settings.settings import read_config
 from fruitlangs.operators.steps.show_result import show_result, show_scene
@@ -251,3 +255,137 @@ def test_the_view_turns_to_the_tree_where_the_user_put_it(placed, monkeypatch, s
     look_at_scene(screens, placed)
     np.testing.assert_allclose(view.view_location, scale * place_before + Vector((3.0, 4.0, 5.0)), rtol=1e-4)
     assert view.view_distance == pytest.approx(scale * distance, rel=1e-4)
+
+
+def fruit(number: int) -> bpy.types.Object:
+    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+
+
+def test_a_recount_writes_into_the_fruit_that_it_finds_again(extension, counted, result_of, tmp_path):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    item, own = fruit(2), bpy.data.collections.new("Mine")
+    bpy_scene.collection.children.link(own)
+    own.objects.link(item)
+    item.name, item["weight"] = "The large one", 0.2
+    item.location.x += 1.0
+    item.delta_location.x = 3.0
+    item.hide_set(True)
+    fruit(1).hide_viewport = True
+    bpy.data.materials.new("Wax")
+    item.data.materials[0] = bpy.data.materials["Wax"]
+    bpy.context.view_layer.objects.active = item
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    assert fruit(2) == item == bpy.context.view_layer.objects.active
+    assert (item.name, item["weight"], item.hide_get(), fruit(1).hide_viewport) == ("The large one", 0.2, True, True)
+    assert item in list(own.objects)
+    assert {each.data.materials[0].name for each in owned_objects(bpy_scene, "fruit")} == {"Wax"}
+    assert [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith("apple")] == ["apple"]
+    for each, true in zip(read_fruits(bpy_scene).fruits, counted.fruit_count.fruits, strict=True):
+        np.testing.assert_allclose(each.center, true.center, atol=1e-5)
+
+
+def test_an_object_is_not_used_for_another_fruit_of_its_number(extension, counted, result_of, tmp_path):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    fruit(2).name = "The large one"
+    moved = [dataclasses.replace(each, center=each.center + 1.0) for each in counted.fruit_count.fruits]
+    show_result(
+        bpy.context,
+        bpy_scene,
+        result_of(counted, tmp_path, fruit_count=dataclasses.replace(counted.fruit_count, fruits=moved)),
+    )
+    assert [item.name for item in owned_objects(bpy_scene, "fruit")] == ["apple.001", "apple.002", "apple.003"]
+
+
+def test_of_a_rejected_fruit_a_recount_applies_the_decision_again_and_reopening_shows_it(
+    extension, counted, result_of, tmp_path
+):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    bpy.ops.object.select_all(action="DESELECT")
+    fruit(3).select_set(True)
+    bpy.context.view_layer.objects.active = fruit(3)
+    bpy.ops.fruitlangs.reject_fruit()
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    assert (fruit(3)[REVIEW], fruit(3).hide_viewport, fruit(3).hide_render) == ("rejected", True, True)
+    bpy.context.view_layer.objects.active = fruit(3)
+    bpy.ops.fruitlangs.reopen_fruit()
+    assert (fruit(3).hide_viewport, fruit(3).hide_render) == (False, False)
+    bpy_scene.fruitlangs.review.log.clear()
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    assert REVIEW not in fruit(3)
+
+
+def test_collections_of_trees_stay_and_those_without_fruit_go(extension, counted, result_of, tmp_path):
+    def with_trees(*numbers):
+        fruits = [
+            dataclasses.replace(each, tree=number)
+            for each, number in zip(counted.fruit_count.fruits, numbers, strict=True)
+        ]
+        fruit_count = dataclasses.replace(counted.fruit_count, fruits=fruits)
+        show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path, fruit_count=fruit_count))
+        return {each.name: [item["id"] for item in each.objects] for each in bpy.data.collections["Trees"].children}
+
+    assert with_trees(1, 1, 2) == {"Tree 1": [1, 2], "Tree 2": [3]}
+    bpy.data.collections["Tree 1"].hide_render = True
+    assert with_trees(1, 3, 3) == {"Tree 1": [1], "Tree 3": [2, 3]}
+    assert bpy.data.collections["Tree 1"].hide_render
+    show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
+    assert "Trees" not in bpy.data.collections
+
+
+def test_a_recount_writes_into_the_camera_of_each_photo(extension, counted, result_of, tmp_path):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    cameras = owned_objects(bpy_scene, "camera")
+    item = cameras[4]
+    pose = np.array(item.matrix_basis)
+    item.hide_viewport, item.data.display_size, item.data.clip_end, item.name = True, 9.0, 77.0, "From the ladder"
+    item.data.type, item.data.lens, item.location.x = "ORTHO", 3.0, 99.0
+    copy = cameras[2].copy()
+    bpy_scene.collection.objects.link(copy)
+    bpy_scene.camera, bpy_scene.render.resolution_x = item, 4000
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    assert owned_objects(bpy_scene, "camera") == cameras
+    assert (item.hide_viewport, item.data.display_size, item.data.clip_end) == (True, 9.0, 77.0)
+    assert (bpy_scene.camera, bpy_scene.render.resolution_x, item.name) == (item, 4000, "From the ladder")
+    np.testing.assert_allclose(np.array(item.matrix_basis), pose, atol=1e-6)
+    np.testing.assert_allclose(read_cameras(bpy_scene)[4].K, counted.scene.cameras[4].K, atol=1e-3)
+    assert copy.name in bpy_scene.objects
+
+
+def test_cameras_of_photos_that_are_no_longer_read_are_removed_and_the_view_is_the_middle(
+    extension, counted, result_of, tmp_path
+):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    bpy_scene.camera = owned_objects(bpy_scene, "camera")[5]
+    fewer = dataclasses.replace(counted.scene, cameras=counted.scene.cameras[:4], images=counted.scene.images[:4])
+    show_scene(bpy.context, bpy_scene, fewer)
+    assert [item["photo"] for item in owned_objects(bpy_scene, "camera")] == [photo.name for photo in fewer.images]
+    assert bpy_scene.camera in owned_objects(bpy_scene, "camera")
+
+
+def test_clipping_of_cameras_follows_a_scale_that_a_count_finds(extension, counted, counted_with, result_of, tmp_path):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
+    camera = owned_object(bpy_scene, "camera")
+    before = camera.data.clip_start
+    show_result(bpy.context, bpy_scene, result_of(counted_with(metres_per_unit=0.25), tmp_path))
+    assert camera.data.clip_start == pytest.approx(0.25 * before)
+
+
+def test_the_photo_behind_a_camera_stays_if_it_is_the_same(extension, counted_balls):
+    bpy_scene = bpy.context.scene
+    show_result(bpy.context, bpy_scene, counted_balls)
+    bpy.context.view_layer.update()
+    bpy.context.view_layer.objects.active = owned_object(bpy_scene, "fruit")
+    bpy.ops.fruitlangs.best_photo()
+    camera = bpy_scene.camera
+    show_result(bpy.context, bpy_scene, counted_balls)
+    assert bpy_scene.camera == camera
+    assert background_of(camera) is not None
+    camera["photo_file"] = "/elsewhere/a.jpg"
+    show_result(bpy.context, bpy_scene, counted_balls)
+    assert background_of(camera) is None
