@@ -15,7 +15,7 @@ from ..operators.packages import caches, dependencies
 from ..operators.photos import best_photo, photo_backgrounds
 from ..operators.review import missing, review, show_cluster
 from ..operators.settings import moved_paths, region
-from ..operators.steps import ask, check_photos, count, import_scene, reconstruct, teach
+from ..operators.steps import ask, check_photos, count, import_scene, open_stored, reconstruct, teach
 from ..operators.tools import level, reset_placement, scale
 from ..operators.viewport import appearance
 from . import preferences, properties
@@ -86,6 +86,7 @@ def register() -> None:
     legend.drawing.start()
     appearance.register_handlers()
     moved_paths.register_handlers()
+    open_stored.register_handlers()
     splat_drawing.register_handlers()
 
 
@@ -94,6 +95,7 @@ def unregister() -> None:
     active_tool.end_waiting()
     jobs.let_go(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
+    open_stored.unregister_handlers()
     moved_paths.unregister_handlers()
     appearance.unregister_handlers()
     legend.drawing.stop()

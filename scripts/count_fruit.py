@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,6 +78,8 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
     try:
         from fruitlangs.operators.data.write import write_blend
         from fruitlangs.operators.data.write_gaussians import asked_words
+        from fruitlangs.operators.settings.panel_state import panel_state
+        from fruitlangs.operators.settings.settings import relative_path
     except ImportError as error:
         print(
             f"scene.blend is not written: bpy cannot be imported ({error}). Run: pip install bpy",
@@ -95,6 +98,7 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
             set_id=result.set_id,
             threshold=result.config.count.threshold,
             folder=result.out,
+            panel=panel_state(result, partial(relative_path, folder=result.out.absolute())),
         )
 
     return {"scene.blend": write}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...engine.errors import OutputError
 from ...engine.storage.files import replacing
 from ..blender_data import OWNER, new_object, owned_collection, owned_objects
+from ..settings.panel_state import PanelState, store_panel
 from ..settings.settings import PHOTO_FILE, relative_path
 from ..viewport.appearance import set_threshold
 from ..viewport.gaussian_nodes import THRESHOLD
@@ -70,6 +71,7 @@ def write_blend(
     set_id: str = "",
     threshold: float = THRESHOLD,
     folder: Path | None = None,
+    panel: PanelState | None = None,
 ) -> None:
     """Write a result as a .blend of its own, with light and a camera, ready to be opened or rendered.
 
@@ -77,7 +79,7 @@ def write_blend(
     or not at all, and no .blend1 is left. set_id names the set of result files it belongs to (see `fruits.json`); it
     becomes the scene's custom property `fruitlangs_set_id`. asked: the prompt, from `asked_words`; threshold:
     probability above which Gaussians are highlighted; folder: where the file is moved to later, None for where it is
-    written; the photos are found from there.
+    written; the photos are found from there; panel: what the extension's panel shows when it opens the file.
 
     Raises:
         OutputError: the file cannot be written, or a window is open.
@@ -98,6 +100,8 @@ def write_blend(
     for item in owned_objects(bpy_scene, "camera"):
         if PHOTO_FILE in item:
             item[PHOTO_FILE] = relative_path(Path(item[PHOTO_FILE]), (folder or path.parent).absolute())
+    if panel is not None:
+        store_panel(bpy_scene, panel)
     save_blend(path)
 
 

@@ -91,7 +91,7 @@ def _empty_reason(bpy_scene: bpy.types.Scene) -> str:
     """Why there is no fruit to export."""
     shown = bpy_scene.fruitlangs.result
     if shown.count > 0:
-        return f"all {shown.count} counted fruit are rejected"
+        return f"none of the {shown.count} counted fruit is left after the review"
     return str(shown.zero_reason) or "no fruit are shown"
 
 

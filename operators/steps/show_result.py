@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.report.words import count_text, length_unit, location_text, nothing_found, three_digits, trained_text
+from ...engine.report.words import three_digits
 from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_fruits import counted
@@ -22,6 +22,7 @@ from ..data.write_cameras import write_cameras
 from ..data.write_gaussians import asked_words, write_gaussians
 from ..data.write_points import hide_points, write_points
 from ..data.write_root import write_root
+from ..settings.panel_state import count_state, gaussians_state, scene_state, show_state
 from ..settings.settings import source_folder, stored_path
 from ..viewport.appearance import appearance_of, apply_appearance
 from ..viewport.viewport import look_at_scene, show_colors, shown_screens
@@ -52,7 +53,7 @@ def show_scene(
         write_points(bpy_scene, scene, root)
     apply_appearance(bpy_scene)
     write_cameras(bpy_scene, scene, root)
-    _keep_scene(settings.result, scene)
+    show_state(settings.result, scene_state(scene))
     notices = [*removed, *notices]
     if notices:  # otherwise the messages of an earlier import or of the shown count still apply
         settings.result.notices = "; ".join(notices)
@@ -89,8 +90,9 @@ def show_reconstruction(
     apply_appearance(bpy_scene)
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
-    _keep_scene(shown, made.scene)
-    _keep_gaussians(shown, len(made.gaussians), made.origin["training"], made.files.features)
+    show_state(shown, scene_state(made.scene))
+    features = stored_path(made.files.features)
+    show_state(shown, gaussians_state(len(made.gaussians), made.origin["training"], features))
     shown.notices = "; ".join([*log.notices, *notices])
     show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     if first:
@@ -144,35 +146,12 @@ def _enter(bpy_scene: bpy.types.Scene, origin: Mapping[str, Any]) -> list[str]:
 
 def keep_result(settings: Any, result: Result) -> None:
     """Store in the .blend what the panel shows about a count."""
-    fruit_count, shown = result.fruit_count, settings.result
-    _keep_scene(shown, result.scene)
-    _keep_gaussians(shown, len(result.gaussians), result.origin["training"], result.out / "features.safetensors")
-    shown.count = fruit_count.count
-    shown.low, shown.high = fruit_count.interval or (-1, -1)
-    shown.total = -1.0 if fruit_count.total is None else fruit_count.total
-    shown.total_low, shown.total_high = fruit_count.total_interval or (-1, -1)
-    shown.label = ", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or settings.prompt
-    shown.unit, scale = length_unit(result.scene.metres_per_unit)
-    shown.mean_diameter = (fruit_count.mean_diameter or 0.0) * scale
-    threshold, metres = result.config.count.threshold, result.scene.metres_per_unit
-    shown.zero_reason = "" if fruit_count.fruits else nothing_found(fruit_count, threshold, metres)
-    shown.sureness = count_text(fruit_count) if fruit_count.fruits else ""
-    shown.whereabouts = "; ".join(location_text(fruit_count)) if fruit_count.fruits else ""
-    shown.notices = "; ".join(result.notices)
-    shown.folder = stored_path(result.out)
+    shown = settings.result
+    features = stored_path(result.out / "features.safetensors")
+    show_state(shown, scene_state(result.scene))
+    show_state(shown, gaussians_state(len(result.gaussians), result.origin["training"], features))
+    show_state(shown, count_state(result, settings.prompt, stored_path(result.out)))
     shown.exported = ""
-
-
-def _keep_scene(shown: Any, scene: Scene) -> None:
-    shown.cameras, shown.points = len(scene.cameras), len(scene.points)
-
-
-def _keep_gaussians(shown: Any, count: int, training: Any, features: Path) -> None:
-    shown.gaussians = count
-    shown.features = stored_path(features)
-    psnr, ssim = training["psnr"], training["ssim"]
-    by = trained_text(training)
-    shown.quality = "" if psnr is None else f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}{by}"
 
 
 def report_line(shown: Any) -> str:

@@ -114,7 +114,7 @@ def test_rejected_missing_fruit_are_one_decision_and_the_zero_is_a_warning(empti
     bpy.ops.fruitlangs.export_csv(filepath=str(tmp_path / "a.csv"))
     said = capfd.readouterr().out
     assert "Warning: Wrote 0 fruit to" in said
-    assert "all 40 counted fruit are rejected" in said
+    assert "none of the 40 counted fruit is left after the review" in said
 
 
 def test_a_recount_shows_missing_fruit_again_and_says_so(emptied, result):
