@@ -37,9 +37,9 @@ def read_transforms(
 
     Intrinsics are `fl_x, fl_y, cx, cy, w, h` (or `camera_angle_x, camera_angle_y`) and `k1…, p1, p2`, a frame's own
     before the file's; `camera_model` OPENCV (the default), OPENCV_FISHEYE or EQUIRECTANGULAR. `transform_matrix` is
-    camera to world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative to the
-    file; a photo may lack its extension. Frames whose photo is missing are left out. The scene's frame is the file's;
-    without a point cloud it has no points.
+    camera to world with OpenGL axes (x right, y up, z backward). Photos, `mask_path` and `ply_file_path` are relative
+    to the file; a photo may lack its extension. Frames whose photo is missing are left out. The scene's frame is the
+    file's; without a point cloud it has no points.
 
     Raises:
         SceneError: the file is missing or malformed, has no frames, a pose is no rigid motion, or too many photos are

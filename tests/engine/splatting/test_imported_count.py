@@ -86,6 +86,7 @@ def test_another_prompt_needs_neither_the_file_nor_another_lifting(
     asked = count_scene(tmp_path / "first", ["leaf"], tmp_path / "asked", config=TINY)
     assert document(asked.out)["fruits"] == document(again.out)["fruits"]
     assert document(asked.out)["provenance"]["imported"] == document(again.out)["provenance"]["imported"]
+    assert "photos.safetensors" not in document(asked.out)["files"]  # renders show nothing that Gaussians leave out
     for picture in (again.out / "pictures").iterdir():
         assert (asked.out / "pictures" / picture.name).read_bytes() == picture.read_bytes()
 

@@ -13,7 +13,7 @@ from fruitlangs.engine.scene.photos.resample import shrink
 from fruitlangs.engine.splatting.gaussians import Gaussians
 from fruitlangs.engine.splatting.rendering.rasterize import render
 from fruitlangs.engine.splatting.training.photos import Picture
-from fruitlangs.engine.splatting.training.scores import JUDGED_SIDE, ViewScore, score_view
+from fruitlangs.engine.splatting.training.scores import JUDGED_SIDE, ViewScore, _reduced, score_view
 
 LARGER = 3
 
@@ -88,10 +88,9 @@ def test_a_mask_too_fine_for_the_judged_size_is_used_at_full_size(
     assert np.isfinite([found.psnr, found.ssim]).all()
 
 
-def test_colors_beyond_white_are_white_at_the_judged_size(camera: Camera) -> None:
-    bright = random_gaussians(1, 0)
-    bright.means[:] = torch.zeros(3)
-    bright.log_scales[:], bright.opacity_logits[:], bright.sh[:] = 2.0, 9.0, 40.0
-    white = np.full((LARGER * camera.height, LARGER * camera.width, 3), 255, np.uint8)
-    found = score(bright, camera.scaled(LARGER), white)
-    assert found.reduced_psnr == pytest.approx(found.psnr, abs=3.0)
+def test_colors_beyond_white_are_white_before_they_are_averaged(camera: Camera) -> None:
+    checks = np.indices((2 * camera.height, 2 * camera.width)).sum(axis=0) % 2
+    photo = np.repeat(255 * checks[..., None], 3, axis=2).astype(np.uint8)
+    found = _reduced(torch.from_numpy(photo / 100.0).float(), Picture(camera.scaled(2), photo, None, 0))
+    assert found.color.numpy() == pytest.approx(0.5)
+    assert found.photo == pytest.approx(128)
