@@ -15,12 +15,11 @@ from typing import Any
 from ..config import PRESETS, STAGES, Config, Preset
 from ..errors import ConfigError, FormatError, FruitLangsError
 from ..scene.sfm.find_cameras import list_photos
+from ..storage.files import names_device
 from ..storage.keys import stage_key
 
 IDS = re.compile(r"[\w-][\w. -]{0,79}")
 """What an id looks like: it names a folder."""
-_RESERVED = re.compile(r"(con|prn|aux|nul|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE)
-"""Names of devices, which Windows gives to no file or folder, whatever their ending is."""
 MANIFEST, STATES = "manifest.json", "states"
 """A file and a folder that together only the folder of a block has."""
 COLUMNS = {
@@ -98,7 +97,7 @@ class TreeEntry:
 
 def names_folder(own: str) -> bool:
     """Whether an id can name a folder on every system."""
-    return IDS.fullmatch(own) is not None and not own.endswith((".", " ")) and _RESERVED.fullmatch(own) is None
+    return IDS.fullmatch(own) is not None and not own.endswith((".", " ")) and not names_device(own)
 
 
 def holds_block(folder: Path) -> bool:
@@ -239,7 +238,7 @@ def _entry(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, 
         if not str(given.get(name, "")).strip():
             raise wrong(f"{name} is missing")
     own = str(given["id"]).strip()
-    if IDS.fullmatch(own) and _RESERVED.fullmatch(own):
+    if names_device(own):
         raise wrong(f"id '{own}' is the name of a device on Windows and cannot name a folder. Choose another id")
     if not names_folder(own):
         raise wrong(f"id '{own[:40]}' names a folder: use letters, digits, spaces, - and _ only")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,6 +16,14 @@ from ..errors import OutputError
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+
+_DEVICES = re.compile(r"(con|prn|aux|nul|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE)
+
+
+def names_device(name: str) -> bool:
+    """Whether Windows keeps the name of a file or folder for a device, whatever its ending is."""
+    return _DEVICES.fullmatch(name) is not None
 
 
 @contextmanager

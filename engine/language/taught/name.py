@@ -5,6 +5,7 @@ from __future__ import annotations
 import unicodedata
 
 from ...errors import VocabularyError
+from ...storage.files import names_device
 from ..vocabulary import COLOURS, CONCEPTS, GENERAL, describes, parse, split
 
 MOST_LETTERS, MOST_WORDS = 40, 3
@@ -20,7 +21,7 @@ def word_name(text: str) -> str:
 
     Raises:
         VocabularyError: it cannot be a name, because it has other characters than letters, describes a fruit instead of
-            naming one, or stands for several objects.
+            naming one, stands for several objects, or cannot name a file.
     """
     spelled = unicodedata.normalize("NFC", " ".join(text.split()))
     folded = split(spelled)
@@ -28,6 +29,10 @@ def word_name(text: str) -> str:
         raise VocabularyError(
             f"'{text[:60]}' cannot be the name of a word. Use letters only, one to {MOST_WORDS} words and at most "
             f"{MOST_LETTERS} letters, for example 'fig' or 'cherry tomato'"
+        )
+    if names_device(" ".join(folded)):
+        raise VocabularyError(
+            f"'{text}' is the name of a device on Windows and cannot name a file. Choose another word"
         )
     if not folded:
         raise VocabularyError(f"'{text}' has no meaning of its own in a prompt. Name the fruit, for example 'fig'")

@@ -38,6 +38,13 @@ def touched(path: Path) -> None:
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns + 1))
 
 
+def replaced(path: Path, content: str) -> None:
+    """Another content of the same modification time, as a copy that keeps times has."""
+    stat = path.stat()
+    path.write_text(content)
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+
+
 @pytest.fixture
 def tree(tmp_path: Path) -> TreeEntry:
     """A tree with a folder of three photos, a COLMAP model and a mask."""
@@ -56,7 +63,7 @@ def tree(tmp_path: Path) -> TreeEntry:
         lambda source: photo(source / "images" / "3.jpg"),
         lambda source: (source / "images" / "0.jpg").unlink(),
         lambda source: (source / "images" / "0.jpg").rename(source / "images" / "9.jpg"),
-        lambda source: written(source / "images" / "0.jpg", "larger"),
+        lambda source: replaced(source / "images" / "0.jpg", "another photo"),
         lambda source: touched(source / "images" / "0.jpg"),
         lambda source: touched(source / "masks" / "0.png"),
         lambda source: touched(source / "sparse" / "0" / "points3D.txt"),
@@ -286,6 +293,16 @@ def test_a_tree_that_another_process_counts_is_not_reopened(ledger: Ledger, tree
     with ledger.claimed(tree):
         ledger.reopen()
         assert ledger.state(tree).stage == "done"
+
+
+def test_only_a_tree_that_is_done_is_compared_with_its_inputs(ledger: Ledger, tree: TreeEntry) -> None:
+    interrupted = TreeState(stage="running", fingerprint=tree.fingerprint, crashes=2)
+    ledger.write(tree, interrupted)
+    ledger.reopen()
+    assert ledger.state(tree) == interrupted
+    ledger.write(tree, TreeState(stage="failed", fingerprint=tree.fingerprint, reason="no photos"))
+    ledger.reopen()
+    assert ledger.state(tree) == TreeState(fingerprint=tree.fingerprint)
 
 
 def test_files_are_listed_and_not_read(tree: TreeEntry, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,6 +67,13 @@ def test_what_cannot_be_a_name_is_refused(text: str, said: str) -> None:
         word_name(text)
 
 
+@pytest.mark.parametrize("text", ["con", "Nul", "AUX", "prn"])
+def test_the_name_of_a_device_of_windows_is_no_name_of_a_word(text: str) -> None:
+    with pytest.raises(VocabularyError, match=f"'{text}' is the name of a device on Windows"):
+        word_name(text)
+    assert word_name(f"{text} melon") == f"{text.casefold()} melon"
+
+
 @pytest.mark.parametrize(
     "text",
     ["Fig", "Cherry-Tomato", "the  Açaí", "ﬁg", "fig's", "Pommes", "pe\u0302che de vigne", "केला"],
