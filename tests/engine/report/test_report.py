@@ -84,6 +84,8 @@ def test_a_count_below_the_most_likely_number_says_why_its_interval_starts_there
 def test_a_known_interval_is_given_also_if_the_number_with_hidden_fruit_is_unknown() -> None:
     counted = dataclasses.replace(two_fruit(), interval=(2, 4))
     assert count_text(counted) == "2 visible fruit (90 % interval 2–4)"
+    assert count_text(dataclasses.replace(counted, total_interval=(2, 6))) == count_text(counted)
+    assert count_text(dataclasses.replace(counted, total=4.0)) == count_text(counted)
     trees = [dataclasses.replace(tree, interval=(1, 3)) for tree in placed().trees]
     assert "1 on tree 1 (90 % interval 1–3)," in location_text(dataclasses.replace(placed(), trees=trees))[1]
     assert count_text(two_fruit()) == "2 visible fruit"
