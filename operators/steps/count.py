@@ -11,7 +11,7 @@ from ...engine.progress import Progress
 from ..jobs.jobs import Work
 from ..settings.settings import read_prompts, read_words, stored_path
 from .preview import SceneJob
-from .show_result import report_line, show_result
+from .show_result import count_report, show_result
 
 
 class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
@@ -61,7 +61,8 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
         bpy_scene = self._target.scene(context)
         show_result(context, bpy_scene, result)
         bpy_scene.fruitlangs.result.work = stored_path(self._out)
-        self.report({"INFO"}, f"{report_line(bpy_scene.fruitlangs.result)}; files are in {result.out}")
+        level, text = count_report(bpy_scene.fruitlangs.result, result.fruit_count)
+        self.report(level, f"{text}; files are in {result.out}")
 
 
 CLASSES = (FRUITLANGS_OT_count,)

@@ -30,6 +30,7 @@ from .ask import ask_soon, show_answer_text
 from .shown_source import enter_source, forget_count
 
 if TYPE_CHECKING:
+    from ...engine.counting.fruit import FruitCount
     from ...engine.publishing import Result
     from ...engine.reconstruction import Reconstruction
     from ...engine.scene.camera import Scene
@@ -159,6 +160,14 @@ def report_line(shown: Any) -> str:
     if shown.count:
         return f"{shown.label}: {shown.count}, {size_text(shown)}"
     return f"{shown.label}: 0, {shown.zero_reason}"
+
+
+def count_report(shown: Any, fruit_count: FruitCount) -> tuple[set[str], str]:
+    """The type of the report about a count and its text: a warning if fruit may have been taken for other kinds."""
+    text, others = report_line(shown), fruit_count.other_fruit
+    if not others:
+        return {"INFO"}, text
+    return {"WARNING"}, f"{text}; {others} other fruit look like other kinds" if shown.count else text
 
 
 def size_text(shown: Any) -> str:

@@ -344,6 +344,20 @@ def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, setting
     assert report_line(settings.result) == "apple: 3, mean diameter 0.2 scene units"
 
 
+def test_a_count_whose_fruit_may_be_taken_for_other_kinds_is_a_warning(settings, counted_with, result_of, tmp_path):
+    from fruitlangs.operators.steps.show_result import count_report
+
+    for fruits, end in ((0, "0, the 38 fruit that were found look like other kinds"), (2, "; 38 other fruit look")):
+        counted = result_of(counted_with(fruits=fruits), tmp_path)
+        show_result(bpy.context, bpy.context.scene, counted)
+        assert count_report(settings.result, counted.fruit_count)[0] == {"INFO"}
+        uncertain = dataclasses.replace(counted.fruit_count, other_fruit=38)
+        show_result(bpy.context, bpy.context.scene, dataclasses.replace(counted, fruit_count=uncertain))
+        level, text = count_report(settings.result, uncertain)
+        assert level == {"WARNING"}
+        assert end in text
+
+
 def test_a_count_never_removes_the_open_file(engine, settings, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.ops.fruitlangs.count()
