@@ -70,8 +70,7 @@ def count_prompts(
     least as many as these, notices say so and the intervals admit them, see `with_other_kinds`.
 
     Raises:
-        CountingError: see `count_fruit`; or no fruit is found, and those of other kinds cannot be counted.
-        ConfigError, FormatError: see `count_fruit`.
+        CountingError, ConfigError, FormatError: see `count_fruit`.
         VocabularyError: an unknown word.
     """
     match = _match(searched, prompts, negatives, probability, part(progress, 0.0, 0.3))
@@ -83,9 +82,7 @@ def count_prompts(
     label = _label(prompts, searched.encoder)
     try:
         found = _any_kind(again, searched.encoder, prompts, negatives, match, part(progress, 0.8, 1.0))
-    except CountingError as error:
-        if counted.count == 0:
-            raise CountingError(f"No {label} was found, and other fruit cannot be counted: {error}") from error
+    except CountingError as error:  # the count of the prompt stands
         return replace(counted, notices=[*counted.notices, f"fruit of other kinds could not be counted: {error}"])
     return counted if found is None else with_other_kinds(counted, found, label)
 

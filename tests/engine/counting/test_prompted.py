@@ -126,13 +126,17 @@ def test_a_colour_is_a_choice_of_the_user(tree: sim.Simulation, encoder: Embedde
     assert "fruit of other colours" in counted(searched, "blue plum").notices[-1]
 
 
-def test_a_0_whose_other_fruit_cannot_be_counted_is_an_error(tree: sim.Simulation, encoder: EmbeddedEncoder) -> None:
+def test_a_0_whose_other_fruit_cannot_be_counted_stays_a_0_that_says_so(
+    tree: sim.Simulation, encoder: EmbeddedEncoder
+) -> None:
     flat = dataclasses.replace(tree.gaussians, opacity_logits=torch.full_like(tree.gaussians.opacity_logits, -8.0))
     blurred = Quality(15.0, 0.45)
     searched = scene_of(tree, encoder, SEEN_AS_LEMON, gaussians=flat, quality=blurred)
-    with pytest.raises(CountingError, match="No plum was found, and other fruit cannot be counted: The 0 for fruit"):
-        counted(searched, "plum")
-    assert counted(scene_of(tree, encoder, LEAF, gaussians=flat, quality=blurred), "plum").count == 0
+    found = counted(searched, "plum")
+    assert found.count == 0
+    assert found.notices[-1].startswith("fruit of other kinds could not be counted: The 0 for fruit is not a count")
+    with pytest.raises(CountingError, match="The 0 for lemon is not a count"):
+        counted(searched, "lemon")
 
 
 def test_a_row_without_the_fruit_needs_no_fruit_of_other_kinds_on_each_tree(
