@@ -331,9 +331,12 @@ class JobOperator:
         item = None if bpy_scene is None or not self.replaces_objects else edited_object(bpy_scene)
         if item is None or self._job.error is not None:
             return False
+        if self._job.cancelling:
+            self._job.error = Cancelled()
+            return False
         message = f"finished. {_edited_text(item)}: return to Object Mode to see the result"
         if self._job.message != message:
-            self._job.message = message
+            self._job.fraction, self._job.message = 1.0, message
             redraw_sidebars(context)
             show_status(context, f"{self.title} {message}")
         return True

@@ -174,11 +174,21 @@ def test_a_result_waits_while_an_object_that_it_replaces_is_edited(started, wind
     item.replaces_objects = True
     assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
     assert item._job.text == "finished. Sparse points is in Edit Mode: return to Object Mode to see the result"
+    assert item._job.fraction == 1.0
     assert item.modal(window.context, SimpleNamespace(type="ESC", value="PRESS")) == {"PASS_THROUGH"}
     assert not item.finished
     bpy.ops.object.mode_set(mode="OBJECT")
     assert item.modal(window.context, TICK) == {"FINISHED"}
     assert item.finished == [42]
+
+
+def test_a_result_that_waits_for_an_edit_can_be_cancelled(started, window, monkeypatch, edited_points):
+    item, told = shower(started, monkeypatch), []
+    item.replaces_objects, item.report = True, lambda _, text: told.append(text)
+    assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
+    jobs.cancel_running()
+    assert item.modal(window.context, TICK) == {"CANCELLED"}
+    assert (item.finished, told) == ([], ["Count cancelled. Finished stages are kept"])
 
 
 def test_a_result_that_replaces_nothing_does_not_wait_for_an_edit(started, window, monkeypatch, edited_points):
