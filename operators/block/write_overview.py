@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..blender_data import (
     OWNER,
+    Role,
     linear_from_srgb,
     new_object,
     owned_collection,
@@ -23,6 +25,8 @@ from ..blender_data import (
 )
 from ..data.write_fruits import matt_material
 from ..data.write_points import colored_points, show_points
+from ..root_placement import place_root, placement_of
+from ..scene_frame import SceneFrame
 from ..viewport.fruit_colours import probability_colours, tree_colour
 from .overview import ShownResult, ShownTree
 
@@ -31,6 +35,10 @@ Colors = Literal["TREE", "PROBABILITY"]
 
 COLORS = "fruit color"
 """Colour attribute of the fruit meshes."""
+RESULT = "fruitlangs_result"
+"""Custom property of a root: the folder of its result in the block."""
+SHOWN: tuple[Role, ...] = ("block-fruit", "block-points", "block-root")
+"""Roles of the objects of the overview."""
 TREE, PROBABILITIES = "fruitlangs_tree", "probability"
 """Custom property of a tree's fruit: its name; and the attribute of the probability of each vertex' fruit."""
 SUBDIVISIONS = 2
@@ -40,14 +48,17 @@ POINT_RADIUS = 0.004
 
 
 def write_overview(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult], colors: Colors) -> None:
-    """Replace what this Blender scene shows of a block."""
+    """Replace what this Blender scene shows of a block; of the same results, what the user placed or hid stays so."""
+    placements, hidden = _placements(bpy_scene, results), _hidden(bpy_scene)
     remove_overview(bpy_scene)
     parent = owned_collection(bpy_scene, "block", "Orchard")
     number = 0
     for result in results:
         root = new_object(result.folder, None, "block-root", _collection(result.folder, parent), None)
         root.empty_display_size = 0.1 * result.width or 0.1
-        root.matrix_basis = Matrix.Translation((*result.place, 0.0)) @ Matrix(result.matrix.tolist())
+        root[RESULT] = result.folder
+        upright = Matrix.Translation((*result.place, 0.0)) @ Matrix(result.matrix.tolist())
+        place_root(SceneFrame(root, Matrix()), upright, placements.get(result.folder))
         several = len(result.trees) > 1
         for tree in result.trees:
             own = root.users_collection[0]
@@ -56,12 +67,41 @@ def write_overview(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult], c
             number += 1
         if len(result.points):
             _write_points(result, root)
+    for item in _shown(bpy_scene):
+        state = hidden.get(item.name, Hidden(viewport=False, render=False))
+        item.hide_viewport, item.hide_render = state.viewport, state.render
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Whether an object is hidden in viewports and in renders."""
+
+    viewport: bool
+    render: bool
+
+
+def _shown(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """All objects of the overview."""
+    return [item for role in SHOWN for item in owned_objects(bpy_scene, role)]
+
+
+def _hidden(bpy_scene: bpy.types.Scene) -> dict[str, Hidden]:
+    """{name of an object: whether the user hid it}."""
+    return {item.name: Hidden(item.hide_viewport, item.hide_render) for item in _shown(bpy_scene)}
+
+
+def _placements(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult]) -> dict[str, Matrix]:
+    """{folder of a result: how the user placed its root}; none if most of those shown are not in this block."""
+    frames = {str(item.get(RESULT)): SceneFrame(item, Matrix()) for item in owned_objects(bpy_scene, "block-root")}
+    if 2 * len(set(frames) & {result.folder for result in results}) < len(frames):
+        return {}
+    found = {folder: placement_of(frame) for folder, frame in frames.items()}
+    return {folder: placement for folder, placement in found.items() if placement is not None}
 
 
 def remove_overview(bpy_scene: bpy.types.Scene) -> None:
     """Remove what this Blender scene shows of a block."""
-    for role in ("block-fruit", "block-points", "block-root"):
-        remove_objects(owned_objects(bpy_scene, role))
+    remove_objects(_shown(bpy_scene))
     for collection in [each for each in bpy_scene.collection.children_recursive if each.get(OWNER) == "block-tree"]:
         bpy.data.collections.remove(collection)
 

@@ -92,6 +92,31 @@ def test_a_block_is_one_scene_with_a_collection_for_each_tree(opened: Path) -> N
     )
 
 
+def test_trees_that_the_user_placed_or_hid_stay_so_when_the_tables_are_updated(opened: Path) -> None:
+    scene = bpy.context.scene
+    roots = {item["fruitlangs_result"]: item for item in owned_objects(scene, "block-root")}
+    unmoved = np.array(roots["two"].matrix_basis)
+    roots["one"].location.y += 9.0
+    roots["one"].scale = [3.0 * side for side in roots["one"].scale]
+    placed = np.array(roots["one"].matrix_basis)
+    bpy.data.objects["two fruit"].hide_render = True
+    assert bpy.ops.fruitlangs.update_block() == {"FINISHED"}
+    roots = {item["fruitlangs_result"]: item for item in owned_objects(scene, "block-root")}
+    np.testing.assert_allclose(np.array(roots["one"].matrix_basis), placed, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(np.array(roots["two"].matrix_basis), unmoved)
+    hidden = {item.name: item.hide_render for item in owned_objects(scene, "block-fruit")}
+    assert hidden == {name: name == "two fruit" for name in hidden}
+
+
+def test_the_placement_of_another_blocks_trees_is_not_used(opened: Path) -> None:
+    scene = bpy.context.scene
+    for item in owned_objects(scene, "block-root"):
+        item.location.y += 9.0
+        item["fruitlangs_result"] = f"other {item['fruitlangs_result']}"
+    bpy.ops.fruitlangs.open_block()
+    assert all(abs(item.matrix_basis.translation.y) < 5.0 for item in owned_objects(scene, "block-root"))
+
+
 def test_fruit_are_where_the_result_has_them_and_trees_do_not_overlap(opened: Path, counted_balls: Any) -> None:
     scene = bpy.context.scene
     bpy.context.view_layer.update()
