@@ -6,6 +6,7 @@ one fruit after the other.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...progress import Progress, silent
+from ..evidence.camera_parts import split_by_cameras
 from ..geometry.cells import separated
 from .verifier import Verifier
 from .views import FEW, PhotoViews, cubes
@@ -25,10 +27,14 @@ PUSHES, STEP = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0), 0.25
 PEAK, LEAST_SCORE = 0.25, 0.15
 """Diameters between the best places, and the least score of one."""
 PROMISING = 0.15
-"""Share of the places that are scored by all spots, the best by few: all of the sample's best 1,500 places by all spots
-were among its best 1.4 % by few."""
+"""Share of the places of a group that are scored by all spots, the best by few: all of the sample's best 1,500 places
+by all spots were among its best 1.4 % by few."""
 PEAKS, PEAKS_OF_FRUIT = 1800, 18
-"""How many places are verified, at least, and for each fruit that was found on surfaces."""
+"""How many places of a group are verified, at least, and for each fruit that was found on surfaces."""
+COVERAGE_RATIO, LEAST_GROUP = 2.0, 0.2
+"""Places around two fruit do not compete if one is framed by more than this many times as many photos: scores grow with
+the number of photos. The least share of a part's fruit in a group: a few fruit behind a tree are none. Of the 122 fruit
+of the sample in 10 photos, 109 had a verified place; next to one tree with 60 photos 104, next to five 99."""
 FIRST = 5
 """Places in a cube of a diameter that come before other places: a fruit that few photos show has lower scores than
 many places around one that all photos show."""
@@ -60,9 +66,8 @@ def search_photos(
 ) -> FoundInPhotos:
     """Look for fruit of a diameter, scene units. frame: (3, 4) of the cameras, see `visibility.frame_of`."""
     radius = diameter / 2.0
-    places = likely_places(verifier.views, diameter, frame)
     on_surfaces = verifier.surroundings.fruit
-    starts = np.concatenate([places[: max(PEAKS, PEAKS_OF_FRUIT * len(on_surfaces))], on_surfaces])
+    starts = np.concatenate([likely_places(verifier.views, on_surfaces, diameter, frame), on_surfaces])
     odds, moves = verifier.verify(starts, radius, NO_PLACES)
     pool, moves, odds = (each[odds > GIVEN_UP] for each in (starts, moves, odds))
     progress(0.3, "Looking for fruit in the photos")
@@ -82,15 +87,56 @@ def search_photos(
     return FoundInPhotos(np.concatenate([known, fresh]), np.concatenate([known_odds, fresh_odds]), len(known))
 
 
-def likely_places(views: PhotoViews, diameter: float, frame: FloatArray) -> FloatArray:
-    """(S, 3) places where photos may show fruit of a diameter: the FIRST of every cube, then the others, each the
-    likeliest first. frame: as of `search_photos`."""
+def likely_places(views: PhotoViews, fruit: FloatArray, diameter: float, frame: FloatArray) -> FloatArray:
+    """(S, 3) places where photos may show fruit of a diameter: of each group the best, first the FIRST of every cube,
+    each the likeliest first. fruit: (F, 3) on surfaces; frame: as of `search_photos`.
+
+    Places compete in the group of the nearest fruit, so well-covered trees take nothing from others.
+    """
+    groups = group_fruit(views, fruit, diameter)
+    most = np.maximum(PEAKS, PEAKS_OF_FRUIT * np.bincount(groups, minlength=1))
     places = views.places(diameter / 2.0, [push * diameter for push in PUSHES], STEP * diameter, frame)
-    guesses = views.score(places, diameter / 2.0, FEW)
-    places = places[guesses >= np.quantile(guesses, 1.0 - PROMISING)] if len(places) else places
+    own = _nearest(places, fruit, groups)
+    places = places[_best(views.score(places, diameter / 2.0, FEW), own)]
     places = places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
     later = _earlier(cubes(places, diameter, frame)) >= FIRST
-    return places[np.argsort(later, kind="stable")]
+    places = places[np.argsort(later, kind="stable")]
+    own = _nearest(places, fruit, groups)
+    return places[_earlier(own) < most[own]]
+
+
+def group_fruit(views: PhotoViews, fruit: FloatArray, diameter: float) -> IntArray:
+    """(F,) the group of each fruit (F, 3): parts of the scene that are as large as a tree, each divided where some
+    fruit are framed by less than half as many photos as others. One group if all are photographed alike."""
+    groups, number = np.zeros(len(fruit), np.int64), 0
+    if len(fruit) == 0:
+        return groups
+    framed = views.choose(fruit, np.full(len(fruit), diameter / 2.0), 1)[1][:, 4]
+    for part in split_by_cameras(fruit, views.eyes):
+        order = part.fruit[np.argsort(-framed[part.fruit], kind="stable")]
+        start, least = 0, max(math.ceil(LEAST_GROUP * len(order)), 1)
+        for place in range(least, len(order) - least + 1):
+            if place - start >= least and COVERAGE_RATIO * framed[order[place]] < framed[order[start]]:
+                groups[order[start:place]], start, number = number, place, number + 1
+        groups[order[start:]], number = number, number + 1
+    return groups
+
+
+def _nearest(places: FloatArray, fruit: FloatArray, groups: IntArray) -> IntArray:
+    """(S,) the group of the fruit (F, 3) nearest to each place (S, 3)."""
+    if groups.max(initial=0) == 0 or len(places) == 0:
+        return np.zeros(len(places), np.int64)
+    own: IntArray = groups[cKDTree(fruit).query(places)[1]]
+    return own
+
+
+def _best(guesses: FloatArray, groups: IntArray) -> NDArray[np.bool_]:
+    """(S,) which guesses (S,) are among the best of their group (S,)."""
+    least = [
+        np.quantile(guesses[groups == group], 1.0 - PROMISING) if (groups == group).any() else np.inf
+        for group in range(groups.max(initial=-1) + 1)
+    ]
+    return guesses >= np.array(least)[groups]
 
 
 def _earlier(owners: IntArray) -> IntArray:

@@ -64,6 +64,11 @@ class PhotoViews:
         )
 
     @property
+    def eyes(self) -> FloatArray:
+        """(V, 3) where the cameras are."""
+        return -np.einsum("vji,vj->vi", self.poses[:, :, :3], self.poses[:, :, 3])
+
+    @property
     def arrays(self) -> Views:
         """The arrays as kernels take them."""
         return (self.probabilities, self.offsets, self.depths, self.starts, self.sizes, self.poses, self.lenses)

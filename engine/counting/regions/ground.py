@@ -15,6 +15,7 @@ from ...scene.camera import Camera
 from ...splatting.gaussians import Gaussians
 from ...splatting.subject.ground import REACH, Plane, ground_plane
 from ...splatting.subject.viewpoints import Subject
+from ..evidence.camera_parts import split_by_cameras
 from ..evidence.cluster import LIKELY, Search
 
 FloatArray = NDArray[np.float64]
@@ -29,10 +30,6 @@ there. On the sample 5 of 8 false apples lay there, with log odds of .2 to 1; th
 above."""
 CLEAR, FEW = 0.9, 0.05
 """Probability of a clear fruit, and the largest share of the fruit that may lie in a ground."""
-MOST_FRUIT = 0.75
-"""Share of the fruit whose distance from their middle is the width of a part: some others may lie far away."""
-FEWEST_CAMERAS = 3
-"""Cameras that a part needs."""
 NEARNESS = 0.5
 """Radius of the subject relative to the distance from which it was photographed."""
 AROUND = 0.15
@@ -101,38 +98,15 @@ def find_sites(centers: FloatArray, likely: NDArray[np.bool_], cameras: Sequence
     if not likely.any():
         return []
     own, eyes = np.flatnonzero(likely), np.array([camera.center for camera in cameras])
-    parts = _compact(centers[own], eyes)
+    parts = split_by_cameras(centers[own], eyes)
     numbers = np.empty(len(own), np.int64)
-    for number, (fruit, _) in enumerate(parts):
-        numbers[fruit] = number
+    for number, part in enumerate(parts):
+        numbers[part.fruit] = number
     sites = numbers[cKDTree(centers[own]).query(centers)[1]]
-    sites[own] = numbers
-    return [Site(np.flatnonzero(sites == number), subject) for number, (_, subject) in enumerate(parts)]
-
-
-def _compact(centers: FloatArray, eyes: FloatArray) -> list[tuple[IntArray, Subject]]:
-    """The fruit (F, 3) in parts of which each is no wider than the cameras nearest to it, of all at `eyes` (V, 3), are
-    far away."""
-    open_parts, parts = [(np.arange(len(centers)), np.arange(len(eyes)))], list[tuple[IntArray, Subject]]()
-    while open_parts:
-        fruit, own = open_parts.pop()
-        middle = np.median(centers[fruit], axis=0)
-        distance = float(np.median(np.linalg.norm(eyes[own] - middle, axis=1)))
-        width = float(np.quantile(np.linalg.norm(centers[fruit] - middle, axis=1), MOST_FRUIT))
-        half = _half(centers[fruit])
-        nearest = half[cKDTree(centers[fruit]).query(eyes[own])[1]]
-        if width <= distance or min(nearest.sum(), (~nearest).sum()) < FEWEST_CAMERAS:
-            parts.append((fruit, Subject(middle, NEARNESS * distance)))
-        else:
-            open_parts += [(fruit[half], own[nearest]), (fruit[~half], own[~nearest])]
-    return parts
-
-
-def _half(centers: FloatArray) -> NDArray[np.bool_]:
-    """(F,) which centres (F, 3) lie in one half of them, cut across the direction in which they spread most."""
-    offsets = centers - centers.mean(axis=0)
-    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
-    return along * (1.0 if (along**3).sum() >= 0.0 else -1.0) > 0.0
+    return [
+        Site(np.flatnonzero(sites == number), Subject(part.middle, NEARNESS * part.distance))
+        for number, part in enumerate(parts)
+    ]
 
 
 def _grounds(gaussians: Gaussians, sites: Sequence[Site], centers: FloatArray) -> Iterator[tuple[Site, Gaussians]]:

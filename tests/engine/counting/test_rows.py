@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -54,6 +55,16 @@ def test_gaps_between_trees_do_not_count_as_crown() -> None:
     ]
     assert hidden_share(fruit, pictures, 0.5 * sim.DIAMETER, seed=0) == pytest.approx(np.mean(alone), abs=0.03)
     assert np.mean(alone) > 0.2
+
+
+@pytest.mark.parametrize("fruit", [10, 40])
+def test_trees_far_apart_are_one_crown_each_however_few_fruit_they_bear(
+    fruit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sim, "SPACING", 4.0)
+    monkeypatch.setattr(sim, "FRUIT", fruit)
+    crowns = split_row(hanging(sim.simulate_row(12, "diagonal")))
+    assert [len(crown) for crown in crowns] == [fruit] * 12
 
 
 def test_a_row_whose_crowns_touch_is_cut_into_parts_as_long_as_it_is_wide() -> None:
@@ -121,6 +132,23 @@ def test_sites_of_a_long_row_are_as_large_as_those_of_a_tree_and_hold_every_frui
     sites = find_sites(row.centers, ~row.fallen, row.cameras)
     assert sorted(np.concatenate([site.fruit for site in sites]).tolist()) == list(range(len(row.centers)))
     assert all(0.5 * sim.AWAY * NEARNESS < site.subject.radius < 2.0 * sim.AWAY * NEARNESS for site in sites)
+
+
+def test_a_tree_with_few_fruit_far_away_is_a_site_of_its_own_if_cameras_stand_at_it() -> None:
+    tree, other = sim.simulate_row(2), sim.simulate_row(1)
+    shift = 200.0 * sim.DIRECTIONS["y"]
+    centers = np.concatenate([tree.centers, other.centers[:9] + shift])
+    there = [replace(camera, world_to_camera=moved(camera.world_to_camera, shift)) for camera in other.cameras]
+    everything = np.ones(len(centers), bool)
+    alone = find_sites(centers, everything, tree.cameras)
+    both = find_sites(centers, everything, tree.cameras + there)
+    assert [len(site.fruit) for site in alone] == [len(centers)]
+    assert sorted(len(site.fruit) for site in both) == [9, len(tree.centers)]
+
+
+def moved(pose: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """The world-to-camera matrix of a camera that stands elsewhere."""
+    return np.vstack([np.column_stack([pose[:3, :3], pose[:3, 3] - pose[:3, :3] @ shift]), [[0.0, 0.0, 0.0, 1.0]]])
 
 
 def test_what_is_no_ground_at_one_end_of_a_row_leaves_the_other_end_alone() -> None:

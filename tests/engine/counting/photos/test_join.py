@@ -18,6 +18,7 @@ from fruitlangs.engine.counting.evidence.visibility import Picture, draw
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
+from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 
 CONFIG = CountConfig(sample_budget=20_000)
 SETTING = sim.Setting(fruit=12, clump=2, sheets=0, floaters=4, views=16)
@@ -140,3 +141,25 @@ def test_shuffling_the_gaussians_leaves_a_count_with_photos_alone(without: sim.S
     )
     here, there = counted(without, maps), counted(shuffled, maps)
     np.testing.assert_allclose(here.centers, there.centers, atol=1e-4)
+
+
+def test_two_trees_far_apart_have_the_fruit_that_each_has_alone(tree: sim.Simulation, maps: Maps) -> None:
+    """The second tree has fewer photos than the first."""
+    config = dataclasses.replace(CONFIG, diameter=1.0)
+    shift = np.array([300.0, 200.0, 0.0])
+    moved = sim.moved_by(tree, np.eye(3), shift, 1.0)
+    few = dataclasses.replace(moved, cameras=moved.cameras[::2])
+    pair = Gaussians(*(
+        torch.cat([getattr(each.gaussians, name) for each in (tree, few)]) for name in PARAMETERS
+    ))  # fmt: skip
+    probability = np.tile(tree.probability, 2)
+    cameras, photos = [*tree.cameras, *few.cameras], [*maps, *maps[::2]]
+    together = count_fruit(pair, probability, cameras, config, label="apple", photos=photos)
+    alone = [
+        count_fruit(each.gaussians, each.probability, each.cameras, config, label="apple", photos=shown)
+        for each, shown in ((tree, maps), (few, maps[::2]))
+    ]
+    expected = np.concatenate([each.centers for each in alone])
+    assert together.count == len(expected)
+    assert cKDTree(together.centers).query(expected)[0].max() < 0.05
+    assert together.total == pytest.approx(sum(each.total or 0.0 for each in alone), rel=0.05)
