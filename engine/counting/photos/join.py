@@ -31,9 +31,9 @@ LEAST = 0.01
 """Probability below which a place is no candidate."""
 HALF = 0.5
 """Fruit that are added to two expected numbers before they are compared, so that none may be 0."""
-USUAL = 0.12
-"""Logarithm by which photos usually refuse fruit: surfaces show a few false ones. .11 on the sample, below 0 on 16
-scenes."""
+USUAL = 0.06
+"""Logarithm of the fruit expected on surfaces over those expected with photos, up to which photos refuse no more than
+usual: on eleven trees its mean is -.13 and its standard deviation .08, of which this is 2.4 above the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,14 @@ def with_photos(
     together = joined(
         found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold
     )
-    ratio = (found.probabilities.sum() + HALF) / (together.probabilities.sum() + HALF)
-    return replace(together, dissent=max(float(np.log(ratio)) - USUAL, 0.0))
+    refused = measure_dissent(float(found.probabilities.sum()), float(together.probabilities.sum()))
+    return replace(together, dissent=refused)
+
+
+def measure_dissent(on_surfaces: float, in_photos: float) -> float:
+    """Logarithm by which photos refuse more fruit than usual, from the numbers of fruit expected without and with
+    them."""
+    return max(float(np.log((on_surfaces + HALF) / (in_photos + HALF))) - USUAL, 0.0)
 
 
 def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:

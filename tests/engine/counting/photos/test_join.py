@@ -16,6 +16,7 @@ from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.evidence.visibility import Picture, draw
 from fruitlangs.engine.counting.fruit import FruitCount
+from fruitlangs.engine.counting.photos.join import measure_dissent
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
@@ -115,6 +116,13 @@ def test_masks_that_say_fruit_nowhere_are_no_confident_count(tree: sim.Simulatio
     found = counted(tree, shown(maps, 0.0))
     assert found.interval is not None
     assert found.interval[0] <= SETTING.fruit <= found.interval[1]
+
+
+def test_photos_dissent_by_the_fruit_that_they_refuse_beyond_what_is_usual() -> None:
+    assert measure_dissent(100.0, 130.0) == 0.0
+    assert measure_dissent(105.5, 100.0) == 0.0
+    assert measure_dissent(199.5, 99.5) == pytest.approx(np.log(2.0) - 0.06)
+    assert measure_dissent(0.0, 0.0) == 0.0
 
 
 def test_masks_of_other_views_make_the_interval_wider(tree: sim.Simulation, maps: Maps) -> None:
