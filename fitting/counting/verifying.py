@@ -123,7 +123,7 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     """Places behind pixels that show fruit, around true fruit and on fruit that were found, each with most of the
     other true fruit known."""
     truth, diameter = tree.truth, tree.diameter
-    places = likely_places(tree.views, diameter, tree.frame)
+    places = likely_places(tree.views, tree.surroundings.fruit, diameter, tree.frame)
     rest = rng.permutation(places[BEST:])[:OTHERS]
     visible = truth.centers[truth.visible]
     jittered = [visible + rng.normal(size=visible.shape) * diameter * sd for sd in JITTERS]
