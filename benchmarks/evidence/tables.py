@@ -216,18 +216,6 @@ def two_photos(records: Sequence[Record]) -> str:
     return f"{markdown(errors)}\n\n{markdown(shares)}"
 
 
-def all_fruit(records: Sequence[Record]) -> str:
-    """Errors of the number of all fruit over the trees of `two_photos`, a row a method."""
-    trees = _two_ways(records)
-    own = [(tree, [other for other in trees if other.species == tree.species and other is not tree]) for tree in trees]
-    errors = [tree.errors(others) for tree, others in own if others]
-    if not errors:
-        return ""
-    names = ("mean of the other trees", "two photos × factor", "our count × factor", "our estimate of all fruit")
-    rows = [[name, *cell.split(", ")] for name, cell in zip(names, _mean_and_worst(errors), strict=True)]
-    return markdown([["number of all fruit", "mean error", "largest error"], *reversed(rows)])
-
-
 @dataclass(frozen=True, kw_only=True)
 class _TwoWays:
     """A tree counted in two photos and by us. total: all its fruit; estimate: ours of all fruit."""
@@ -408,14 +396,9 @@ TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "conditions": conditions,
     "methods": methods,
     TWO_PHOTOS: two_photos,
-    "all-fruit": all_fruit,
     "intervals": intervals,
     "shared-errors": shared_errors,
 }
 """{name of a block of a document: its table}."""
-STUDY_OF: Mapping[str, str] = {name: name for name in STUDIES} | {
-    "photos-alone": "ladder",
-    "missed": "ladder",
-    "all-fruit": TWO_PHOTOS,
-}
+STUDY_OF: Mapping[str, str] = {name: name for name in STUDIES} | {"photos-alone": "ladder", "missed": "ladder"}
 """{table: the study that it is made from}; others have no head."""

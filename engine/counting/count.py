@@ -157,8 +157,8 @@ def count_fruit(
     clusters = colours.keep(within)
     spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
     described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
-    refused = len(within.spheres) - len(spheres)
-    counted = replace(described, notices=[*quality.notices, *notices, *_long(found)], other_colors=refused)
+    other_colors = len(within.spheres) - len(spheres)
+    counted = replace(described, notices=[*quality.notices, *notices, *_long(found)], other_colors=other_colors)
     lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
     placed = _on_trees(counted, lying, config, up, cameras)
     if searched is not None:
@@ -169,7 +169,7 @@ def count_fruit(
         return placed
     if len(within.spheres):
         matching.require_answer(colours.refusal)
-        notice = f"no {label} was counted, but {refused} fruit of other colours were found"
+        notice = f"no {label} was counted, but {other_colors} fruit of other colours were found"
         return replace(placed, notices=[*placed.notices, notice])
     if len(found.spheres):
         matching.require_answer("all fruit that were found lie outside the region")
@@ -180,7 +180,8 @@ def count_fruit(
     estimated = searched is not None and len(searched.found.spheres) > 0 and size is not None
     if estimated and photos is None:
         return placed
-    return matching.with_bounds(placed, sized.diameter, searched=estimated)
+    refused = 0 if searched is None else int(region.contains(searched.on_surfaces).sum())
+    return matching.with_bounds(placed, sized.diameter, searched=estimated, refused=refused)
 
 
 def _described(

@@ -114,14 +114,3 @@ def test_an_estimate_of_0_is_an_error_of_100_percent_and_a_tree_without_one_is_l
 
 def test_a_single_tree_has_no_other_to_get_a_factor_from() -> None:
     assert "apple" not in TABLES[TWO_PHOTOS](APPLES[:2])
-
-
-def test_errors_over_all_trees_are_a_row_a_method_with_our_estimate_first() -> None:
-    rows = [line.strip("| ").split(" | ") for line in TABLES["all-fruit"](APPLES).splitlines()]
-    whole = line_of("| **all 3**", APPLES).strip("| ").split("|")[2:]
-    assert [f"{mean}, {largest}" for _, mean, largest in rows[2:]] == [cell.strip() for cell in reversed(whole)]
-    assert rows[2][0] == "our estimate of all fruit"
-
-
-def test_errors_over_all_trees_need_two_trees_of_a_species() -> None:
-    assert TABLES["all-fruit"](APPLES[:2]) == ""

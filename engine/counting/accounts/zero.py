@@ -157,15 +157,22 @@ class Matching:
         return known and (self.pixels(diameter) or 0.0) >= ENOUGH_PIXELS
 
     def with_bounds(
-        self, counted: FruitCount, diameter: float | None = None, *, visible: bool = True, searched: bool = False
+        self,
+        counted: FruitCount,
+        diameter: float | None = None,
+        *,
+        visible: bool = True,
+        searched: bool = False,
+        refused: int = 0,
     ) -> FruitCount:
         """A count of 0 with intervals up to the fruit that may be there, and a notice that says so.
 
         visible: whether these fruit would be visible; searched: the count has intervals from candidates in the photos,
-        which the photos can only narrow. Without photos, an unchanged count if no Gaussian matches.
+        which the photos can only narrow; refused: number of fruit on surfaces of the Gaussians that no photo shows.
+        Without photos, an unchanged count if no Gaussian matches.
         """
         if self.maps is not None and visible:
-            return self._bounded_by_photos(counted, diameter, searched=searched)
+            return self._bounded_by_photos(counted, diameter, searched=searched, refused=refused)
         if len(self) == 0:
             return counted
         most = max(self.most(diameter), counted.interval[1] if counted.interval else 0)
@@ -174,13 +181,22 @@ class Matching:
         bounded = _up_to(counted, most if visible else 0, total)
         return _with_notice(bounded, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}")
 
-    def _bounded_by_photos(self, counted: FruitCount, diameter: float | None, *, searched: bool) -> FruitCount:
-        """A count of 0 with intervals up to what the photos show, and a notice if they show anything."""
+    def _bounded_by_photos(
+        self, counted: FruitCount, diameter: float | None, *, searched: bool, refused: int
+    ) -> FruitCount:
+        """A count of 0 with intervals up to what the photos show, or up to what they refuse if that is more, and a
+        notice if that is anything."""
         shown = self.shown(diameter)
         high, highest = shown, shown
         if searched and counted.interval and counted.total_interval:
             high, highest = min(shown, counted.interval[1]), min(shown, counted.total_interval[1])
-        bounded = _up_to(counted, high, highest)
+        bounded = _up_to(counted, max(high, refused), max(highest, refused))
+        if refused > shown:
+            return _with_notice(
+                bounded,
+                f"no fruit was counted: surfaces of the Gaussians look like {self.label} in {refused} places, but "
+                f"photos show {shown or 'none'}. Check that photos, masks and cameras belong together",
+            )
         if shown == 0:
             return bounded
         places = "1 place that matches" if shown == 1 else f"{shown} places that match"

@@ -108,7 +108,7 @@ class Clusters:
 class Search:
     """Candidates among surface points, with features (C,) by name and the probability (C,) that each is a fruit;
     photos: whether fruit were searched in photos too; dissent: logarithm of how many times more fruit were expected
-    without them, less what is usual, 0 if not more."""
+    without them, less what is usual, 0 if not more; on_surfaces: (K, 3) centers of the likely fruit without them."""
 
     surface: SurfaceIndex
     size: FruitSize
@@ -117,6 +117,7 @@ class Search:
     probabilities: FloatArray
     photos: bool = False
     dissent: float = 0.0
+    on_surfaces: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def search(

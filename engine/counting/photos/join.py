@@ -56,8 +56,10 @@ def with_photos(
     *,
     progress: Progress = silent,
 ) -> Search:
-    """The search with the fruit that photos show, and its dissent. found: on surfaces of the Gaussians; pictures: their
-    views, one for each map; threshold: of the probabilities."""
+    """The search with the fruit that photos show, its dissent, and the likely fruit that it had without them.
+
+    found: on surfaces of the Gaussians; pictures: their views, one for each map; threshold: of the probabilities.
+    """
     centers, diameter = found.found.spheres.centers, found.size.diameter
     likely = centers[found.probabilities > LIKELY]
     surroundings = Surroundings.of(photos.gaussians, photos.probabilities, likely, diameter, threshold)
@@ -67,7 +69,7 @@ def with_photos(
         found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold
     )
     refused = measure_dissent(float(found.probabilities.sum()), float(together.probabilities.sum()))
-    return replace(together, dissent=refused)
+    return replace(together, dissent=refused, on_surfaces=likely)
 
 
 def measure_dissent(on_surfaces: float, in_photos: float) -> float:

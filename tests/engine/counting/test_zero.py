@@ -149,6 +149,20 @@ def test_photos_narrow_the_interval_from_candidates_and_never_widen_it(tree: sim
     assert matching.with_bounds(few, 1.0).interval == (0, places)
 
 
+def test_fruit_on_surfaces_that_photos_refuse_are_in_the_intervals_of_a_0_and_in_its_notice(
+    tree: sim.Simulation,
+) -> None:
+    everywhere, hidden = np.ones(len(tree.gaussians), bool), photos_of(tree, np.zeros(len(tree.gaussians)))
+    matching = Matching.of(
+        tree.gaussians, tree.probability, everywhere, tree.cameras, "apple", GOOD, hidden, CONFIG.threshold
+    )
+    none = FruitCount(fruits=[], audit=[], max_probability=0.9, mean_diameter=None)
+    refused = matching.with_bounds(none, 1.0, refused=9)
+    assert (refused.interval, refused.total_interval) == ((0, 9), (0, 9))
+    assert "look like apple in 9 places, but photos show none" in refused.notices[-1]
+    assert matching.with_bounds(none, 1.0).interval == (0, 0)
+
+
 @pytest.mark.parametrize(("made", "reason"), [(transparent, "are transparent"), (sideless, "faces the cameras")])
 def test_gaussians_that_match_without_a_fruit_give_an_interval_up_to_what_may_be_there(
     tree: sim.Simulation, made: Any, reason: str

@@ -116,6 +116,7 @@ def test_masks_that_say_fruit_nowhere_are_no_confident_count(tree: sim.Simulatio
     found = counted(tree, shown(maps, 0.0))
     assert found.interval is not None
     assert found.interval[0] <= SETTING.fruit <= found.interval[1]
+    assert any("surfaces of the Gaussians look like apple" in notice for notice in found.notices)
 
 
 def test_photos_dissent_by_the_fruit_that_they_refuse_beyond_what_is_usual() -> None:
