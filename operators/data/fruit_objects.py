@@ -33,6 +33,8 @@ LAST_ID = "fruitlangs_last_id"
 """Custom property of the Blender scene: the highest id that a fruit ever had in it."""
 SAME = 1e-3
 """Relative difference between a fruit's diameter and its stored one above which the user must have scaled it."""
+EDITED = 0.01
+"""Change of position or length above which the user edited a fruit by hand, in its lengths."""
 MOVED = 0.25
 """Distance from where it was counted above which a fruit was moved, in its smallest diameters."""
 LEAST_TOGETHER = 3
@@ -116,6 +118,22 @@ def _is_moved(item: bpy.types.Object, frame: SceneFrame) -> bool:
         return False
     away = float(np.linalg.norm(fruit_ellipsoid(item, frame).center - pose[:3, 3]))
     return away > MOVED * float(np.linalg.norm(pose[:3, :3], axis=0).min())
+
+
+def count_edited(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> int:
+    """How many counted fruit the user moved or scaled by hand and did not reject."""
+    counted = [item for item in standing(bpy_scene) if stored_pose(item) is not None and not is_made(item)]
+    return sum(_is_edited(item, frame) for item in counted)
+
+
+def _is_edited(item: bpy.types.Object, frame: SceneFrame) -> bool:
+    """Whether a fruit has another position or size than it was written with."""
+    pose, found = stored_pose(item), fruit_ellipsoid(item, frame)
+    assert pose is not None
+    lengths = np.sort(np.linalg.norm(pose[:3, :3], axis=0))[::-1]
+    grown = np.abs(2.0 * np.linalg.norm(found.axes, axis=1) - lengths).max()
+    away = np.linalg.norm(found.center - pose[:3, 3])
+    return bool(max(grown, away) > EDITED * lengths.max())
 
 
 def _check_edited(bpy_scene: bpy.types.Scene, item: bpy.types.Object, frame: SceneFrame) -> None:

@@ -16,6 +16,7 @@ from .fruit_objects import (
     LAST_ID,
     REJECTED,
     REVIEW,
+    count_edited,
     fruit_frame,
     give_members,
     is_made,
@@ -58,12 +59,19 @@ def keep_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
 
 
 def keep_last_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
-    """As `keep_corrections`, before the fruit are replaced: what cannot be read is not kept, and a text says so."""
+    """As `keep_corrections`, before the fruit are replaced. Texts also say what cannot be read and is not kept, and how
+    many counted fruit lose a position or size that the user gave them."""
     missing = missing_text(bpy_scene)
     try:
-        return keep_corrections(bpy_scene)
+        return [*keep_corrections(bpy_scene), *_reset_text(bpy_scene)]
     except FruitLangsError as error:
         return [f"{missing} and are not rejected" if missing else f"changes by hand are not kept: {error}"]
+
+
+def _reset_text(bpy_scene: bpy.types.Scene) -> list[str]:
+    edited = 0 if owned_object(bpy_scene, "root") is None else count_edited(bpy_scene, fruit_frame(bpy_scene))
+    text = f"{edited} fruit that you moved or scaled are as counted again; added fruit keep such changes"
+    return [text] if edited else []
 
 
 def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:

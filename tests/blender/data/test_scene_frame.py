@@ -296,6 +296,18 @@ def test_an_import_is_the_remedy_and_says_what_is_not_kept(shown, counted_with, 
     np.testing.assert_allclose(measures(shown), expected(counted_with), rtol=1e-5, atol=1e-6)
 
 
+def test_a_count_says_how_many_fruit_lose_what_the_user_moved_or_scaled(shown, counted_with, result_of, tmp_path):
+    result = result_of(counted_with(metres_per_unit=0.25), tmp_path)
+    show_result(bpy.context, shown, result)
+    assert "as counted again" not in shown.fruitlangs.result.notices
+    fruit(1).scale *= 1.1
+    show_result(bpy.context, shown, result)
+    assert "1 fruit that you moved or scaled are as counted again" in shown.fruitlangs.result.notices
+    fruit(2).location.x += 0.02 * fruit(2).scale.x
+    show_result(bpy.context, shown, result)
+    assert "1 fruit that you moved or scaled are as counted again" in shown.fruitlangs.result.notices
+
+
 def test_a_mesh_that_is_no_ellipsoid_is_refused_by_its_name(shown):
     select(fruit(1))
     bpy.ops.object.make_single_user(object=True, obdata=True)
