@@ -107,9 +107,9 @@ def width_notices(
 
     pixel_width: median width of the fruit in pixels of the photos as they were read, None if it is not known.
     """
-    if pixel_width is None or pixel_width >= NARROW or np.median(growth(photos)) <= 1.0:
-        return []
     reduced = scaled_down(photos)
+    if pixel_width is None or pixel_width >= NARROW or not reduced or 2 * len(reduced) < len(photos):
+        return []
     read = max(max(photo.width, photo.height) for photo in reduced)
     longest = max(max(photo.header.width, photo.header.height) for photo in reduced)
     side = min(-int(-read * ENOUGH_PIXELS / pixel_width // STEP) * STEP, longest)

@@ -199,7 +199,7 @@ def test_where_any_file_cannot_be_replaced_the_whole_earlier_result_stays(
     if not link:
         monkeypatch.setattr(os, "link", no_links)
     monkeypatch.setattr(os, "replace", refuse)
-    monkeypatch.setattr(pipeline, "count_fruit", lambda *_, **__: NO_FRUIT_COUNT)
+    monkeypatch.setattr(pipeline, "count_prompts", lambda *_, **__: NO_FRUIT_COUNT)
     for name in names_of_a_set(copied):
         refused.clear()
         with pytest.raises(OutputError, match=f"{re.escape(Path(name).name)} cannot be replaced .* result stays"):
@@ -222,7 +222,7 @@ def test_a_run_killed_between_any_two_files_leaves_the_earlier_result(
             raise Killed
         replace(source, target)
 
-    monkeypatch.setattr(pipeline, "count_fruit", lambda *_, **__: NO_FRUIT_COUNT)
+    monkeypatch.setattr(pipeline, "count_prompts", lambda *_, **__: NO_FRUIT_COUNT)
     for name in names_of_a_set(copied):
         monkeypatch.setattr(os, "replace", die)
         with pytest.raises(Killed):

@@ -86,6 +86,10 @@ def test_the_advised_size_is_no_larger_than_the_largest_file(tmp_path: Path) -> 
     assert "--scene.max-side 250 makes them 8 pixels wide" in notice
 
 
+def test_a_result_without_photos_gets_no_advice_about_their_size() -> None:
+    assert width_notices(7.0, [], [], Config()) == []
+
+
 def test_photos_that_stay_as_they_are_need_no_more_memory(tmp_path: Path) -> None:
     (tmp_path / "mixed").mkdir()
     (tmp_path / "large").mkdir()
