@@ -98,7 +98,7 @@ def fruit_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
             them together, away from the cameras, was no correction of fruit.
     """
     frame, fruits = scene_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
-    counted = [item for item in fruits if stored_pose(item) is not None and not is_made(item)]
+    counted = _as_written(fruits)
     moved = [item for item in counted if _is_moved(item, frame)]
     if len(counted) >= LEAST_TOGETHER and 2 * len(moved) > len(counted):
         raise SceneError(
@@ -122,8 +122,12 @@ def _is_moved(item: bpy.types.Object, frame: SceneFrame) -> bool:
 
 def count_edited(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> int:
     """How many counted fruit the user moved or scaled by hand and did not reject."""
-    counted = [item for item in standing(bpy_scene) if stored_pose(item) is not None and not is_made(item)]
-    return sum(_is_edited(item, frame) for item in counted)
+    return sum(_is_edited(item, frame) for item in _as_written(standing(bpy_scene)))
+
+
+def _as_written(items: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The fruit that a count made, whose pose it stored."""
+    return [item for item in items if stored_pose(item) is not None and not is_made(item)]
 
 
 def _is_edited(item: bpy.types.Object, frame: SceneFrame) -> bool:

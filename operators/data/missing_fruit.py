@@ -33,20 +33,20 @@ DELETED = "deleted"
 
 def missing_fruit(bpy_scene: bpy.types.Scene) -> list[Spot]:
     """The fruit of the last check that are not in this Blender scene any more; none if its root is gone too."""
-    if owned_object(bpy_scene, "root") is None:
-        return []
-    present = {int(item.get("id", 0)) for item in standing(bpy_scene)}
-    return [spot for spot in spots_of(bpy_scene.fruitlangs.review.known) if spot.id not in present]
+    return spots_of(_missing_rows(bpy_scene))
 
 
 def many_missing(bpy_scene: bpy.types.Scene) -> int:
     """How many fruit are missing, if they are too many for a decision; else 0."""
-    known = bpy_scene.fruitlangs.review.known
-    if len(known) <= FEW or owned_object(bpy_scene, "root") is None:
-        return 0
+    missing = len(_missing_rows(bpy_scene))
+    return missing if missing > max(FEW, SHARE * len(bpy_scene.fruitlangs.review.known)) else 0
+
+
+def _missing_rows(bpy_scene: bpy.types.Scene) -> list[Any]:
+    if owned_object(bpy_scene, "root") is None:
+        return []
     present = {int(item.get("id", 0)) for item in standing(bpy_scene)}
-    missing = sum(row.number not in present for row in known)
-    return missing if missing > max(FEW, SHARE * len(known)) else 0
+    return [row for row in bpy_scene.fruitlangs.review.known if row.number not in present]
 
 
 def missing_text(bpy_scene: bpy.types.Scene) -> str:

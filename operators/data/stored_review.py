@@ -69,7 +69,7 @@ def keep_last_corrections(bpy_scene: bpy.types.Scene) -> list[str]:
 
 
 def _reset_text(bpy_scene: bpy.types.Scene) -> list[str]:
-    edited = 0 if owned_object(bpy_scene, "root") is None else count_edited(bpy_scene, fruit_frame(bpy_scene))
+    edited = 0 if owned_object(bpy_scene, "root") is None else count_edited(bpy_scene, scene_frame(bpy_scene))
     text = f"{edited} fruit that you moved or scaled are as counted again; added fruit keep such changes"
     return [text] if edited else []
 
@@ -187,8 +187,9 @@ def counts_line(bpy_scene: bpy.types.Scene) -> str:
     """'counted 182, after review 185'; without the second part before any review."""
     shown = bpy_scene.fruitlangs.result
     parts = [f"counted {shown.count}"] if shown.count >= 0 else []
-    if many_missing(bpy_scene):
-        parts.append(missing_text(bpy_scene))
+    missing = missing_text(bpy_scene)
+    if missing:
+        parts.append(missing)
     elif is_reviewed(bpy_scene):
         parts.append(f"after review {len(standing(bpy_scene))}")
     elif not parts:  # a .blend that the command line wrote

@@ -21,7 +21,22 @@ from ..jobs.jobs import busy, describe_error, editing
 from .review import has_root
 
 
-class FRUITLANGS_OT_restore_fruit(bpy.types.Operator):
+class MissingFruit:
+    """Mix-in of operators that decide what becomes of missing fruit."""
+
+    def execute(self: Any, context: bpy.types.Context) -> set[str]:
+        try:
+            log_copies(context.scene)
+            done = self.decide(context.scene)
+            remember_fruit(context.scene)
+        except Exception as error:
+            self.report({"ERROR"}, describe_error(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, done)
+        return {"FINISHED"}
+
+
+class FRUITLANGS_OT_restore_fruit(MissingFruit, bpy.types.Operator):
     bl_idname = "fruitlangs.restore_fruit"
     bl_label = "Restore Fruit"
     bl_description = "Bring back fruit that were deleted or unlinked, or else all rejected ones"
@@ -36,25 +51,15 @@ class FRUITLANGS_OT_restore_fruit(bpy.types.Operator):
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy_scene = context.scene
-        try:
-            log_copies(bpy_scene)
-            if many_missing(bpy_scene):
-                back = restore_missing(bpy_scene)
-            else:
-                frame, fruits = fruit_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
-                rejected = [spot_of(item, frame) for item in fruits if item.get(REVIEW) == REJECTED]
-                back = reopen_rejected(bpy_scene, rejected)
-            remember_fruit(bpy_scene)
-        except Exception as error:
-            self.report({"ERROR"}, describe_error(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"{back} fruit are back")
-        return {"FINISHED"}
+    def decide(self, bpy_scene: bpy.types.Scene) -> str:
+        if many_missing(bpy_scene):
+            return f"{restore_missing(bpy_scene)} fruit are back"
+        frame, fruits = fruit_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
+        rejected = [spot_of(item, frame) for item in fruits if item.get(REVIEW) == REJECTED]
+        return f"{reopen_rejected(bpy_scene, rejected)} fruit are back"
 
 
-class FRUITLANGS_OT_reject_missing(bpy.types.Operator):
+class FRUITLANGS_OT_reject_missing(MissingFruit, bpy.types.Operator):
     bl_idname = "fruitlangs.reject_missing"
     bl_label = "Reject Missing"
     bl_description = "Reject the fruit that were deleted or unlinked, so that they are not counted"
@@ -69,18 +74,10 @@ class FRUITLANGS_OT_reject_missing(bpy.types.Operator):
             return False
         return True
 
-    def execute(self: Any, context: bpy.types.Context) -> set[str]:
-        review = context.scene.fruitlangs.review
+    def decide(self, bpy_scene: bpy.types.Scene) -> str:
+        review = bpy_scene.fruitlangs.review
         reason, review.reason = review.reason.strip() or DELETED, ""
-        try:
-            log_copies(context.scene)
-            rejected = reject_missing(context.scene, reason)
-            remember_fruit(context.scene)
-        except Exception as error:
-            self.report({"ERROR"}, describe_error(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"{len(rejected)} fruit are rejected")
-        return {"FINISHED"}
+        return f"{len(reject_missing(bpy_scene, reason))} fruit are rejected"
 
 
 CLASSES = (FRUITLANGS_OT_restore_fruit, FRUITLANGS_OT_reject_missing)
