@@ -12,6 +12,10 @@ from .records import Record, Trial
 
 SPECIES = ("apple", "plum", "lemon", "pear", "peach", "mango", "cherry", "orange")
 SEEDS = (101, 102, 103)
+WHOLE = {
+    "apple": 402, "plum": 413, "cherry": 402, "pear": 412, "mango": 411, "peach": 414, "lemon": 410, "orange": 413
+}  # fmt: skip
+"""{species: seed} of whole trees: they bear from .5 to 1.5 times the usual fruit. plum-whole:402 is for fitting."""
 LOADED = ("apple", "plum", "orange", "pear")
 """Species whose trees bear from half to one and a half times the usual fruit."""
 LOAD_SEEDS = (304, 305, 302, 301, 303)
@@ -64,6 +68,10 @@ class Study:
 
 
 STUDIES: Mapping[str, Study] = {
+    "whole": Study(
+        scenes=tuple(f"{species}-whole:{seed}" for species, seed in WHOLE.items()),
+        stages=(TRUE_POSES, END_TO_END),
+    ),
     "known-cameras": Study(
         scenes=tuple(f"{species}-small:{seed}" for seed in SEEDS[1:] for species in SPECIES), stages=(TRUE_POSES,)
     ),

@@ -139,6 +139,22 @@ def phone(records: Sequence[Record]) -> str:
     return markdown(lines)
 
 
+def whole(records: Sequence[Record]) -> str:
+    """Whole trees with true cameras, and from photos alone where that was measured."""
+    own = of_study("whole", records)
+    lines = [["tree", "visible", "counted", "F1", "diameter bias", "counted, photos alone", "F1, photos alone"]]
+    for name in (scene.replace(":", "-") for scene in STUDIES["whole"].scenes):
+        near = _near(own.get(Trial(scene=name, stage=TRUE_POSES)))
+        if near is None:
+            continue
+        line = [name, str(near.visible), str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
+        record = own.get(Trial(scene=name, stage=END_TO_END))
+        alone = _near(record)
+        line += [str(alone.predicted), _score(alone.f1)] if alone else ["", "failed" if record else ""]
+        lines.append(line)
+    return markdown(lines)
+
+
 def ladder(records: Sequence[Record]) -> str:
     """The ablation ladder with all its tables."""
     own = [record.result for record in of_study("ladder", records).values()]
@@ -393,6 +409,7 @@ TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
     "photos-alone": photos_alone,
     "missed": missed,
     "phone": phone,
+    "whole": whole,
     "conditions": conditions,
     "methods": methods,
     TWO_PHOTOS: two_photos,
