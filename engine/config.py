@@ -114,6 +114,8 @@ class TrainConfig(_Checked):
     """Number of optimiser steps; each step uses one photo."""
     max_gaussians: int = number(70_000, 1, 100_000_000)
     """Stop densification at this number of Gaussians."""
+    grow: bool = True
+    """If the two numbers above are those of a preset, use more for more than 60 photos, or for larger than 480×360."""
     sh_degree: int = number(2, 0, 3)
     """Degree of the spherical harmonics for view-dependent colour (0 to 3)."""
     holdout_every: int = number(8, 0, LARGEST)
@@ -185,6 +187,7 @@ PRESETS: dict[Preset, TrainConfig] = {
     "paper": TrainConfig(
         steps=30_000,
         max_gaussians=200_000,
+        grow=False,
         sh_degree=3,
         coarse_until=0.0,
         means_rate=1.6e-3,

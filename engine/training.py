@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .config import Config, decisive
+from .config import Config, TrainConfig, decisive
 from .counting.accounts.zero import Quality
 from .language.features.embedder import Embedder
 from .language.features.features import save_features
@@ -30,6 +30,7 @@ from .scene.walk import SECTION_PHOTOS, Walk, cut
 from .splatting.gaussians import Gaussians, concatenated, moved_gaussians
 from .splatting.gpu.adapters import Adapter
 from .splatting.ply import read_ply, write_ply
+from .splatting.training.schedule import grown
 from .splatting.training.train import CPU, Watch, train
 from .storage.files import write_text
 from .storage.keys import stage_key
@@ -117,8 +118,9 @@ def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
         elif walk is not None:
             results = _train_walk(folder, scene, walk, run, progress)
         else:
-            require_memory(config.train.max_gaussians, config, scene.cameras, trained=True)
-            results = _train_into(folder, scene, run, progress)
+            longer = _with(run, grown(config.train, scene.cameras, len(scene.cameras)))
+            require_memory(longer.config.train.max_gaussians, longer.config, scene.cameras, trained=True)
+            results = _train_into(folder, scene, longer, progress)
         _report(results, run)
     return Trained(folder, key, results)
 
@@ -178,13 +180,19 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
 
 
 def _as_long_as(section: Scene, run: Run) -> Run:
-    """The run with as many steps and Gaussians more as a section has photos more than usual, because others overlap."""
-    train = run.config.train
+    """The run with as many steps and Gaussians more as a section has photos more than usual, because others overlap,
+    and as large photos need."""
+    train = grown(run.config.train, section.cameras)
     more = max(len(section.cameras) / SECTION_PHOTOS, 1.0)
     longer = dataclasses.replace(
         train, steps=round(more * train.steps), max_gaussians=round(more * train.max_gaussians)
     )
-    return dataclasses.replace(run, config=dataclasses.replace(run.config, train=longer))
+    return _with(run, longer)
+
+
+def _with(run: Run, train: TrainConfig) -> Run:
+    """The run with other settings of training."""
+    return dataclasses.replace(run, config=dataclasses.replace(run.config, train=train))
 
 
 def _anchored(

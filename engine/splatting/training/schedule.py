@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ...config import TrainConfig
-from ...scene.camera import Scene
+from ...config import PRESETS, TrainConfig
+from ...scene.camera import Camera, Scene
 from ..rendering.render import FAINTEST, DrawRules
 from .densify import DensifyRules
 from .parameters import Rates
@@ -21,6 +21,8 @@ DENSIFY_GRADIENT = 4e-4
 """Mean absolute gradient of a projected position, in half-images, above which a Gaussian is cloned or split."""
 PRUNE_OPACITY = 0.005
 """Densification removes Gaussians with a lower opacity."""
+USUAL_PHOTOS, USUAL_PIXELS, MOST_GROWTH = 60, 480 * 360, 4.0
+"""Photos that the presets are meant for: their number, and the pixels of each; and the largest factor for others."""
 LEAST_OVERSIZE, OVERSIZE_GAUSSIANS = 0.1, 700
 """The largest Gaussian, as a share of the extent or of its distance: 3DGS's tenth, and more with fewer than 70,000
 Gaussians, since N of them cover the scene if their size is proportional to 1 / √N."""
@@ -128,3 +130,20 @@ def view_at(step: int, views: Sequence[int], seed: int) -> int:
     """The photo of a step: every round uses all photos once, in a random order from (seed, round)."""
     lap, place = divmod(step, len(views))
     return views[np.random.default_rng([seed, lap]).permutation(len(views))[place]]
+
+
+def grown(config: TrainConfig, cameras: Sequence[Camera], photos: int = 0) -> TrainConfig:
+    """The settings with as many steps and Gaussians as the photos of the cameras need, if `grow` says so: both grow
+    with the square root of the number of `photos`, Gaussians also with that of the pixels of a photo. Numbers that are
+    not those of a preset stay."""
+    if not config.grow or not cameras:
+        return config
+    pixels = sum(camera.width * camera.height for camera in cameras) / len(cameras)
+    more, larger = max(photos / USUAL_PHOTOS, 1.0), max(pixels / USUAL_PIXELS, 1.0)
+    steps, gaussians = (min(share**0.5, MOST_GROWTH) for share in (more, more * larger))
+    presets = [PRESETS["quick"], PRESETS["standard"]]
+    if config.steps in [preset.steps for preset in presets]:
+        config = replace(config, steps=round(steps * config.steps))
+    if config.max_gaussians in [preset.max_gaussians for preset in presets]:
+        config = replace(config, max_gaussians=round(gaussians * config.max_gaussians))
+    return config
