@@ -18,6 +18,7 @@ from ..engine.language.features.lift import encode_photos, lift_features
 from ..engine.language.features.lift_segments import mix_features
 from ..engine.language.masks.photo_segments import segmented_views
 from ..engine.language.prompts.relevancy import relevancy
+from ..engine.photo_size import photo_scales
 from ..engine.progress import Progress, part, silent
 from ..engine.scene.camera import Scene
 from ..engine.scene.read import read_scene
@@ -61,7 +62,9 @@ def _pipeline(scene: Scene, gaussians: Gaussians, config: EmbedConfig, progress:
 
 def _lifted(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
     assert sees_whole(embedder.encoder)
-    photos = watch.each("encode a photo", encode_photos(scene, embedder.encoder))
+    with watch.stage("measure the width of fruit"):
+        scales = photo_scales(scene, embedder.encoder)
+    photos = watch.each("encode a photo", encode_photos(scene, embedder.encoder, scales))
     with watch.stage("lift"):
         return lift_features(gaussians, scene.cameras, photos, encoder_id=embedder.encoder.identity, progress=progress)
 

@@ -11,7 +11,7 @@ from .child_process import usable_cores
 from .config import Config
 from .counting.evidence.visibility import at_drawing_size
 from .errors import ConfigError
-from .language.encoders.embedded import MAX_SIDE
+from .language.encoders.seen import MOST_PIXELS
 from .scene.camera import Camera
 from .splatting.kernels.project_backward import MOMENT
 from .splatting.kernels.records import RECORD
@@ -74,9 +74,8 @@ def features_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) ->
     if config.embed.encoder == "clip":
         pixels = max(camera.width * camera.height for camera in cameras)
         return BASE + MASK_BYTES * pixels + 4 * LIFTED_VALUES * gaussians
-    shares = [min(1.0, MAX_SIDE / max(camera.width, camera.height)) for camera in cameras]
-    encoded = max(camera.width * camera.height * share**2 for camera, share in zip(cameras, shares, strict=True))
     decoded = max(camera.width * camera.height for camera in cameras)
+    encoded = min(decoded, MOST_PIXELS // 4)
     return int(BASE + DECODED_BYTES * decoded + 4 * FEATURE_PLANES * encoded + 4 * LIFTED_VALUES * gaussians)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .config import Config, decisive, without_effect
+from .counting.evidence.pixel_width import focal_length
 from .errors import ConfigError, FruitLangsError, SceneError
 from .language.encoders.encoder import Encoder, sees_fruit, sees_whole
 from .language.features.features import Features, load_features, save_features
@@ -23,7 +24,7 @@ from .language.features.photo_features import (
     save_photo_features,
 )
 from .memory import camera_search_threads, require_memory
-from .photo_size import needed_bytes, scaled_down, seen_width, side_to_read
+from .photo_size import fruit_angle, needed_bytes, photo_scales, scaled_down, side_to_read
 from .progress import Progress, part, silent
 from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
@@ -155,8 +156,9 @@ def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run
     if record.is_file():
         decided = json.loads(record.read_text(encoding="utf-8"))
     else:
-        progress(0.0, "Measuring the width of fruit in a few photos")
-        width = seen_width(reduced, encoder)
+        cameras = [camera for camera, photo in zip(scene.cameras, scene.images, strict=True) if photo in reduced]
+        angle = fruit_angle(reduced, cameras, encoder, progress)
+        width = None if angle is None else angle * float(np.median([focal_length(camera) for camera in cameras]))
         decided = {"width": width, "max_side": side_to_read(width, scene.images, scene.cameras, config)}
         write_text(record, json.dumps(decided))
     side = decided["max_side"]
@@ -227,7 +229,12 @@ def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress
             encoder, recorder = run.embedder.encoder, None
             if kept and sees_fruit(encoder):
                 recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
-            lifted = run.embedder.lift(gaussians, scene, run.cache, recorder=recorder, progress=progress)
+            scales: list[Sequence[float]] = []
+            if sees_whole(encoder):
+                scales = photo_scales(scene, encoder, part(progress, 0.0, 0.1))
+            lifted = run.embedder.lift(
+                gaussians, scene, run.cache, scales=scales, recorder=recorder, progress=part(progress, 0.1, 1.0)
+            )
             if recorder is not None:
                 save_photo_features(features_file.with_name(PHOTOS), recorder.kept())
             save_features(features_file, lifted.of(gaussians.means))
@@ -314,17 +321,27 @@ def with_fitting_photos(
 ) -> Reconstruction:
     """An earlier result with features of its photos' pixels that belong to this encoder.
 
-    Those that other weights made are computed again from the photos, in `cache`. Without the photos the result has
-    none, and a notice says so.
+    Those that other weights made, or an earlier version at scales that are not known, are computed again from the
+    photos, in `cache`. Without the photos the result has none, and a notice says so.
 
     Raises:
         SceneError: a photo cannot be read.
         OutputError: `cache` cannot be written.
     """
-    if not sees_fruit(encoder) or _was_placed(made.origin) or (made.photos is not None and made.photos.are_of(encoder)):
+    if not sees_fruit(encoder) or _was_placed(made.origin):
+        return made
+    earlier = made.photos is not None and not any(made.photos.seen_at)
+    if made.photos is not None and made.photos.are_of(encoder) and not earlier:
         return made
     scene = made.scene
+    if earlier:
+        log.notices.append(
+            "an earlier version made this result and encoded large photos at 960 pixels a side, whatever the width of "
+            "the fruit: small fruit may be missing. Give the folder of the photos as SCENE to encode them again"
+        )
     if len(scene.images) != len(scene.cameras):
+        if earlier and made.photos is not None and made.photos.are_of(encoder):
+            return made
         log.notices.append(
             "the result keeps no features of its photos that this version's networks can use, and the photos are "
             "missing: fruit that Gaussians lose were not counted. Give the folder of the photos as SCENE to count them"
@@ -335,7 +352,8 @@ def with_fitting_photos(
     path = cache / f"pixels-{key}" / PHOTOS
     if not path.is_file():
         with log.timed("embed"):
-            save_photo_features(path, record_photos(scene, encoder, progress=progress))
+            scales = photo_scales(scene, encoder, part(progress, 0.0, 0.1))
+            save_photo_features(path, record_photos(scene, encoder, scales, progress=part(progress, 0.1, 1.0)))
     files = dataclasses.replace(made.files, photos=path)
     return dataclasses.replace(made, files=files, photos=_photos(files))
 

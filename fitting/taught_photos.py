@@ -16,7 +16,7 @@ from ..engine.language.teaching.lesson import evenly
 from ..engine.language.teaching.region import MOST, SAMPLE
 from ..engine.language.vocabulary import CONCEPTS
 from .encoder.pictures import IGNORED, POSITIVE_SHARE, Picture, inside
-from .encoder.samples import STEP, FloatArray
+from .encoder.samples import STEP, FloatArray, at_pixels
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,10 @@ def taught_scores(
         for picture in (picture for picture in val if picture.source == source):
             known = np.flatnonzero(picture.labels[::STEP, ::STEP] != IGNORED)
             view = encoder.encode_fruit(picture.pixels)
-            features, evidence = (each[::STEP, ::STEP].flatten(0, 1)[known] for each in (view.features, view.embedding))
+            features, evidence = (
+                at_pixels(each, picture.labels.shape, STEP).flatten(0, 1)[known]
+                for each in (view.features, view.embedding)
+            )
             taught.append(evidence.double().numpy() @ weights + bias)
             built_in.append(answer(features, encoder.questions(source)).double().numpy())
             fruit.append(picture.labels[::STEP, ::STEP].ravel()[known] == CONCEPTS.index(source))
@@ -80,5 +83,6 @@ def _taught(
 
 def _evidence(encoder: EmbeddedEncoder, picture: Picture) -> FloatArray:
     """(H, W, F) what taught words are learnt from."""
-    evidence: FloatArray = encoder.encode_fruit(picture.pixels).embedding.double().numpy()
+    embedding = encoder.encode_fruit(picture.pixels).embedding
+    evidence: FloatArray = at_pixels(embedding, picture.labels.shape).double().numpy()
     return evidence

@@ -24,11 +24,13 @@ from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
 from ...engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ...engine.evaluation.true_surface import TrueSurface, true_surface
 from ...engine.evaluation.truth import TrueView, Truth
-from ...engine.language.encoders.encoder import sees_fruit
+from ...engine.language.encoders.encoder import sees_fruit, sees_whole
+from ...engine.language.encoders.seen import of_size
 from ...engine.language.features.embedder import Embedder
 from ...engine.language.prompts.photo_probability import PhotoMap
 from ...engine.language.prompts.relevancy import MIN_WEIGHT
 from ...engine.language.prompts.selection import select
+from ...engine.photo_size import photo_scales
 from ...engine.pipeline import Result, count_scene
 from ...engine.progress import Progress, part, silent
 from ...engine.scene.camera import Camera, Scene
@@ -170,7 +172,10 @@ class LadderStages:
     def _true_geometry(self, progress: Progress) -> Counted:
         surface = self._true_surface(part(progress, 0.0, 0.2))
         embedder = Embedder.open(self.config.embed)
-        features = embedder.lift(surface.gaussians, self.scene, self.out / "cache", progress=part(progress, 0.2, 0.6))
+        scales = photo_scales(self.scene, embedder.encoder) if sees_whole(embedder.encoder) else []
+        features = embedder.lift(
+            surface.gaussians, self.scene, self.out / "cache", scales=scales, progress=part(progress, 0.2, 0.6)
+        )
         probability = select(features, embedder.encoder, self.prompts, (), self.config.count, surface.gaussians.means)
         return self._count(surface.gaussians, probability, part(progress, 0.6, 1.0))
 
@@ -232,16 +237,17 @@ class LadderStages:
         return _counted(found, len(cameras))
 
     def _true_maps(self, scene: Scene) -> list[PhotoMap] | None:
-        """The true masks of the photos of a scene as maps, with the encoder's offsets; None if it gives none."""
+        """The true masks of the photos of a scene as maps, as large as the encoder's offsets, with these; None if it
+        gives none."""
         encoder = Embedder.open(self.config.embed).encoder
         if not sees_fruit(encoder):
             return None
         maps = []
-        for photo, ids in zip(scene.images, self.instances, strict=True):
+        for photo, ids, scales in zip(scene.images, self.instances, photo_scales(scene, encoder), strict=True):
             shown = as_seen(photo, np.isin(ids, self._ids())[..., None].astype(np.float32))
-            maps.append(
-                PhotoMap(np.ascontiguousarray(shown[..., 0]), encoder.encode_fruit(photo.pixels()).offsets.numpy())
-            )
+            offsets = encoder.encode_fruit(photo.pixels(), scales).offsets
+            probability = of_size(torch.from_numpy(shown).permute(2, 0, 1), *offsets.shape[:2])[0]
+            maps.append(PhotoMap(np.ascontiguousarray(probability), offsets.numpy()))
         return maps
 
     def _true_surface(self, progress: Progress) -> TrueSurface:

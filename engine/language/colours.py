@@ -47,10 +47,12 @@ def colour_words(image: Tensor) -> Tensor:
     Each example has a Gaussian weight in CIELAB; a word has the weight of its nearest example.
     """
     weight = torch.tensor([_LIGHTNESS, 1.0, 1.0])
-    colours = (cielab(image) * weight).reshape(-1, 3)
-    examples = (torch.tensor(_PROTOTYPES[word]).reshape(-1, 3) / 255.0 for word in COLOURS)
-    nearest = torch.stack([torch.cdist(colours, cielab(own) * weight).amin(-1) for own in examples], dim=-1)
-    return torch.softmax(-0.5 * (nearest / _SPREAD) ** 2, dim=-1).reshape(*image.shape[:-1], len(COLOURS))
+    examples = [cielab(torch.tensor(_PROTOTYPES[word]).reshape(-1, 3) / 255.0) * weight for word in COLOURS]
+    all_examples, colours = torch.cat(examples), (cielab(image) * weight).reshape(-1, 3)
+    # |c - e|² less |c|², which the softmax does not need.
+    squares = torch.addmm(all_examples.square().sum(-1), colours, all_examples.T, alpha=-2.0)
+    nearest = torch.stack([of.amin(-1) for of in squares.split([len(own) for own in examples], dim=-1)], dim=-1)
+    return torch.softmax(-0.5 * nearest / _SPREAD**2, dim=-1).reshape(*image.shape[:-1], len(COLOURS))
 
 
 def fruit_colours(pixels: Tensor, kinds: Collection[str] = ()) -> Tensor:

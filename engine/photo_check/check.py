@@ -10,13 +10,16 @@ from tempfile import TemporaryDirectory
 from ..child_process import usable_cores
 from ..config import Config
 from ..errors import SceneError
+from ..language.encoders.encoder import sees_whole
+from ..language.features.embedder import Embedder
 from ..memory import available_bytes
+from ..photo_size import fruit_width, some_of
 from ..progress import Progress, part, silent
 from ..scene.pycolmap_import import colmap_library
 from ..scene.source import Source
 from . import findings
-from .cost import expected_costs
-from .examine import Examined, examine
+from .cost import expected_costs, side_read
+from .examine import Examined, examine, read_reduced
 from .finding import CheckedPhoto, PhotoCheck
 from .links import Links, find_links
 from .photo_files import PhotoFiles, is_video, photo_files
@@ -59,8 +62,10 @@ def _check(source: Source, config: Config, free: int | None, progress: Progress)
     photos = {path: each for path, each in examined.items() if isinstance(each, Examined)}
     unreadable = {files.name(path): str(each) for path, each in examined.items() if isinstance(each, Exception)}
     names, readable = [files.name(path) for path in photos], list(photos.values())
-    links = find_links([photo.features for photo in readable], progress=part(progress, 0.6, 1.0))
-    costs = expected_costs([(photo.width, photo.height) for photo in readable], config, posed=files.posed)
+    links = find_links([photo.features for photo in readable], progress=part(progress, 0.6, 0.9))
+    sizes = [(photo.width, photo.height) for photo in readable]
+    share = fruit_share([photo.path for photo in readable], config, part(progress, 0.9, 1.0))
+    costs = expected_costs(sizes, config, posed=files.posed, fruit=share)
     found = [
         *findings.about_files(files, unreadable),
         *findings.about_number(len(readable)),
@@ -68,6 +73,7 @@ def _check(source: Source, config: Config, free: int | None, progress: Progress)
         *findings.about_sharpness(names, readable),
         *findings.about_light(names, readable, links),
         *findings.about_cameras(names, readable),
+        *findings.about_fruit(share, sizes, config),
         *findings.about_memory(costs, available_bytes() if free is None else free),
     ]
     progress(1.0, "photos checked")
@@ -77,6 +83,17 @@ def _check(source: Source, config: Config, free: int | None, progress: Progress)
         findings=sorted(found, key=lambda finding: finding.severity != "problem"),
         costs=costs,
     )
+
+
+def fruit_share(photos: Sequence[Path], config: Config, progress: Progress) -> float | None:
+    """The width of fruit in some of the photos, as a share of the longer side; None if they show few, or if the encoder
+    does not process whole photos."""
+    encoder = Embedder.open(config.embed).encoder
+    if not photos or not sees_whole(encoder):
+        return None
+    progress(0.0, "Measuring the width of fruit in a few photos")
+    pixels = [read_reduced(photos[index], lambda side: side_read(side, config)) for index in some_of(len(photos))]
+    return fruit_width(pixels, [max(each.shape) for each in pixels], encoder)
 
 
 def _require_colmap() -> None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..child_process import usable_cores
 from ..config import Config
-from ..language.encoders.embedded import MAX_SIDE
+from ..language.encoders.seen import scales_of
 from ..memory import camera_search_bytes, largest_copy, stage_bytes
 from ..scene.camera import Camera
 from ..scene.walk import SECTION_PHOTOS
+from ..splatting.training.schedule import grown
 
 # Measured on two shared cores, where equal runs differ by up to a factor of two: 300 photos of 1600×1200 trained for
 # 1200 steps in 141 s, got features in 811 s and were counted in 8 s; 60 photos of 480×360 trained in 51 s.
@@ -20,8 +21,10 @@ SEARCH_SECONDS = 2.8
 """Seconds per photo of finding cameras."""
 STEP_SECONDS, STEP_MEGAPIXEL_SECONDS = 0.035, 0.078
 """Seconds per step of training, and in addition per megapixel of a photo."""
-FEATURE_SECONDS = 1.41
-"""Seconds per photo and megapixel of computing features."""
+FEATURE_SECONDS = 0.8
+"""Seconds of computing features per megapixel that the encoder sees."""
+USUAL_FRUIT = 0.0175
+"""Width of fruit that is assumed if it is not known, as a share of the longer side: an apple on a whole tree."""
 COUNT_SECONDS = 8.0
 """Seconds of counting."""
 SECTION_OVERLAP = 1.5
@@ -39,19 +42,26 @@ class StageCost:
 
 
 def expected_costs(
-    sizes: Sequence[tuple[int, int]], config: Config, *, posed: bool, cores: int | None = None
+    sizes: Sequence[tuple[int, int]],
+    config: Config,
+    *,
+    posed: bool,
+    fruit: float | None = None,
+    cores: int | None = None,
 ) -> list[StageCost]:
     """The cost of each stage; more cores than two are assumed to help in proportion.
 
-    sizes: (width, height) of the photos; posed: their cameras are given; cores: of this computer if not given.
+    sizes: (width, height) of the photos; posed: their cameras are given; fruit: their width as a share of the longer
+    side of a photo, None if it is not known; cores: of this computer if not given.
     """
     if not sizes:
         return []
     cores = cores or usable_cores()
     cameras = [_camera(*size, config) for size in sizes]
+    config = replace(config, train=grown(config.train, cameras, len(cameras)))
     seconds = {
         "training": _training_seconds(cameras, config),
-        "computing features": FEATURE_SECONDS * sum(_megapixels(camera, MAX_SIDE) for camera in cameras),
+        "computing features": FEATURE_SECONDS * sum(_seen_megapixels(camera, fruit) for camera in cameras),
         "counting": COUNT_SECONDS,
     }
     needed = stage_bytes(config.train.max_gaussians, config, cameras, trained=True)
@@ -65,17 +75,23 @@ def expected_costs(
     ]
 
 
+def side_read(side: float, config: Config) -> float:
+    """The longer side in pixels at which photos with this longer side are read."""
+    return min(side / config.scene.downscale, config.scene.max_side or side)
+
+
 def _camera(width: int, height: int, config: Config) -> Camera:
     """A camera with a photo of the size that training reads."""
-    limit = config.scene.max_side or max(width, height)
-    share = min(1.0 / config.scene.downscale, limit / max(width, height))
+    share = side_read(max(width, height), config) / max(width, height)
     return Camera(np.eye(3), np.eye(4), max(round(width * share), 1), max(round(height * share), 1))
 
 
-def _megapixels(camera: Camera, max_side: int) -> float:
-    """Of a photo scaled down to this longer side."""
-    share = min(1.0, max_side / max(camera.width, camera.height))
-    return camera.width * camera.height * share**2 / 1e6
+def _seen_megapixels(camera: Camera, fruit: float | None) -> float:
+    """Of a photo as the encoder sees it."""
+    width, height = camera.width, camera.height
+    share = USUAL_FRUIT if fruit is None else fruit
+    scales = scales_of(height, width, share * max(width, height))
+    return sum(scale**2 for scale in scales) * width * height / 1e6
 
 
 def _training_seconds(cameras: Sequence[Camera], config: Config) -> float:

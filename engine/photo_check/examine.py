@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,14 +56,7 @@ def examine(path: Path) -> Examined:
     Raises:
         SceneError: it cannot be decoded.
     """
-    try:
-        with open_picture(path) as opened:
-            size, camera = opened.size, _camera_tags(opened)
-            opened.draft("RGB", (DETAIL_SIDE, DETAIL_SIDE))  # JPEG decodes faster at a reduced size
-            turned = ImageOps.exif_transpose(opened)
-            picture = rgb_picture(turned if turned is not None else opened)
-    except DECODE_ERRORS as error:
-        raise SceneError(f"{path} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
+    picture, size, camera = _opened(path, DETAIL_SIDE)
     width, height = sorted(size, reverse=picture.width >= picture.height)
     detail, small = _reduced(picture, DETAIL_SIDE), _reduced(picture, FEATURE_SIDE)
     features = find_features(np.asarray(small.convert("L")))
@@ -79,6 +73,29 @@ def examine(path: Path) -> Examined:
         colors=linear[rows, columns],
         thumbnail=_reduced(small, THUMBNAIL_SIDE),
     )
+
+
+def read_reduced(path: Path, side_of: Callable[[float], float]) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB of a photo whose longer side is changed by `side_of`, pixels.
+
+    Raises:
+        SceneError: it cannot be decoded.
+    """
+    picture, size, _ = _opened(path)
+    return np.asarray(_reduced(picture, max(round(side_of(max(size))), 1)))
+
+
+def _opened(path: Path, enough: int | None = None) -> tuple[Image.Image, tuple[int, int], CameraTags]:
+    """A photo, upright, its size in the file and its camera. enough: longer side in pixels that may be read instead."""
+    try:
+        with open_picture(path) as opened:
+            size, camera = opened.size, _camera_tags(opened)
+            if enough is not None:
+                opened.draft("RGB", (enough, enough))  # JPEG decodes faster at a reduced size
+            turned = ImageOps.exif_transpose(opened)
+            return rgb_picture(turned if turned is not None else opened), size, camera
+    except DECODE_ERRORS as error:
+        raise SceneError(f"{path} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
 
 
 def _reduced(picture: Image.Image, side: int) -> Image.Image:

@@ -26,6 +26,7 @@ Kind = Literal[
     "white balance",
     "cameras",
     "orientation",
+    "narrow fruit",
     "memory",
 ]
 LABELS: dict[Kind, str] = {

@@ -7,8 +7,11 @@ from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 
+from ..config import Config, SceneConfig
+from ..counting.accounts.zero import ENOUGH_PIXELS, LEAST_PIXELS
+from ..photo_size import CLOSER, MOST, NARROW
 from ..scene.sfm.job import LEAST_PHOTOS
-from .cost import StageCost
+from .cost import StageCost, side_read
 from .examine import Examined
 from .exposure import COLOUR_STEP, EXPOSURE_STEP, changes, most_involved
 from .finding import Finding, list_names, photos_text
@@ -17,6 +20,8 @@ from .photo_files import PhotoFiles
 from .sharpness import SOFT, blurred_photos
 
 GOOD_PHOTOS = 40
+LEAST_KNOWN = 6.0
+"""Width in pixels below which fruit and noise look alike."""
 STILL = 0.004
 """Median shift of common content, in longer sides of the photo, below which the camera did not move."""
 MOST_ALIKE = 0.8
@@ -296,5 +301,30 @@ def about_memory(costs: Sequence[StageCost], free: int) -> list[Finding]:
             sentence=f"{worst.stage.capitalize()} needs about {worst.bytes / 2**30:.1f} GB of memory and "
             f"{free / 2**30:.1f} GB are free",
             advice="Close other programs, or use smaller photos (--scene.downscale 2 and --photos.max-side 800)",
+        )
+    ]
+
+
+def about_fruit(share: float | None, sizes: Sequence[tuple[int, int]], config: Config) -> list[Finding]:
+    """A finding if fruit will be narrow; share: of the longer side of a photo, None if it is not known; sizes: (width,
+    height) of the photos in pixels."""
+    if share is None or not sizes:
+        return []
+    longest = float(np.median([max(size) for size in sizes]))
+    read = side_read(longest, config)
+    if config.scene.max_side == SceneConfig().max_side:  # narrow fruit are read larger without being asked
+        read = min(MOST * read, longest / config.scene.downscale)
+    width = share * read
+    if not LEAST_KNOWN <= width < NARROW:
+        return []
+    enough = share * longest >= NARROW
+    advice = f"Read the photos larger with --scene.max-side {longest:.0f}" if enough else CLOSER
+    return [
+        Finding(
+            kind="narrow fruit",
+            severity="warning" if width >= LEAST_PIXELS else "problem",
+            sentence=f"The fruit are about {width:.0f} pixels wide in the photos as read ({share:.1%} of the longer "
+            f"side), and {ENOUGH_PIXELS:.0f} are needed: fruit will be missing",
+            advice=advice,
         )
     ]

@@ -30,6 +30,7 @@ from ...engine.language.features.lift import encode_photos, lift_features
 from ...engine.language.features.photo_features import PhotoFeaturesRecorder
 from ...engine.language.prompts.photo_probability import PhotoMap, photo_probabilities
 from ...engine.language.prompts.relevancy import relevancy
+from ...engine.photo_size import photo_scales
 from ...engine.scene.camera import Camera, Scene
 from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
@@ -119,7 +120,7 @@ def encoded(
 ) -> tuple[torch.Tensor, list[PhotoMap] | None]:
     """What the encoder says of a species: the probability (N,) of the Gaussians, and the maps of the photos."""
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
-    photos = encode_photos(scene, encoder, recorder)
+    photos = encode_photos(scene, encoder, photo_scales(scene, encoder), recorder)
     features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
     probability = relevancy(features, encoder, [species])
     return probability, photo_probabilities(recorder.kept(), features, encoder, [species])

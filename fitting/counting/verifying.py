@@ -16,10 +16,12 @@ from torch.nn import functional
 from ...engine.config import CountConfig
 from ...engine.counting.evidence.cluster import LIKELY
 from ...engine.counting.evidence.visibility import frame_of
+from ...engine.counting.photos.join import RADIUS_SD
+from ...engine.counting.photos.places import Places
 from ...engine.counting.photos.search import UNLIKELY, likely_places, search_photos
 from ...engine.counting.photos.surroundings import FARTHEST, Surroundings
 from ...engine.counting.photos.surroundings import NUMBERS as SURROUNDINGS
-from ...engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, known_near, look
+from ...engine.counting.photos.verifier import SEEN, Network, Verifier, known_near, look
 from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
 from ...engine.evaluation.judgement import judge
@@ -36,8 +38,6 @@ BEST, OTHERS = 500, 400
 """Places of a tree that are learnt from: the best ones by their score, and random ones of the rest."""
 JITTERS = (0.08, 0.2, 0.35, 0.5)
 """Standard deviations, in diameters, of places around every true fruit."""
-RADIUS_SD = 0.06
-"""Standard deviation of the logarithm of the radius of a place."""
 ON, OFF = 0.45, 0.52
 """Diameters from a fruit within which a place is on it, and from which it is not; between them places weigh less."""
 BETWEEN, BETWEEN_WEIGHT = 0.38, 0.3
@@ -120,43 +120,50 @@ class Samples:
 
 
 def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
-    """Places behind pixels that show fruit, around true fruit and on fruit that were found, each with most of the
-    other true fruit known."""
-    truth, diameter = tree.truth, tree.diameter
+    """Places behind pixels that show fruit, around true fruit and on fruit that were found, each about as large as the
+    nearest true fruit and with most of the other true fruit known."""
+    truth, diameter = tree.truth, tree.truth.mean_diameter
     places = likely_places(tree.views, tree.surroundings.fruit, diameter, tree.frame)
     rest = rng.permutation(places[BEST:])[:OTHERS]
-    visible = truth.centers[truth.visible]
+    visible, true_radii = truth.centers[truth.visible], truth.diameters[truth.visible] / 2.0
     jittered = [visible + rng.normal(size=visible.shape) * diameter * sd for sd in JITTERS]
     centers = np.concatenate([places[:BEST], rest, *jittered, tree.surroundings.fruit])
     distances, nearest = cKDTree(visible).query(centers)
     free = (distances < 0.5 * truth.mean_diameter) | (rng.random(len(centers)) < STILL_FREE)
-    known = visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD
-    near = known_near(centers, known, KNOWN_REACH * diameter, np.where(free, nearest, -1))
+    known = Places(visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD, mismeasured(true_radii, rng))
+    near = known_near(centers, known, np.where(free, nearest, -1))
     some = rng.random(near.shape) < KNOWN_SHARE
     some &= (rng.random(len(centers)) >= NOTHING_KNOWN)[:, None]
     near = _packed(np.where(some, near, -1))
     explained = np.zeros((len(centers), len(visible)), bool)
     rows, columns = np.nonzero(near >= 0)
     explained[rows, near[rows, columns]] = True
-    return _samples(tree, centers, known, truth.diameters[truth.visible] / 2.0, near, explained, rng)
+    return _samples(tree, Places(centers, mismeasured(true_radii[nearest], rng)), known, near, explained)
+
+
+def mismeasured(radii: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Radii (S,) with the error of those that are measured in photos."""
+    return radii * np.exp(rng.normal(size=len(radii)) * RADIUS_SD)
 
 
 def mined(tree: Tree, network: Network, rng: np.random.Generator) -> Samples:
-    """Where the network looks for fruit, right or wrong, each with the fruit that are known to it."""
-    truth, diameter = tree.truth, tree.diameter
-    found = search_photos(tree.verifier(network), diameter, tree.frame)
-    known, visible = found.centers[: found.known], truth.centers[truth.visible]
+    """Where the network looks for fruit, right or wrong, with the radii that it measures there, each with the fruit
+    that are known to it."""
+    truth = tree.truth
+    found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
+    places, numbers = found.places, np.arange(len(found.places))
+    known, visible = places.select(numbers < found.known), truth.centers[truth.visible]
     taken = np.full(len(visible), -1)
     if len(known):
-        distances, owners = cKDTree(known).query(visible)
+        distances, owners = cKDTree(known.centers).query(visible)
         taken = np.where(distances < 0.5 * truth.mean_diameter, owners, -1)
-    own = np.where(np.arange(len(found.centers)) < found.known, np.arange(len(found.centers)), -1)
+    own = np.where(numbers < found.known, numbers, -1)
     explained = (taken[None] >= 0) & (taken[None] != own[:, None])
     parts = []
     for sd in (0.0, MINED_SD):
-        centers = found.centers + rng.normal(size=found.centers.shape) * diameter * sd
-        near = known_near(centers, known, KNOWN_REACH * diameter, own)
-        parts.append(_samples(tree, centers, known, np.full(len(known), diameter / 2.0), near, explained, rng))
+        centers = places.centers + rng.normal(size=places.centers.shape) * found.diameter * sd
+        near = known_near(centers, known, own)
+        parts.append(_samples(tree, Places(centers, places.radii), known, near, explained))
     return Samples.join(parts)
 
 
@@ -167,18 +174,16 @@ def _packed(near: IntArray) -> IntArray:
 
 def _samples(
     tree: Tree,
-    centers: FloatArray,
-    known: FloatArray,
-    known_radii: FloatArray,
+    places: Places,
+    known: Places,
     near: IntArray,
     explained: NDArray[np.bool_],
-    rng: np.random.Generator,
 ) -> Samples:
-    """explained: (S, F) which visible fruit are known to each place."""
-    truth, radius = tree.truth, tree.diameter / 2.0
+    """What the network is given of places as `Verifier.verify` gives it, and what it should answer; explained: (S, F)
+    which visible fruit are known to each place."""
+    truth, centers, radii = tree.truth, places.centers, SEEN * places.radii
     visible, hidden = truth.centers[truth.visible], truth.centers[~truth.visible]
-    radii = radius * np.exp(rng.normal(size=len(centers)) * RADIUS_SD)
-    looked = look(tree.views, tree.surroundings, centers, radii, known, known_radii, near)
+    looked = look(tree.views, tree.surroundings, centers, radii, known.centers, SEEN * known.radii, near)
     distances = np.linalg.norm(visible[None] - centers[:, None], axis=2) / truth.mean_diameter
     distances[explained] = np.inf
     target = distances.argmin(axis=1)
@@ -252,8 +257,7 @@ def calibrate(network: Network, trees: Sequence[Tree]) -> None:
     odds, fruit = [], []
     for tree in trees:
         found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
-        diameters = np.full(len(found.centers), tree.diameter)
-        judged = judge(found.centers, diameters, tree.truth, 0.5)
+        judged = judge(found.places.centers, 2.0 * found.places.radii, tree.truth, 0.5)
         own = np.setdiff1d(np.flatnonzero(found.log_odds > UNLIKELY), judged.ignored)
         odds.append(found.log_odds[own])
         fruit.append(np.isin(own, judged.pairs.predicted))

@@ -18,6 +18,7 @@ from ...engine.language.encoders.embedded import Calibration, EmbeddedEncoder
 from ...engine.language.encoders.encoder import Question
 from ...engine.language.features.lift import encode_photos, lift_features
 from ...engine.language.prompts.relevancy import MIN_WEIGHT, margin
+from ...engine.photo_size import photo_scales
 from ...engine.scene.camera import Scene
 from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
@@ -85,7 +86,8 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     """One of the `rendered_scenes` with lifted features."""
     scene = read_scene(folder, SceneConfig())
     gaussians = trained(folder / KEPT, scene)
-    features = lift_features(gaussians, scene.cameras, encode_photos(scene, encoder), encoder_id=encoder.identity)
+    photos = encode_photos(scene, encoder, photo_scales(scene, encoder))
+    features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
     fruit = true_fruit(folder, scene, gaussians)
     weights = features.weights[:, 0]
     seen = weights >= MIN_WEIGHT

@@ -13,7 +13,7 @@ from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.vocabulary import FRUITS
 from .pasting import Cutout, cut_fruit, paste
 from .pictures import NOT_FRUIT, Picture
-from .samples import FloatArray, Sample, answers
+from .samples import FloatArray, Sample, answers, at_pixels
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,6 @@ def _pasted_hits(
     for cutout in cutouts:
         paste(pixels, labels, cutout, max(cutout.labels.shape), rng, occlude=False)
     concept = cutouts[0].concept
-    words = encoder.encode_dense(pixels)[..., : len(FRUITS)].argmax(-1).numpy()
+    words = at_pixels(encoder.encode_dense(pixels)[..., : len(FRUITS)], labels.shape).argmax(-1).numpy()
     pasted = labels == concept
     return int((words[pasted] == concept).sum()), int(pasted.sum())

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.prompts.relevancy import answer, scene_answers, understood
@@ -70,13 +71,23 @@ def _sampled(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
         missed |= inside(box, 1.0, shape, ellipse=False)
     every = np.s_[::STEP, ::STEP]
     return Sample(
-        encoder.encode_dense(picture.pixels)[every].flatten(0, 1).half(),
+        at_pixels(encoder.encode_dense(picture.pixels), shape, STEP).flatten(0, 1).half(),
         picture.labels[every].ravel(),
         picture.pixels[every].reshape(-1, 3) / 255.0,
         boxed[every].ravel(),
         missed[every].ravel(),
         picture.source,
     )
+
+
+def at_pixels(outputs: Tensor, shape: Sequence[int], step: int = 1) -> Tensor:
+    """The outputs (h, w, D) of the encoder for a photo of this height and width, interpolated at every `step`-th row
+    and column of the photo."""
+    rows, columns = ((torch.arange(0, length, step) + 0.5) * 2.0 / length - 1.0 for length in shape)
+    places = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)
+    image = outputs.permute(2, 0, 1)[None]
+    found = functional.grid_sample(image, places[None], padding_mode="border", align_corners=False)
+    return found[0].permute(1, 2, 0)
 
 
 def answers(encoder: EmbeddedEncoder, pixels: Sample, word: str) -> FloatArray:

@@ -22,6 +22,7 @@ import numpy as np
 
 from _terminal import import_tyro, run, say
 from fruitlangs.benchmarks.markdown import markdown
+from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.search import search_photos
 from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network
 from fruitlangs.engine.evaluation.metrics import count_metrics
@@ -79,15 +80,16 @@ def table(trees: list[Tree], network: Network) -> str:
     rows = []
     for tree in trees:
         found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
-        chosen = [found.centers[found.log_odds > odds] for odds in ODDS]
-        rows.append([f1(tree, tree.surroundings.fruit), *(f1(tree, centers) for centers in chosen)])
+        on_surfaces = Places.alike(tree.surroundings.fruit, tree.diameter)
+        chosen = [on_surfaces, *(found.places.select(found.log_odds > odds) for odds in ODDS)]
+        rows.append([f1(tree, places) for places in chosen])
         lines.append([tree.name, *(f"{value:.3f}" for value in rows[-1])])
     return markdown([*lines, ["mean", *(f"{value:.3f}" for value in np.mean(rows, axis=0))]])
 
 
-def f1(tree: Tree, centers: np.ndarray) -> float:
-    """F1 at half a diameter of fruit at these centres (C, 3)."""
-    return count_metrics(centers, np.full(len(centers), tree.diameter), tree.truth).f1
+def f1(tree: Tree, places: Places) -> float:
+    """F1 at half a diameter of fruit at these places."""
+    return count_metrics(places.centers, 2.0 * places.radii, tree.truth).f1
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ from fruitlangs.benchmarks.teaching import (
     words_table,
 )
 from fruitlangs.engine.errors import ConfigError, FormatError
-from fruitlangs.fitting.taught_photos import TaughtScore
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.fitting.encoder.pictures import Box, Picture, box_labels
+from fruitlangs.fitting.taught_photos import TaughtScore, taught_scores
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +115,25 @@ def test_a_damaged_table_is_an_error(tmp_path: Path):
 def test_without_scenes_and_photos_there_is_nothing_to_do(tmp_path: Path):
     with pytest.raises(ConfigError, match="Nothing is given"):
         compare_words.main(compare_words.Options(out=tmp_path))
+
+
+def test_a_word_is_taught_and_measured_in_photos_larger_than_what_is_seen():
+    """Two red balls on green: their pixels rank above the others."""
+    rng, height, width = np.random.default_rng(0), 120, 1200
+    boxes = [Box("apple", left, 40, left + 60, 100) for left in (200, 800)]
+    down, right = np.mgrid[:height, :width] + 0.5
+    pictures = []
+    for _ in range(2):
+        pixels = np.array([60.0, 105.0, 45.0]) * rng.uniform(0.5, 1.3, (height, width, 1))
+        for box in boxes:
+            away = np.hypot(right - box.left - 30, down - box.top - 30) / 30.0
+            light = 0.4 + 0.6 * np.sqrt(np.clip(1.0 - away**2, 0.0, 1.0))
+            pixels = np.where(away[..., None] < 1.0, np.array([205.0, 45.0, 40.0]) * light[..., None], pixels)
+        labels = box_labels(boxes, (height, width))
+        pictures.append(Picture(np.clip(pixels, 0, 255).astype(np.uint8), labels, "apple", boxes))
+    score = taught_scores(EmbeddedEncoder.open(), pictures[:1], pictures[1:])["apple"]
+    assert (score.photos, score.boxes) == (1, 2)
+    assert score.taught > 0.95
 
 
 def test_the_table_of_photos_names_what_was_taught_on():

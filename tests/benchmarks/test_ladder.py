@@ -16,12 +16,23 @@ from PIL import Image
 
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
 from fruitlangs.benchmarks.ladder.pages import losses, stage_rows
-from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, END_TO_END, TRUE_MASKS, TRUE_POSES, LadderStages
+from fruitlangs.benchmarks.ladder.stages import (
+    COUNTING_ONLY,
+    END_TO_END,
+    TRUE_GEOMETRY,
+    TRUE_MASKS,
+    TRUE_POSES,
+    LadderStages,
+)
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.config import Config, CountConfig, TrainConfig
+from fruitlangs.engine.counting.evidence.pixel_width import focal_length
 from fruitlangs.engine.errors import FormatError, SceneError, VocabularyError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth, read_views
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.engine.language.features.embedder import Embedder
+from fruitlangs.engine.photo_size import scales_for
 
 COUNT = CountConfig(diameter=0.2, sample_budget=5000)
 QUICK = Config(train=TrainConfig(steps=60, max_gaussians=4000), count=COUNT)
@@ -161,6 +172,40 @@ def test_noisy_poses_are_put_right_by_the_truths_own(scene: Path, tmp_path: Path
     for camera, pose in zip(stages.scene.cameras, ball_scene.poses(10), strict=True):
         np.testing.assert_allclose(camera.world_to_camera, pose, atol=1e-9)
     assert stages.run(COUNTING_ONLY, lambda *_: None).centers.shape == (5, 3)
+
+
+@pytest.mark.parametrize(("angle", "share"), [(28.0, 0.5), (14.0, 1.0)])
+def test_true_masks_become_maps_of_the_size_that_the_encoder_gives_at_the_scales_of_a_run(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, angle: float, share: float
+) -> None:
+    stages = LadderStages(scene, tmp_path / "out", read_truth(scene / "truth.json"), [], ["apple"], QUICK)
+    # Fruit are `angle` pixels wide.
+    focal = focal_length(stages.scene.cameras[0])
+    monkeypatch.setattr("fruitlangs.engine.photo_size.fruit_angle", lambda *_: angle / focal)
+    maps = stages._true_maps(stages.scene)
+    assert maps is not None
+    for found, ids in zip(maps, stages.instances, strict=True):
+        size = tuple(round(side * share) for side in ids.shape)
+        assert found.probability.shape == found.offsets.shape[:2] == size
+        fruit = (ids > 0).astype(np.float64)
+        assert found.probability.mean() == pytest.approx(fruit.mean(), rel=0.02)
+        if share == 1.0:
+            np.testing.assert_array_equal(found.probability, fruit)
+        else:
+            assert np.any((found.probability > 0.2) & (found.probability < 0.8))
+
+
+def test_the_stage_with_true_geometry_lifts_features_at_the_scales_of_a_run(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stages = LadderStages(scene, tmp_path / "out", read_truth(scene / "truth.json"), [], ["apple"], QUICK)
+    expected = scales_for(stages.scene.cameras, 0.1, EmbeddedEncoder.open())
+    monkeypatch.setattr("fruitlangs.engine.photo_size.fruit_angle", lambda *_: 0.1)
+    given = []
+    lift = Embedder.lift
+    monkeypatch.setattr(Embedder, "lift", lambda *_, **named: given.append(named["scales"]) or lift(*_, **named))
+    stages.run(TRUE_GEOMETRY, lambda *_: None)
+    assert given == [expected]
 
 
 def test_the_stage_that_loses_most_is_named() -> None:

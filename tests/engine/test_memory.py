@@ -74,10 +74,10 @@ def test_every_stage_is_checked_and_the_largest_is_named() -> None:
     assert alone[1] - alone[0] < 2100 * 1_300_000
 
 
-def test_photos_above_the_encoders_size_need_little_more_memory_for_features() -> None:
+def test_of_photos_above_the_encoders_pixels_only_decoding_needs_more_memory_for_features() -> None:
     config = Config(scene=SceneConfig(max_side=0))
-    here, there = (stage_bytes(1000, config, cameras(9, *size), trained=False) for size in ((1600, 1200), (4000, 3000)))
-    assert there["computing features"] < here["computing features"] + 150 * 2**20
+    here, there = (stage_bytes(1000, config, cameras(9, *size), trained=False) for size in ((4000, 3000), (8000, 6000)))
+    assert there["computing features"] - here["computing features"] < 13 * (8000 * 6000 - 4000 * 3000)
 
 
 def test_counting_needs_more_memory_if_fruit_are_searched_in_the_photos() -> None:

@@ -11,7 +11,9 @@ import ball_scene
 import numpy as np
 import pytest
 from conftest import balls_config
+from safetensors import safe_open
 from safetensors.numpy import load_file
+from safetensors.torch import save_file
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.counting.fruit import Fruit
@@ -50,9 +52,9 @@ def test_a_run_writes_every_file_of_the_contract_and_nothing_half_made(counted_b
 def test_fruit_of_a_few_pixels_in_reduced_photos_are_reported_with_the_size_to_read(
     balls: Path, tmp_path: Path
 ) -> None:
-    counted = count_scene(balls, ["apple"], tmp_path, config=replace(balls_config(), scene=SceneConfig(max_side=96)))
-    assert "photos with up to 128 pixels a side were read at 96; --scene.max-side sets it" in counted.notices
-    assert max(camera.width for camera in counted.scene.cameras) == 96
+    counted = count_scene(balls, ["apple"], tmp_path, config=replace(balls_config(), scene=SceneConfig(max_side=80)))
+    assert "photos with up to 128 pixels a side were read at 80; --scene.max-side sets it" in counted.notices
+    assert max(camera.width for camera in counted.scene.cameras) == 80
     assert 8.0 < document(counted.out)["pixel_width"] < 12.0
     (notice,) = [notice for notice in counted.notices if "pixels wide" in notice]
     assert "--scene.max-side 1" in notice
@@ -148,6 +150,47 @@ def test_features_of_photos_by_other_weights_are_computed_again(
     again = count_scene(of_another_version, ["apple"], tmp_path / "again", config=balls_config())
     assert (again.out / PHOTOS).read_bytes() == (counted_balls.out / PHOTOS).read_bytes()
     assert document(again.out)["fruits"] == document(counted_balls.out)["fruits"]
+
+
+def of_unknown_scales(folder: Path) -> None:
+    """Change a result to one of the versions that did not keep the scales at which photos were encoded."""
+    with safe_open(folder / PHOTOS, "pt") as file:
+        metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    text = json.dumps(metadata).replace("photo-features-4", "photo-features-3")
+    del tensors["scales"]
+    save_file(tensors, folder / PHOTOS, json.loads(text))
+    content = document(folder)
+    content["files"][PHOTOS] = file_hash(folder / PHOTOS)
+    (folder / "fruits.json").write_text(json.dumps(content))
+
+
+@pytest.fixture
+def of_an_earlier_size(counted_balls: Result, tmp_path: Path) -> Path:
+    folder = tmp_path / "older"
+    shutil.copytree(counted_balls.out, folder, ignore=shutil.ignore_patterns("cache"))
+    content = document(folder)
+    content["provenance"]["source"] = counted_balls.origin["source"]
+    (folder / "fruits.json").write_text(json.dumps(content))
+    of_unknown_scales(folder)
+    return folder
+
+
+def test_photos_that_an_earlier_version_encoded_are_encoded_again_and_a_note_says_so(
+    counted_balls: Result, of_an_earlier_size: Path, tmp_path: Path
+) -> None:
+    again = count_scene(of_an_earlier_size, ["apple"], tmp_path / "again", config=balls_config())
+    assert (again.out / PHOTOS).read_bytes() == (counted_balls.out / PHOTOS).read_bytes()
+    assert any("encoded large photos at 960 pixels a side" in notice for notice in again.notices)
+    assert not any("960 pixels" in notice for notice in counted_balls.notices)
+
+
+def test_an_earlier_versions_features_are_used_with_the_note_where_the_photos_are_missing(
+    counted_balls: Result, of_an_earlier_size: Path, tmp_path: Path
+) -> None:
+    without_photos(of_an_earlier_size)
+    again = count_scene(of_an_earlier_size, ["apple"], tmp_path / "again", config=balls_config())
+    assert document(again.out)["fruits"] == document(counted_balls.out)["fruits"]
+    assert any("small fruit may be missing" in notice for notice in again.notices)
 
 
 def test_features_that_were_computed_again_are_reused(of_another_version: Path, tmp_path: Path) -> None:

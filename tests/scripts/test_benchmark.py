@@ -156,6 +156,7 @@ def test_both_encoders_are_timed_stage_by_stage(tmp_path: Path) -> None:
     assert {row.pipeline for row in rows} == {"embedded", "clip, classical masks"}
     by_name = {(row.pipeline, row.name): row for row in rows}
     assert by_name["embedded", "encode a photo"].times == 2
+    assert by_name["embedded", "measure the width of fruit"].times == 1
     assert by_name["clip, classical masks", "find a photo's masks"].times == 2
     assert all(row.seconds >= 0.0 < row.peak for row in rows)
     assert watched_table("From photos to probabilities.", rows).count("| ask a word |") == 2

@@ -15,8 +15,11 @@ import pytest
 
 from fruitlangs.benchmarks.counting.simulated import Setting, simulate
 from fruitlangs.engine.counting.evidence.gate import WEIGHED
+from fruitlangs.engine.counting.evidence.pixel_width import focal_length
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.fitting.counting.cases import Case, rendered_cases, surface_cases
+from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
+from fruitlangs.engine.scene.read import read_scene
+from fruitlangs.fitting.counting.cases import Case, encoded, rendered_cases, surface_cases
 from fruitlangs.fitting.encoder.pictures import LEAST_WALK
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,6 +86,18 @@ def test_true_surfaces_of_a_rendered_tree_are_fitted_to_as_well_as_trained_ones(
     assert (case.kind, case.family, len(case.cameras)) == ("walk, true surfaces", "walk 1003", LEAST_WALK)
     (example,) = fit_gate.example(case)
     assert (example.fruit.sum(), example.visible) == (len(ball_scene.BALLS), len(ball_scene.BALLS))
+
+
+def test_trees_are_encoded_at_the_scales_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    scene = read_scene(ball_scene.write_scene(tmp_path / "1003", views=2, seed=1003))
+    gaussians = simulate(FEW, 1003).gaussians
+    focal = focal_length(scene.cameras[0])
+    for width, share in ((28.0, 0.5), (14.0, 1.0)):
+        monkeypatch.setattr("fruitlangs.engine.photo_size.fruit_angle", lambda *_, w=width: w / focal)
+        _, maps = encoded(gaussians, scene, "apple", EmbeddedEncoder.open())
+        assert maps is not None
+        sizes = {each.probability.shape for each in maps}
+        assert sizes == {(round(camera.height * share), round(camera.width * share)) for camera in scene.cameras}
 
 
 @pytest.mark.parametrize("cases", [rendered_cases, surface_cases])

@@ -31,7 +31,7 @@ from fruitlangs.fitting.encoder.lifted import (
 )
 from fruitlangs.fitting.encoder.losses import concept_loss, overlap_loss
 from fruitlangs.fitting.encoder.pasting import cut_fruit, cut_objects, paste
-from fruitlangs.fitting.encoder.photo_scores import photo_scores
+from fruitlangs.fitting.encoder.photo_scores import pasted_words, photo_scores
 from fruitlangs.fitting.encoder.pictures import (
     IGNORED,
     LEAST_WALK,
@@ -45,7 +45,7 @@ from fruitlangs.fitting.encoder.pictures import (
     training_seeds,
 )
 from fruitlangs.fitting.encoder.reliability import judged
-from fruitlangs.fitting.encoder.samples import Sample
+from fruitlangs.fitting.encoder.samples import Sample, at_pixels, sample
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 from fruitlangs.orchard.training_scenes import is_held_out, training_config
 
@@ -326,6 +326,41 @@ def test_colour_words_agree_with_what_people_call_colours():
     found = colour_distinctions()
     assert len(found) >= 9
     assert min(each.auc for each in found.values()) >= 0.8
+
+
+@pytest.mark.parametrize("step", [1, 4])
+def test_outputs_of_a_photos_size_are_read_at_its_pixels(step: int):
+    outputs = torch.rand(13, 22, 3, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(at_pixels(outputs, (13, 22), step), outputs[::step, ::step], atol=1e-5, rtol=0.0)
+
+
+def test_outputs_smaller_than_a_photo_are_read_where_they_cover_its_pixels():
+    down, right = torch.meshgrid(torch.arange(5.0), torch.arange(9.0), indexing="ij")
+    found = at_pixels(torch.stack([down, right], dim=-1), (20, 27), 4)
+    rows = ((torch.arange(0, 20, 4) + 0.5) / 4.0 - 0.5).clamp(0.0, 4.0)
+    columns = ((torch.arange(0, 27, 4) + 0.5) / 3.0 - 0.5).clamp(0.0, 8.0)
+    torch.testing.assert_close(found[..., 0], rows[:, None].expand(5, 7))
+    torch.testing.assert_close(found[..., 1], columns.expand(5, 7))
+
+
+def test_every_measured_pixel_of_a_large_photo_has_its_features_and_label():
+    pixels = np.random.default_rng(0).integers(0, 256, (50, 1200, 3), dtype=np.uint8)
+    encoder = EmbeddedEncoder.open()
+    (measured,) = sample(encoder, [Picture(pixels, np.full((50, 1200), APPLE, np.uint8), "apple")])
+    assert encoder.encode_dense(pixels).shape[:2] == (20, 480)
+    assert measured.features.shape == (13 * 300, encoder.dimension)
+    assert len(measured.labels) == len(measured.colours) == len(measured.boxed) == 13 * 300
+
+
+def test_pasted_words_are_read_in_photos_larger_than_what_is_seen():
+    rng, photos = np.random.default_rng(0), []
+    for word in ("apple", "pear"):
+        pixels = rng.integers(0, 256, (60, 1200, 3), dtype=np.uint8)
+        boxes = [Box(word, 100, 10, 140, 50)]
+        photos.append(Picture(pixels, box_labels(boxes, (60, 1200)), word, boxes))
+    shares = pasted_words(EmbeddedEncoder.open(), photos, each=1)
+    assert set(shares) == {"apple", "pear"}
+    assert all(0.0 <= share <= 1.0 for share in shares.values())
 
 
 def test_fruit_without_a_box_counts_against_the_encoder_until_the_user_marks_it(tmp_path: Path):

@@ -159,17 +159,20 @@ def _searched(surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture
 
 def find_fruit(result: Search, *, lengthwise: bool = True) -> Clusters:
     """The likely fruit among the candidates, and what every cluster of points became. lengthwise: whether spheres may
-    be parts of long fruit."""
+    be parts of long fruit.
+
+    Centres and radii that photos tell are kept: those of Gaussians, which are blurred, are worse.
+    """
     found, probabilities = result.found, result.probabilities
     components = connected(result.surface.points, LINK * result.size.diameter)
     kept = probabilities > LIKELY
     owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
-    settled = _refitted(result, found.spheres.select(kept), result.size.spread, STEADY)
+    likely = found.spheres.select(kept)
+    settled = likely if result.photos else _refitted(result, likely, result.size.spread, STEADY)
     fitted = fit_ellipsoids(result.surface.cells, result.surface.normals, owners, settled)
-    untold = UNTOLD * result.size.spread * fitted.spheres.radii
     found_fruit = Clusters(
         result.surface.points,
-        replace(fitted.spheres, radius_sds=np.hypot(fitted.spheres.radius_sds, untold)),
+        settled if result.photos else _with_untold(fitted.spheres, result.size.spread),
         owners,
         components,
         probabilities[kept],
@@ -178,6 +181,11 @@ def find_fruit(result: Search, *, lengthwise: bool = True) -> Clusters:
     )
     numbers = bodies(result.surface.points.positions, settled) if lengthwise else None
     return found_fruit if numbers is None else _lengthwise(found_fruit, settled, numbers)
+
+
+def _with_untold(spheres: Spheres, spread: float) -> Spheres:
+    """Spheres fitted to points, with the deviation of their radii that fits do not tell."""
+    return replace(spheres, radius_sds=np.hypot(spheres.radius_sds, UNTOLD * spread * spheres.radii))
 
 
 def _lengthwise(clusters: Clusters, spheres: Spheres, numbers: IntArray) -> Clusters:

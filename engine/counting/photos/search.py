@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 from ...progress import Progress, silent
 from ..evidence.camera_parts import split_by_cameras
 from ..geometry.cells import separated
-from .verifier import Verifier
+from .places import NO_PLACES, Places, apart, clear_of
+from .verifier import VIEWS, Verifier
 from .views import FEW, PhotoViews, cubes
 
 FloatArray = NDArray[np.float64]
@@ -42,49 +43,143 @@ GIVEN_UP, UNLIKELY, LIKELY = -2.5, -3.0, 1.0
 """Log odds below which a place is given up at once, below which it is after fruit are known, and from which a fruit is
 known to the others."""
 SAME, APART = 0.25, 0.7
-"""Diameters within which moved places are one, and that new fruit keep from each other."""
+"""Usual diameters within which moved places are one, and mean diameters that new fruit keep from each other."""
 KEPT_APART = 0.65
-"""Diameters that known fruit keep from each other and new ones from known ones. Pairs that are nearer are mostly one
-fruit: with .55 for new ones, mean F1 of 8 scenes (seed 101) was .908 instead of .912, and no scene was better."""
+"""Mean diameters that known fruit keep from each other and new ones from known ones. Pairs that are nearer are mostly
+one fruit: with .55 for new ones, mean F1 of 8 scenes (seed 101) was .908 instead of .912, and no scene was better."""
 ROUNDS, MOVES, STEADY = 2, 2, 0.7
 """Rounds of the search, moves in each, and the share of a move that a known fruit makes."""
-NO_PLACES = np.zeros((0, 3))
+RESIZED, SAME_SIZE, FEWEST = 3, 0.08, 5
+"""Searches for places with the size that the last one found, the change of its logarithm that ends them, and the fruit
+that tell a size."""
+ERROR, LEAST_SPREAD = 0.1, 0.12
+"""Deviation of the logarithm of a measured radius, and the least that is assumed between fruit."""
+MEASURES, TELLING, FARTHEST_SIZE = 2, 40.0, 0.8
+"""Measurements of a radius, each around the last one; pixels that tell it as well as the size of the others does; and
+the logarithm of the largest ratio to that."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundInPhotos:
-    """C places where fruit may be, centers (C, 3), and the log odds (C,) that they are; the first `known` of them were
-    drawn into the crops of the others."""
+    """C places where fruit may be, with their radii, and the log odds (C,) that they are; the first `known` of them
+    were drawn into the crops of the others. measured_shares: (C,) of each radius, from 0 to 1: the rest is the usual
+    radius, see `sized`; diameter: the usual one of the fruit, scene units."""
 
-    centers: FloatArray
+    places: Places
     log_odds: FloatArray
     known: int
+    measured_shares: FloatArray
+    diameter: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Verified:
+    """C places with the log odds (C,) and the moves (C, 3) that the verifier gave them."""
+
+    places: Places
+    odds: FloatArray
+    moves: FloatArray
+
+    @classmethod
+    def of(cls, verifier: Verifier, places: Places, known: Places) -> _Verified:
+        """Places that are none of the known fruit."""
+        return cls(places, *verifier.verify(places, known))
+
+    @classmethod
+    def of_known(cls, verifier: Verifier, known: Places) -> _Verified:
+        """Known fruit, each with the others around it."""
+        return cls(known, *verifier.verify(known, known, np.arange(len(known))))
+
+    def above(self, least: float) -> _Verified:
+        """The places with higher log odds than `least`."""
+        kept = self.odds > least
+        return _Verified(self.places.select(kept), self.odds[kept], self.moves[kept])
+
+    def moved(self, share: float = 1.0) -> Places:
+        """The places after this share of their moves."""
+        return Places(self.places.centers + share * self.moves, self.places.radii)
+
+    def apart(self) -> Places:
+        """The likeliest places, KEPT_APART from each other."""
+        return self.places.select(apart(self.places, self.odds, KEPT_APART))
 
 
 def search_photos(
     verifier: Verifier, diameter: float, frame: FloatArray, *, progress: Progress = silent
 ) -> FoundInPhotos:
-    """Look for fruit of a diameter, scene units. frame: (3, 4) of the cameras, see `visibility.frame_of`."""
-    radius = diameter / 2.0
-    on_surfaces = verifier.surroundings.fruit
-    starts = np.concatenate([likely_places(verifier.views, on_surfaces, diameter, frame), on_surfaces])
-    odds, moves = verifier.verify(starts, radius, NO_PLACES)
-    pool, moves, odds = (each[odds > GIVEN_UP] for each in (starts, moves, odds))
+    """Look for fruit. diameter: about that of the fruit, scene units; frame: (3, 4) of the cameras, see
+    `visibility.frame_of`."""
+    pool, diameter = _first_places(verifier, diameter, frame)
+    verifier = verifier.resized(diameter)
     progress(0.3, "Looking for fruit in the photos")
-    centers = pool
-    for _ in range(MOVES):
-        centers = centers + moves
-        centers = centers[strongest(centers, odds, SAME * diameter)]
-        odds, moves = verifier.verify(centers, radius, NO_PLACES)
-    certain = np.flatnonzero(odds > LIKELY)
-    known = centers[certain][strongest(centers[certain], odds[certain], KEPT_APART * diameter)]
+    known = _follow(verifier, pool, NO_PLACES, diameter).above(LIKELY).apart()
     fresh, fresh_odds = NO_PLACES, np.zeros(0)
     for number in range(ROUNDS):
         progress(0.3 + 0.7 * number / ROUNDS, f"Looking for fruit in the photos, round {number + 1} of {ROUNDS}")
-        known = _settled(verifier, np.concatenate([known, fresh[fresh_odds > LIKELY]]), diameter)
-        fresh, fresh_odds = _beyond(verifier, pool, known, diameter)
-    known_odds, _ = verifier.verify(known, radius, known, np.arange(len(known)))
-    return FoundInPhotos(np.concatenate([known, fresh]), np.concatenate([known_odds, fresh_odds]), len(known))
+        known = _settled(verifier, Places.join([known, fresh.select(fresh_odds > LIKELY)]), diameter)
+        fresh, fresh_odds = _beyond(verifier, pool.places, known, diameter)
+    places = Places.join([known, fresh])
+    odds = np.concatenate([_Verified.of_known(verifier, known).odds, fresh_odds])
+    _, shares = _measured(verifier.views, places)
+    usual = _usual(known.radii, diameter)
+    held = Places(places.centers, held_to_usual(places.radii, known.radii, usual / 2.0))
+    return FoundInPhotos(held, odds, len(known), shares, usual)
+
+
+def held_to_usual(radii: FloatArray, known: FloatArray, usual: float) -> FloatArray:
+    """(C,) radii, their logarithms moved towards the usual one by the share of their variance that is an error of
+    measurement: the spread of the known fruit (F,) says how much they truly vary."""
+    spread = max(float(1.48 * np.median(np.abs(np.log(known / usual)))) if len(known) >= FEWEST else 0.0, LEAST_SPREAD)
+    share = 1.0 / (1.0 + (ERROR / spread) ** 2)
+    held: FloatArray = usual * (radii / usual) ** share
+    return held
+
+
+def _first_places(verifier: Verifier, diameter: float, frame: FloatArray) -> tuple[_Verified, float]:
+    """Places that are not given up, and the diameter of the likely ones: places are searched again with it if it
+    differs."""
+    on_surfaces = verifier.surroundings.fruit
+    for _ in range(RESIZED):
+        starts = np.concatenate([likely_places(verifier.views, on_surfaces, diameter, frame), on_surfaces])
+        measured = sized(verifier.views, Places.alike(starts, diameter), diameter)
+        pool = _Verified.of(verifier.resized(diameter), measured, NO_PLACES)
+        before, diameter = diameter, _usual(pool.above(LIKELY).places.radii, diameter)
+        if abs(np.log(diameter / before)) < SAME_SIZE:
+            break
+    return pool.above(GIVEN_UP), diameter
+
+
+def _usual(radii: FloatArray, diameter: float) -> float:
+    """Twice the median of radii (F,); `diameter` if they are too few."""
+    return 2.0 * float(np.median(radii)) if len(radii) >= FEWEST else diameter
+
+
+def _follow(verifier: Verifier, found: _Verified, known: Places, diameter: float) -> _Verified:
+    """Places after all their moves, each measured again and clear of stronger ones and of known fruit."""
+    for _ in range(MOVES):
+        places = sized(verifier.views, found.moved(), diameter)
+        places = places.select(strongest(places.centers, found.odds, SAME * diameter))
+        places = places.select(clear_of(places, known, KEPT_APART))
+        found = _Verified.of(verifier, places, known)
+    return found
+
+
+def sized(views: PhotoViews, places: Places, diameter: float) -> Places:
+    """The places with the radii that the photos show; the fewer pixels tell one, the nearer it stays to that of the
+    scene, half of `diameter`."""
+    usual = diameter / 2.0
+    for _ in range(MEASURES):
+        radii, shares = _measured(views, places)
+        off = np.clip(np.log(np.where(shares > 0.0, radii, usual) / usual), -FARTHEST_SIZE, FARTHEST_SIZE)
+        places = Places(places.centers, usual * np.exp(shares * off))
+    return places
+
+
+def _measured(views: PhotoViews, places: Places) -> tuple[FloatArray, FloatArray]:
+    """The radii (C,) that pixels around places tell, and the share (C,) of each in `sized`."""
+    chosen, _ = views.choose(places.centers, places.radii, VIEWS)
+    radii, pixels = views.measured(places.centers, places.radii, chosen)
+    return radii, pixels / (pixels + TELLING)
 
 
 def likely_places(views: PhotoViews, fruit: FloatArray, diameter: float, frame: FloatArray) -> FloatArray:
@@ -148,36 +243,19 @@ def _earlier(owners: IntArray) -> IntArray:
     return earlier
 
 
-def _settled(verifier: Verifier, known: FloatArray, diameter: float) -> FloatArray:
-    """Known fruit (F, 3), moved to where the others leave them; those that are unlikely then are left out."""
+def _settled(verifier: Verifier, known: Places, diameter: float) -> Places:
+    """Known fruit, moved to where the others leave them; those that are unlikely then are left out."""
     for _ in range(MOVES):
-        _, moves = verifier.verify(known, diameter / 2.0, known, np.arange(len(known)))
-        known = known + STEADY * moves
-    odds, _ = verifier.verify(known, diameter / 2.0, known, np.arange(len(known)))
-    kept = np.flatnonzero(odds > LIKELY - 1.0)
-    return known[kept][strongest(known[kept], odds[kept], KEPT_APART * diameter)]
+        known = sized(verifier.views, _Verified.of_known(verifier, known).moved(STEADY), diameter)
+    return _Verified.of_known(verifier, known).above(LIKELY - 1.0).apart()
 
 
-def _beyond(verifier: Verifier, pool: FloatArray, known: FloatArray, diameter: float) -> tuple[FloatArray, FloatArray]:
-    """The places of the pool (S, 3), moved, that may be fruit besides the known ones (F, 3), and their log odds."""
-    centers = pool[_distances(pool, known) > KEPT_APART * diameter]
-    odds, moves = verifier.verify(centers, diameter / 2.0, known)
-    centers, odds, moves = (each[odds > UNLIKELY] for each in (centers, odds, moves))
-    for _ in range(MOVES):
-        centers = centers + moves
-        centers = centers[strongest(centers, odds, SAME * diameter)]
-        centers = centers[_distances(centers, known) > KEPT_APART * diameter]
-        odds, moves = verifier.verify(centers, diameter / 2.0, known)
-    best = strongest(centers, odds, APART * diameter)
-    return centers[best], odds[best]
-
-
-def _distances(places: FloatArray, others: FloatArray) -> FloatArray:
-    """(S,) distance of each place to the nearest of the others; infinite without any."""
-    if len(others) == 0 or len(places) == 0:
-        return np.full(len(places), np.inf)
-    distances: FloatArray = cKDTree(others).query(places)[0]
-    return distances
+def _beyond(verifier: Verifier, pool: Places, known: Places, diameter: float) -> tuple[Places, FloatArray]:
+    """The places of the pool, moved, that may be fruit besides the known ones, and their log odds."""
+    fresh = _Verified.of(verifier, pool.select(clear_of(pool, known, KEPT_APART)), known).above(UNLIKELY)
+    found = _follow(verifier, fresh, known, diameter)
+    best = apart(found.places, found.odds, APART)
+    return found.places.select(best), found.odds[best]
 
 
 def strongest(places: FloatArray, strengths: FloatArray, reach: float, least: float = -np.inf) -> IntArray:

@@ -32,6 +32,9 @@ SHOWS = 0.12
 """Share of the disc with this fruit from which a view shows the sphere."""
 LEAST_RANK = 0.08
 """Rank below which a view is not chosen."""
+MEASURED, LEAST_MEASURED = 1.3, 6.0
+"""Radii around the centre of a sphere in which pixels tell the radius of their fruit, and the summed weight of pixels
+from which a view counts."""
 CLOSEST_STEPS = 4
 """Most samples along each side of a cell of a crop."""
 DEPTH_RANGE = 4.0
@@ -178,6 +181,54 @@ def choose_views(
             chosen[c, k] = -1
             if best >= 0:
                 chosen[c, k], ranks[best] = ranked[best], -1.0
+
+
+@kernel
+def measure_radii(
+    views: Views,
+    centers: FloatArray,
+    radii: FloatArray,
+    chosen: IntArray,
+    blurs: FloatArray,
+    sums: FloatArray,
+) -> None:
+    """Fill sums (C, 4) over the chosen views (C, K) of each sphere: of weights, of squared offsets from their mean, of
+    their products with places in scene units, and of the former times the squared blurs (V,), in pixels, in squared
+    scene units."""
+    probabilities, offsets, _, starts, sizes, poses, lenses = views
+    for c in prange(len(centers)):
+        for k in range(chosen.shape[1]):
+            view = chosen[c, k]
+            if view < 0:
+                break
+            u, v, z = place(poses[view], lenses[view], centers[c])
+            start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
+            across, along = lenses[view, 0] * radii[c] / z, lenses[view, 1] * radii[c] / z
+            top, bottom = max(int(v - MEASURED * along), 0), min(int(v + MEASURED * along) + 1, height)
+            left, right = max(int(u - MEASURED * across), 0), min(int(u + MEASURED * across) + 1, width)
+            total, x_sum, y_sum, p_sum, q_sum, xp, yq, pp, qq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for row in range(top, bottom):
+                for column in range(left, right):
+                    at = start + row * width + column
+                    if probabilities[at] < LIKELY:
+                        continue
+                    x, y = (column + 0.5 - u) / across, (row + 0.5 - v) / along
+                    p, q = offsets[at, 0], offsets[at, 1]
+                    weight = agreement((x - p) ** 2 + (y - q) ** 2)
+                    total += weight
+                    x_sum, y_sum = x_sum + weight * x, y_sum + weight * y
+                    p_sum, q_sum = p_sum + weight * p, q_sum + weight * q
+                    xp, yq = xp + weight * x * p, yq + weight * y * q
+                    pp, qq = pp + weight * p * p, qq + weight * q * q
+            if total < LEAST_MEASURED:
+                continue
+            square = pp + qq - (p_sum * p_sum + q_sum * q_sum) / total
+            product = xp + yq - (x_sum * p_sum + y_sum * q_sum) / total
+            pixel = z / lenses[view, 0]
+            sums[c, 0] += total
+            sums[c, 1] += square
+            sums[c, 2] += product * radii[c]
+            sums[c, 3] += square * (blurs[view] * pixel) ** 2
 
 
 @njit

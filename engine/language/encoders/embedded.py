@@ -9,7 +9,7 @@ roots stay useful after averaging over views: the mean of unit vectors still poi
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,17 +27,18 @@ from ..taught.library import Library
 from ..taught.word import TaughtWord
 from ..vocabulary import ANY_FRUIT, COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import ColourSplit, FruitView, Question, TaughtQuestion
-from .network import Network, at_pixels, levels_at, resized
+from .network import Network
 from .offsets import OffsetNetwork, offsets_identity, stored_offsets
+from .seen import Scales, Seen, Skimmed, map_size, of_size, scales_of, see
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-2"
-SEEN_SIDE = 960
-"""Longest side of a photo in the network, pixels; small photos are enlarged, at most twice."""
-MAX_SIDE = 1600
-"""Longest side of the features; larger photos are scaled down first."""
 LAB, LAB_UNIT = 3, 20.0
 """Numbers of a colour in the embedding, and their unit."""
+SKIMMED, MAY_BE_FRUIT = 2_500_000, 0.05
+"""Pixels of an image above which it is processed at half its size first, and the probability of fruit there from which
+a pixel may be fruit. In photos of a plum tree, with plums 28 pixels wide at full size, a quarter of the pixels have
+this probability, and .99 of the pixels of fruit are among them or close to them."""
 COLOUR_BLUR = 2
 """Colours are averaged over (2·this + 1)² pixels before they are named."""
 
@@ -95,10 +96,10 @@ class EmbeddedEncoder:
         return functional.normalize(vectors, dim=-1)
 
     @torch.inference_mode()
-    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
-        """(H, W, 3) sRGB → (H', W', D), of the photo's size unless its longer side is above MAX_SIDE."""
+    def encode_dense(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> Tensor:
+        """(H, W, 3) sRGB → (H', W', D), of the size that `map_size` gives."""
         pixels = _pixels(image)
-        return _features(self.concept_logits(pixels), pixels)
+        return _features(self.concept_logits(pixels, scales), pixels)
 
     @property
     def fruit_identity(self) -> str:
@@ -109,45 +110,61 @@ class EmbeddedEncoder:
         return self.network.head.in_channels + LAB
 
     @torch.inference_mode()
-    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
+    def encode_fruit(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> FruitView:
         """Offsets: see `OffsetNetwork`. Embedding: the last features of the network before its logits, and the colour
         in CIELAB, in units of LAB_UNIT: of what was tried, the least numbers from which taught words are learnt best.
         """
         pixels = _pixels(image)
-        logits, details, offsets = self._seen(pixels, (), stored_offsets(self.identity))
+        logits, details, offsets = self._seen(pixels, scales, stored_offsets(self.identity))
         assert offsets is not None
-        lab = cielab(_blurred(pixels).permute(1, 2, 0)) / LAB_UNIT
+        lab = cielab(_blurred(pixels, logits).permute(1, 2, 0)) / LAB_UNIT
         embedding = torch.cat([details.permute(1, 2, 0), lab], dim=-1)
         return FruitView(_features(logits, pixels), offsets.permute(1, 2, 0), embedding)
 
+    def scales_of(self, height: int, width: int, fruit: float | None = None) -> Scales:
+        return scales_of(height, width, fruit)
+
     @torch.inference_mode()
     def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
-        """(3, H, W) in [0, 1] → (K, H, W): the logits of the network, averaged over the scales of the image."""
+        """(3, H, W) in [0, 1] → (K, H', W'), see `map_size`: the logits of the network, averaged over the scales."""
         return self._seen(pixels, scales, None)[0]
 
     def _seen(
         self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """(K, H, W) logits and (C, H, W) the last features before them, averaged over the scales; if there is a network
-        for them, (2, H, W) offsets of the scales, by their errors.
+        """(K, H', W') logits and (C, H', W') the last features before them, averaged over the scales; if there is a
+        network for them, (2, H', W') offsets of the scales, by their errors.
 
         The logits are linear in these features, so interpolating the features is enough.
         """
         _, height, width = pixels.shape
-        offsets, certainty = torch.zeros(2, height, width), torch.full((height, width), 1e-6)
-        details = torch.zeros(self.network.head.in_channels, height, width)
-        used = scales or seen_scales(height, width)
-        for scale in used:
-            size = max(1, round(height * scale)), max(1, round(width * scale))
-            levels = levels_at(self.network, pixels, *size)
-            details += _of_size(at_pixels(self.network.detailed(levels), *size), height, width) / len(used)
-            if network is not None:
-                *off, error = _of_size(at_pixels(network(levels), *size), height, width)
+        used = scales or scales_of(height, width)
+        size = map_size(height, width, used)
+        offsets, certainty = torch.zeros(2, *size), torch.full(size, 1e-6)
+        details = torch.zeros(self.network.head.in_channels, *size)
+        for seen in self._at_scales(pixels, used, network):
+            details += of_size(seen.details, *size) / len(used)
+            if seen.offsets is not None:
+                *off, error = of_size(seen.offsets, *size)
                 weight = torch.exp(-2.0 * error)
                 offsets += torch.stack(off) * weight
                 certainty += weight
         logits = self.network.head(details[None])[0]
         return logits, details, None if network is None else offsets / certainty
+
+    def _at_scales(self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None) -> Iterator[Seen]:
+        """The outputs at each scale. A large image is processed at half its size first, and then only around what may
+        be fruit there."""
+        for scale in scales:
+            large = pixels[0].numel() * scale**2 > SKIMMED
+            skimmed = self._skimmed(pixels, scale / 2.0, network) if large else None
+            yield see(self.network, pixels, scale, network, skimmed)
+
+    def _skimmed(self, pixels: Tensor, scale: float, network: OffsetNetwork | None) -> Skimmed:
+        """The outputs at a scale, with the pixels that may be fruit."""
+        seen = see(self.network, pixels, scale, network)
+        shares = self.network.head(seen.details[None])[0].softmax(0)
+        return Skimmed(seen, shares[[CONCEPTS.index(word) for word in FRUITS]].sum(0) >= MAY_BE_FRUIT)
 
     def parse(self, prompt: str) -> Phrase:
         """The prompt in the words of the vocabulary and in those that were taught.
@@ -288,16 +305,6 @@ def read_weights(path: Path) -> StoredWeights:
     return stored
 
 
-def seen_scales(height: int, width: int) -> tuple[float, ...]:
-    """The sizes, relative to the photo, at which the network processes it.
-
-    A photo so small that it is enlarged twice is processed once: its fruit is small. Larger ones are also processed at
-    half size, where fruit that fills much of the photo still fits the receptive field.
-    """
-    fine = SEEN_SIDE / max(height, width)
-    return (2.0,) if fine >= 2.0 else (fine, fine / 2.0)
-
-
 def save_weights(
     path: Path,
     network: Network,
@@ -343,26 +350,18 @@ def _basis(words: Sequence[str], block: tuple[str, ...]) -> Tensor:
 
 
 def _pixels(image: NDArray[np.uint8]) -> Tensor:
-    """(H, W, 3) sRGB → (3, H', W') in [0, 1], with no side above MAX_SIDE."""
-    pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255.0
-    shrink = min(1.0, MAX_SIDE / max(pixels.shape[-2:]))
-    return resized(pixels, shrink) if shrink < 1.0 else pixels
+    """(H, W, 3) sRGB → (3, H, W) in [0, 1]."""
+    return torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255.0
 
 
 def _features(logits: Tensor, pixels: Tensor) -> Tensor:
-    """(H, W, D) from the logits (K, H, W) of the concepts and the colours of the pixels (3, H, W)."""
-    colours = colour_words(_blurred(pixels).permute(1, 2, 0))
+    """(H', W', D) from the logits (K, H', W') of the concepts and the pixels (3, H, W) of the photo."""
+    colours = colour_words(_blurred(pixels, logits).permute(1, 2, 0))
     return torch.cat([logits.softmax(0).permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
 
 
-def _of_size(values: Tensor, height: int, width: int) -> Tensor:
-    """(C, h, w) → (C, height, width), averaged when it shrinks."""
-    if values.shape[-2:] == (height, width):
-        return values
-    return functional.interpolate(values[None], (height, width), mode="bilinear", antialias=True)[0]
-
-
-def _blurred(pixels: Tensor) -> Tensor:
+def _blurred(pixels: Tensor, logits: Tensor) -> Tensor:
+    """(3, H, W) → (3, H', W') of the logits' size, averaged over neighbours."""
     kernel = 2 * COLOUR_BLUR + 1
-    padded = functional.pad(pixels[None], [COLOUR_BLUR] * 4, mode="replicate")
+    padded = functional.pad(of_size(pixels, *logits.shape[-2:])[None], [COLOUR_BLUR] * 4, mode="replicate")
     return functional.avg_pool2d(padded, kernel, stride=1)[0]

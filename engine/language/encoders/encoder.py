@@ -146,8 +146,14 @@ class KindEncoder(Encoder, Protocol):
 class DenseEncoder(Encoder, Protocol):
     """An encoder that processes whole photos and needs no masks."""
 
-    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
-        """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row."""
+    def scales_of(self, height: int, width: int, fruit: float | None = None) -> Sequence[float]:
+        """The sizes at which a photo of height × width pixels is processed best, relative to it, the largest first.
+        fruit: their width in the photo, in pixels, None if it is not known."""
+        ...
+
+    def encode_dense(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> Tensor:
+        """(H, W, 3) sRGB → (H', W', D) unit float32 features that cover the same picture, row by row. scales: see
+        `scales_of`, whose values without the width of fruit are used if none are given."""
         ...
 
 
@@ -176,8 +182,8 @@ class FruitEncoder(DenseEncoder, Protocol):
         """E, the length of the embedding."""
         ...
 
-    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
-        """(H, W, 3) sRGB → everything that the encoder sees."""
+    def encode_fruit(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> FruitView:
+        """(H, W, 3) sRGB → everything that the encoder sees; scales: as of `encode_dense`."""
         ...
 
 

@@ -108,26 +108,11 @@ def count_parameters(network: nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters())
 
 
-@torch.inference_mode()
-def levels_at(network: Network, image: Tensor, height: int, width: int) -> list[Tensor]:
-    """The features of an image (3, H, W) in [0, 1], processed at a size: resized (averaging when it shrinks), and its
-    margins repeated up to multiples of STRIDE."""
-    batch = image[None]
-    if batch.shape[-2:] != (height, width):
-        batch = functional.interpolate(batch, (height, width), mode="bilinear", antialias=True, align_corners=False)
+def levels_of(network: Network, image: Tensor) -> list[Tensor]:
+    """The features of an image (3, H, W) in [0, 1], whose last row and column are repeated up to multiples of
+    STRIDE."""
+    batch, (height, width) = image[None], image.shape[-2:]
     bottom, right = -height % STRIDE, -width % STRIDE
     if bottom or right:
         batch = functional.pad(batch, (0, right, 0, bottom), mode="replicate")
     return network.levels(normalise(batch).contiguous(memory_format=torch.channels_last))
-
-
-def at_pixels(values: Tensor, height: int, width: int) -> Tensor:
-    """(1, C, h, w) outputs at stride 2 → (C, height, width), interpolated, without the margins."""
-    enlarged = functional.interpolate(values.float(), scale_factor=2.0, mode="bilinear", align_corners=False)
-    return enlarged[0, :, :height, :width]
-
-
-def resized(pixels: Tensor, factor: float) -> Tensor:
-    """(C, H, W) → the same picture with sides `factor` as long, averaged when it shrinks."""
-    size = [max(1, round(side * factor)) for side in pixels.shape[-2:]]
-    return functional.interpolate(pixels[None], size, mode="bilinear", antialias=True, align_corners=False)[0]

@@ -3,7 +3,7 @@ trained."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -68,11 +68,13 @@ class Embedder:
         scene: Scene,
         cache: Path,
         *,
+        scales: Sequence[Sequence[float]] = (),
         recorder: PhotoFeaturesRecorder | None = None,
         progress: Progress = silent,
     ) -> Features:
-        """Average features of the photos into the Gaussians; features of masks are cached in `cache`. recorder: keeps
-        what the encoder says about pixels.
+        """Average features of the photos into the Gaussians; features of masks are cached in `cache`. scales: at
+        which an encoder of whole photos sees each, by default those that it chooses without knowing the fruit;
+        recorder: keeps what the encoder says about pixels.
 
         Raises:
             SceneError: a photo cannot be read, or no photo has a mask.
@@ -85,7 +87,7 @@ class Embedder:
             lifted = lift_features(
                 gaussians,
                 scene.cameras,
-                encode_photos(scene, self.encoder, recorder, embedded=size > 0),
+                encode_photos(scene, self.encoder, scales or [()] * len(scene.images), recorder, embedded=size > 0),
                 encoder_id=identity,
                 embedded=size,
                 progress=progress,

@@ -64,35 +64,49 @@ def lift_features(
 
 
 def encode_photos(
-    scene: Scene, encoder: DenseEncoder, recorder: PhotoFeaturesRecorder | None = None, *, embedded: bool = False
+    scene: Scene,
+    encoder: DenseEncoder,
+    scales: Sequence[Sequence[float]],
+    recorder: PhotoFeaturesRecorder | None = None,
+    *,
+    embedded: bool = False,
 ) -> Iterator[Tensor]:
     """The targets of `lift_features`: the features of each photo as the encoder gives them, zero where its mask
-    excludes it. recorder: keeps what an encoder that distinguishes single fruit says about every pixel; embedded: with
-    the embedding of such an encoder."""
-    for photo in scene.images:
+    excludes it.
+
+    scales: at which each photo is processed, see `DenseEncoder.scales_of`; recorder: keeps what an encoder that
+    distinguishes single fruit says about every pixel; embedded: with the embedding of such an encoder.
+    """
+    for photo, own in zip(scene.images, scales, strict=True):
         pixels, view = photo.pixels(), None
         if (recorder is not None or embedded) and sees_fruit(encoder):
-            view = encoder.encode_fruit(pixels)
+            view = encoder.encode_fruit(pixels, own)
             features = torch.cat([view.features, view.embedding], dim=-1) if embedded else view.features
         else:
-            features = encoder.encode_dense(pixels)
+            features = encoder.encode_dense(pixels, own)
         if (mask := photo.mask()) is not None:
             usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
             features = features * usable[..., None]
         if recorder is not None and view is not None:
-            recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels)
+            recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels, own)
         yield features.contiguous()
 
 
 def record_photos(
-    scene: Scene, encoder: FruitEncoder, wanted: Wanted | None = None, *, progress: Progress = silent
+    scene: Scene,
+    encoder: FruitEncoder,
+    scales: Sequence[Sequence[float]],
+    wanted: Wanted | None = None,
+    *,
+    progress: Progress = silent,
 ) -> PhotoFeatures:
-    """What the encoder says about the pixels of all photos of a scene. wanted: as of `PhotoFeaturesRecorder`.
+    """What the encoder says about the pixels of all photos of a scene. scales: as of `encode_photos`; wanted: as of
+    `PhotoFeaturesRecorder`.
 
     Raises:
         SceneError: a photo cannot be read.
     """
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity, wanted)
-    for number, _ in enumerate(encode_photos(scene, encoder, recorder)):
+    for number, _ in enumerate(encode_photos(scene, encoder, scales, recorder)):
         progress((number + 1) / len(scene.images), f"Encoding photo {number + 1} of {len(scene.images)}")
     return recorder.kept()

@@ -34,7 +34,8 @@ def paired(
             raise SceneError(f"{what} for {index} of {len(cameras)} views were given. Give them for each camera")
         size = tuple(size_of(view))
         height, width = size
-        if smaller and width < camera.width and same_shape(width, height, camera.width, camera.height):
+        fits = width <= camera.width and height <= camera.height
+        if smaller and fits and same_shape(width, height, camera.width, camera.height):
             camera = camera.resized(width, height)
         if size != (camera.height, camera.width):
             raise SceneError(

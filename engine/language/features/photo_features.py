@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
 from ...errors import FormatError
 from ...storage.files import read_tensors, write_tensors
 from ..encoders.encoder import Encoder, FruitView, sees_fruit
-from ..encoders.network import resized
+from ..encoders.seen import MOST
 
-FORMAT = "fruitlangs-photo-features-3"
-MOST_SIDE = 480
-"""Longest side of what is kept of a photo, pixels: the encoder does not distinguish more."""
+FORMAT, EARLIER = "fruitlangs-photo-features-4", "fruitlangs-photo-features-3"
+"""EARLIER: without scales, of versions whose encoder saw photos of any fruit at 960 pixels a side."""
 LEAST_FRUIT = 0.15
 """Probability of any fruit below which a pixel is not kept."""
 STEPS, OFFSET_STEPS = 255.0, 80.0
 """Numbers, and offsets, are kept in steps of one of this."""
-TENSORS = ("shapes", "counts", "places", "values", "offsets", "colours")
+TENSORS = ("shapes", "counts", "places", "values", "offsets", "colours", "scales")
 """Names of the tensors in the file."""
 
 
@@ -37,8 +37,9 @@ class PhotoFeatures:
     shapes: (V, 2) int64 height and width of what was kept of each photo; counts: (V,) int64 kept pixels of each;
     places: (n,) int32 row · width + column of each; values: (n, D) uint8, unit features in steps of 1 / STEPS;
     offsets: (n, 2) int8, where on its fruit each pixel lies, see `OffsetNetwork`, in steps of 1 / OFFSET_STEPS;
-    colours: (n, 3) uint8 sRGB; encoder_id: `fruit_identity` of the encoder; embedding: (n, E) float16 for taught words,
-    not stored, None without.
+    colours: (n, 3) uint8 sRGB; scales: (V, S) float32 sizes at which the encoder saw each photo, relative to it, the
+    largest first, 0 after the last and where they are not known; encoder_id: `fruit_identity` of the encoder;
+    embedding: (n, E) float16 for taught words, not stored, None without.
     """
 
     shapes: Tensor
@@ -47,6 +48,7 @@ class PhotoFeatures:
     values: Tensor
     offsets: Tensor
     colours: Tensor
+    scales: Tensor
     encoder_id: str
     embedding: Tensor | None = None
 
@@ -56,6 +58,11 @@ class PhotoFeatures:
     def are_of(self, encoder: Encoder) -> bool:
         """Whether the weights of this encoder made them."""
         return sees_fruit(encoder) and self.encoder_id == encoder.fruit_identity
+
+    @property
+    def seen_at(self) -> list[tuple[float, ...]]:
+        """The scales of each photo, none where they are not known."""
+        return [tuple(scale for scale in row if scale > 0.0) for row in self.scales.tolist()]
 
     def photos(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor, Tensor, Tensor]]:
         """Of each photo its height and width, the places (k,) of its kept pixels, their unit features (k, D), their
@@ -94,6 +101,7 @@ class PhotoFeaturesRecorder:
         self._values: list[Tensor] = []
         self._offsets: list[Tensor] = []
         self._colours: list[Tensor] = []
+        self._scales: list[Tensor] = []
 
     def kept(self) -> PhotoFeatures:
         """What was kept of all photos that were passed on."""
@@ -105,21 +113,17 @@ class PhotoFeaturesRecorder:
             torch.cat([*self._values, torch.zeros(0, width, dtype=torch.uint8)]),
             torch.cat([*self._offsets, torch.zeros(0, 2, dtype=torch.int8)]),
             torch.cat([*self._colours, torch.zeros(0, 3, dtype=torch.uint8)]),
+            pad_sequence(self._scales, batch_first=True) if self._scales else torch.zeros(0, 1),
             self._encoder_id,
             torch.cat(self._embedding) if self._embedding else None,
         )
 
-    def keep(self, view: FruitView, pixels: NDArray[np.uint8]) -> None:
-        """What the encoder sees in the next photo, and the photo in sRGB (h, w, 3) of any size."""
+    def keep(self, view: FruitView, pixels: NDArray[np.uint8], scales: Sequence[float]) -> None:
+        """What the encoder sees in the next photo, the photo in sRGB (h, w, 3) of any size, and the scales."""
         photo, offsets, embedding = view.features, view.offsets, view.embedding
-        shrink = min(1.0, MOST_SIDE / max(photo.shape[:2]))
-        if shrink < 1.0:
-            photo, offsets = (resized(each.permute(2, 0, 1), shrink).permute(1, 2, 0) for each in (photo, offsets))
         if self._wanted is None:
             fruit = fruit_share(photo, self._kinds).reshape(-1)
         else:
-            if shrink < 1.0:
-                embedding = resized(embedding.permute(2, 0, 1), shrink).permute(1, 2, 0)
             embedding = embedding.reshape(-1, embedding.shape[-1])
             fruit = self._wanted(functional.normalize(photo.reshape(-1, photo.shape[-1]), dim=-1), embedding)
         shown = photo.reshape(-1, photo.shape[-1]).abs().amax(-1) > 0.0  # not outside a mask
@@ -128,6 +132,7 @@ class PhotoFeaturesRecorder:
             self._embedding.append(embedding[places].half())
         values = functional.normalize(photo.reshape(-1, photo.shape[-1])[places], dim=-1)
         self._shapes.append((photo.shape[0], photo.shape[1]))
+        self._scales.append(torch.tensor(list(scales), dtype=torch.float32))
         self._places.append(places.int())
         self._values.append((values.clamp(0.0, 1.0) * STEPS).round().to(torch.uint8))
         small = Image.fromarray(pixels).resize((photo.shape[1], photo.shape[0]), Image.Resampling.BOX)
@@ -159,13 +164,17 @@ def load_photo_features(path: Path) -> PhotoFeatures:
     """
     try:
         tensors, header = read_tensors(path)
-        if header["format"] != FORMAT:
+        if header["format"] == EARLIER:
+            tensors["scales"] = torch.zeros(len(tensors["counts"]), 1)
+        elif header["format"] != FORMAT:
             raise ValueError(f"it holds {header['format']}")
         kept = PhotoFeatures(**tensors, encoder_id=str(header["encoder_id"]))
         pixels = int(kept.counts.sum())
         fits = kept.shapes.shape == (len(kept), 2) and len(kept.places) == len(kept.values) == pixels
         fits &= kept.offsets.shape == (pixels, 2) and kept.offsets.dtype == torch.int8
         fits &= kept.colours.shape == (pixels, 3) and kept.colours.dtype == torch.uint8
+        fits &= kept.scales.ndim == 2 and len(kept.scales) == len(kept) and kept.scales.dtype == torch.float32
+        fits &= bool(((kept.scales >= 0.0) & (kept.scales <= MOST)).all())
         if not fits or kept.values.dtype != torch.uint8 or kept.values.ndim != 2:
             raise ValueError("its tensors do not fit")
         ends = kept.shapes.prod(1).repeat_interleave(kept.counts)

@@ -85,7 +85,7 @@ def photos_for(
     if len(scene.images) != len(scene.cameras):
         return None
     sought = _Asked(encoder, prompts, features, sought=True)
-    return record_photos(scene, encoder, sought.probability, progress=progress)
+    return record_photos(scene, encoder, photos.seen_at, sought.probability, progress=progress)
 
 
 class _Asked:

@@ -164,7 +164,9 @@ def test_the_chosen_photos_show_the_fruit_unhidden_in_the_truth(shown, counted_b
         _, ids, _ = ball_scene.look(counted_balls.scene.cameras[int(camera.name)].world_to_camera)
         center = np.array(item.location)
         number = 1 + int(np.argmin(np.linalg.norm(ball_scene.BALLS - center, axis=1)))
-        expected = np.pi / 4 * sight.pixels**2
+        found = counted_balls.fruit_count
+        own = found.diameters[np.argmin(np.linalg.norm(found.centers - ball_scene.BALLS[number - 1], axis=1))]
+        expected = np.pi / 4 * (sight.pixels * ball_scene.DIAMETERS[number - 1] / own) ** 2
         assert (ids == number).sum() > 0.75 * expected
 
 

@@ -7,7 +7,7 @@ import torch
 from matplotlib.colors import XKCD_COLORS, to_rgb
 
 from fruitlangs.engine.config import EmbedConfig
-from fruitlangs.engine.language.colours import colour_words, fruit_colours
+from fruitlangs.engine.language.colours import _LIGHTNESS, _PROTOTYPES, _SPREAD, cielab, colour_words, fruit_colours
 from fruitlangs.engine.language.encoders.open_encoder import open_encoder
 from fruitlangs.engine.language.prompts.relevancy import answer
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS
@@ -29,6 +29,15 @@ def test_shares_sum_to_one_and_keep_the_picture_shape():
     shares = colour_words(torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(0)))
     assert shares.shape == (4, 5, len(COLOURS))
     assert torch.allclose(shares.sum(-1), torch.ones(4, 5), atol=1e-5)
+
+
+def test_shares_are_those_of_the_distances_to_the_nearest_example_of_each_word():
+    image = torch.rand(40, 30, 3, generator=torch.Generator().manual_seed(4))
+    weight = torch.tensor([_LIGHTNESS, 1.0, 1.0])
+    examples = [cielab(torch.tensor(_PROTOTYPES[word]).reshape(-1, 3) / 255.0) * weight for word in COLOURS]
+    apart = [(cielab(image)[..., None, :] * weight - own).square().sum(-1).amin(-1) for own in examples]
+    expected = torch.softmax(-0.5 * torch.stack(apart, dim=-1) / _SPREAD**2, dim=-1)
+    torch.testing.assert_close(colour_words(image), expected, atol=1e-4, rtol=0.0)
 
 
 @pytest.mark.parametrize(

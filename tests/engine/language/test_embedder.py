@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 from checkpoints import DIMENSION, write_clip
 
+from fruitlangs.benchmarks.counting.simulated import Setting, simulate
 from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
+from fruitlangs.engine.language.encoders.encoder import sees_fruit
+from fruitlangs.engine.language.encoders.seen import map_size, scales_of
 from fruitlangs.engine.language.features.embedder import Embedder
 from fruitlangs.engine.language.features.features import gaussians_id, load_features
+from fruitlangs.engine.language.features.photo_features import PhotoFeaturesRecorder
 from fruitlangs.engine.pipeline import Result, count_scene
+from fruitlangs.engine.scene.read import read_scene
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +72,25 @@ def test_codes_are_trained_along_kept_with_their_decoder_and_leave_the_colours_a
     assert features.unit(0).shape == (len(first.gaussians), DIMENSION)
     np.testing.assert_array_equal(first.gaussians.means, lifted.gaussians.means)
     assert count_scene(scene, ["pear"], tmp_path, config=joint).reused == ["train", "embed"]
+
+
+@pytest.mark.parametrize("scales", [[(1.5,), (0.75, 0.375)], []])
+def test_an_encoder_of_whole_photos_sees_each_at_the_scales_that_are_given_if_any(
+    scene: Path, tmp_path: Path, scales: list[tuple[float, ...]]
+) -> None:
+    whole = read_scene(scene)
+    two = replace(whole, cameras=whole.cameras[:2], images=whole.images[:2])
+    embedder, gaussians = (
+        Embedder.open(EmbedConfig()),
+        simulate(Setting(fruits=(2, 2), leaves=20, views=2), 1).gaussians,
+    )
+    assert sees_fruit(embedder.encoder)
+    recorder = PhotoFeaturesRecorder(embedder.encoder.kinds(), embedder.encoder.fruit_identity)
+    embedder.lift(gaussians, two, tmp_path, scales=scales, recorder=recorder)
+    kept = recorder.kept()
+    assert kept.seen_at == (scales or [(), ()])
+    height, width = two.cameras[0].height, two.cameras[0].width
+    assert kept.shapes[0].tolist() == list(map_size(height, width, scales[0] if scales else scales_of(height, width)))
 
 
 def test_codes_of_an_encoder_without_masks_are_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
@@ -113,7 +115,8 @@ class _Brightness:
     identity = "brightness"
     dimension = 2
 
-    def encode_dense(self, image: NDArray[np.uint8]) -> Tensor:
+    def encode_dense(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> Tensor:
+        self.scales = scales
         bright = torch.from_numpy(image[::2, ::2, 0] > 127).float()
         return torch.stack([bright, 1.0 - bright], dim=-1)
 
@@ -125,7 +128,7 @@ def test_photos_are_encoded_with_their_masks_at_the_encoders_size():
     mask[:5] = False
     photo = ArrayPhoto("a.png", image, mask)
     scene = Scene([_camera()], [photo], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
-    (target,) = encode_photos(scene, _Brightness())  # type: ignore[arg-type]
+    (target,) = encode_photos(scene, _Brightness(), [()])  # type: ignore[arg-type]
     assert target.shape == (SIDE // 2, SIDE // 2, 2)
     assert not target[:3].any()  # the third row of the smaller picture is half masked
     assert target[3, 2].tolist() == [0.0, 1.0]
@@ -137,8 +140,8 @@ class _Seeing(_Brightness):
 
     embedding_size = 1
 
-    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
-        features = self.encode_dense(image)
+    def encode_fruit(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> FruitView:
+        features = self.encode_dense(image, scales)
         red = torch.from_numpy(image[::2, ::2, :1] / 255.0).float()
         return FruitView(features, torch.zeros(*features.shape[:2], 2), red + 1.0)
 
@@ -150,15 +153,40 @@ def test_photos_are_encoded_with_the_embedding_after_their_features():
     mask[:4] = False
     photo = ArrayPhoto("a.png", image, mask)
     scene = Scene([_camera()], [photo], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
-    (target,) = encode_photos(scene, _Seeing(), embedded=True)  # type: ignore[arg-type]
+    (target,) = encode_photos(scene, _Seeing(), [()], embedded=True)  # type: ignore[arg-type]
     assert target.shape == (SIDE // 2, SIDE // 2, 3)
     assert not target[:2].any()
     assert target[3, 2].tolist() == [0.0, 1.0, 1.0]
     assert target[3, -2].tolist() == [1.0, 0.0, 2.0]
-    (plain,) = encode_photos(scene, _Seeing())  # type: ignore[arg-type]
+    (plain,) = encode_photos(scene, _Seeing(), [()])  # type: ignore[arg-type]
     assert torch.equal(plain, target[..., :2])
-    (recorded,) = encode_photos(scene, _Seeing(), PhotoFeaturesRecorder(torch.eye(2), "x"))  # type: ignore[arg-type]
+    recorder = PhotoFeaturesRecorder(torch.eye(2), "x")
+    (recorded,) = encode_photos(scene, _Seeing(), [()], recorder)  # type: ignore[arg-type]
     assert torch.equal(recorded, plain)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_each_photo_is_encoded_at_its_own_scales(recorded: bool):
+    photos = [ArrayPhoto(name, np.zeros((SIDE, SIDE, 3), np.uint8)) for name in ("a.png", "b.png")]
+    scene = Scene([_camera()] * 2, photos, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
+    encoder, scales = _Seeing(), [(0.75, 0.375), (1.5,)]
+    recorder = PhotoFeaturesRecorder(torch.eye(2), "x") if recorded else None
+    views = encode_photos(scene, encoder, scales, recorder)  # type: ignore[arg-type]
+    assert [encoder.scales for _ in views] == scales
+    if recorder is not None:
+        assert recorder.kept().seen_at == scales
+
+
+def test_as_many_scales_as_photos_are_needed():
+    scene = Scene([], [], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.array([0.0, 0.0, 1.0]))
+    with pytest.raises(ValueError, match="zip"):
+        list(encode_photos(scene, _Brightness(), [()]))  # type: ignore[arg-type]
+
+
+def test_a_picture_that_is_smaller_on_one_side_alone_by_rounding_is_as_good_as_the_cameras():
+    half = _halves()[:-1].contiguous()
+    features = lift_features(_gaussians(LEFT, RIGHT), [_camera()], [half], encoder_id="x")
+    assert torch.allclose(features.unit(0), torch.eye(2), atol=1e-3)
 
 
 def test_features_of_a_smaller_picture_count_as_the_pixels_of_the_camera():

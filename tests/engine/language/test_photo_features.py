@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.encoder import FruitView
 from fruitlangs.engine.language.features.features import Features
 from fruitlangs.engine.language.features.photo_features import (
-    MOST_SIDE,
+    EARLIER,
+    FORMAT,
     TENSORS,
     PhotoFeatures,
     PhotoFeaturesRecorder,
@@ -27,6 +29,7 @@ from fruitlangs.engine.language.prompts.photo_probability import photo_probabili
 from fruitlangs.engine.language.prompts.relevancy import relevancy
 from fruitlangs.engine.language.taught.word import TaughtWord
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
+from fruitlangs.engine.storage.files import write_tensors
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +49,13 @@ def photo_of(encoder: EmbeddedEncoder, height: int = 6, width: int = 8) -> torch
 def kept(encoder: EmbeddedEncoder, *photos: torch.Tensor) -> PhotoFeatures:
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
     for photo in photos:
-        recorder.keep(FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0)), pixels_of(photo))
+        recorder.keep(FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0)), pixels_of(photo), (0.75,))
     return recorder.kept()
+
+
+def of_two(encoder: EmbeddedEncoder) -> PhotoFeatures:
+    """What was kept of two photos."""
+    return kept(encoder, photo_of(encoder), photo_of(encoder))
 
 
 def offsets_of(photo: torch.Tensor) -> torch.Tensor:
@@ -104,9 +112,11 @@ def test_only_pixels_that_may_be_fruit_are_kept(encoder: EmbeddedEncoder) -> Non
     assert kept(encoder, photo, photo).counts.tolist() == [12, 12]
 
 
-def test_large_photos_are_kept_smaller(encoder: EmbeddedEncoder) -> None:
-    photo = photo_of(encoder, height=40, width=2 * MOST_SIDE)
-    assert kept(encoder, photo).shapes.tolist() == [[20, MOST_SIDE]]
+def test_what_was_seen_of_large_photos_is_kept_in_full(encoder: EmbeddedEncoder) -> None:
+    photo = photo_of(encoder, height=40, width=960)
+    after = kept(encoder, photo)
+    assert after.shapes.tolist() == [[40, 960]]
+    assert after.counts.tolist() == [480 + 960]
 
 
 def test_words_for_other_objects_have_no_maps(encoder: EmbeddedEncoder) -> None:
@@ -121,6 +131,61 @@ def test_what_is_written_is_read(encoder: EmbeddedEncoder, tmp_path: Path) -> No
     for name in TENSORS:
         assert torch.equal(getattr(before, name), getattr(after, name))
     assert after.encoder_id == encoder.fruit_identity
+
+
+@pytest.mark.parametrize("scales", [[(0.5,), (1.25, 0.625)], [(), (2.0,)], [(), ()]])
+def test_the_scales_of_photos_are_kept_and_read_back(
+    encoder: EmbeddedEncoder, tmp_path: Path, scales: list[tuple[float, ...]]
+) -> None:
+    recorder, photo = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity), photo_of(encoder)
+    for own in scales:
+        view = FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0))
+        recorder.keep(view, pixels_of(photo), own)
+    save_photo_features(tmp_path / "photos.safetensors", recorder.kept())
+    assert load_photo_features(tmp_path / "photos.safetensors").seen_at == scales
+
+
+def test_no_photos_have_no_scales(encoder: EmbeddedEncoder, tmp_path: Path) -> None:
+    save_photo_features(tmp_path / "photos.safetensors", kept(encoder))
+    assert load_photo_features(tmp_path / "photos.safetensors").seen_at == []
+
+
+@pytest.mark.parametrize(
+    "scales",
+    [
+        torch.ones(2),
+        torch.ones(1, 1),
+        torch.ones(2, 1, dtype=torch.float64),
+        torch.full((2, 1), -0.5),
+        torch.full((2, 1), torch.nan),
+        torch.full((2, 1), 2.5),
+    ],
+)
+def test_damaged_scales_are_refused(encoder: EmbeddedEncoder, tmp_path: Path, scales: torch.Tensor) -> None:
+    path = tmp_path / "photos.safetensors"
+    save_photo_features(path, replace(kept(encoder, photo_of(encoder), photo_of(encoder)), scales=scales))
+    with pytest.raises(FormatError, match=r"its tensors do not fit.*Count again"):
+        load_photo_features(path)
+
+
+def test_a_file_of_an_earlier_version_is_read_without_scales(encoder: EmbeddedEncoder, tmp_path: Path) -> None:
+    before, path = kept(encoder, photo_of(encoder), photo_of(encoder)), tmp_path / "photos.safetensors"
+    tensors = {name: getattr(before, name) for name in TENSORS if name != "scales"}
+    write_tensors(path, tensors, {"format": EARLIER, "encoder_id": before.encoder_id})
+    after = load_photo_features(path)
+    assert after.seen_at == [(), ()]
+    assert torch.equal(after.values, before.values)
+
+
+@pytest.mark.parametrize("format_", [FORMAT, "fruitlangs-photo-features-2"])
+def test_a_file_without_scales_that_should_have_them_is_refused(
+    encoder: EmbeddedEncoder, tmp_path: Path, format_: str
+) -> None:
+    before, path = kept(encoder, photo_of(encoder)), tmp_path / "photos.safetensors"
+    tensors = {name: getattr(before, name) for name in TENSORS if name != "scales"}
+    write_tensors(path, tensors, {"format": format_, "encoder_id": before.encoder_id})
+    with pytest.raises(FormatError, match="Count again"):
+        load_photo_features(path)
 
 
 def test_features_of_photos_by_other_weights_are_refused(encoder: EmbeddedEncoder) -> None:
@@ -143,10 +208,15 @@ def test_a_damaged_file_is_refused(encoder: EmbeddedEncoder, tmp_path: Path, con
         load_photo_features(path)
 
 
+SEEN_AT: list[tuple[float, ...]] = []
+"""The scales at which `Seeing` saw each photo."""
+
+
 class Seeing(EmbeddedEncoder):
     """An encoder that takes every pixel for a leaf, whose embedding is the colour."""
 
-    def encode_fruit(self, image: NDArray[np.uint8]) -> FruitView:
+    def encode_fruit(self, image: NDArray[np.uint8], scales: Sequence[float] = ()) -> FruitView:
+        SEEN_AT.append(tuple(scales))
         leaf, green = self.encode_text(["leaf", "green"])
         features = ((leaf + green) / 2**0.5).expand(*image.shape[:2], -1)
         return FruitView(features, torch.full((*image.shape[:2], 2), 0.5), torch.from_numpy(image / 255.0).float())
@@ -199,21 +269,22 @@ def test_for_a_taught_word_the_pixels_of_its_fruit_are_kept(encoder: EmbeddedEnc
     assert first.offsets[2, 0].tolist() == [0.5, 0.5]
 
 
-def test_of_large_photos_the_pixels_of_a_taught_word_are_kept_smaller(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
+def test_for_a_taught_word_photos_are_seen_again_at_the_scales_at_which_they_were_seen(
+    encoder: EmbeddedEncoder, seeing: Seeing
+) -> None:
+    before = kept(encoder, photo_of(encoder), photo_of(encoder))
+    before = replace(before, scales=torch.tensor([[0.5, 0.25], [1.5, 0.0]]))
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
-    scene = tree_of(height=12, width=2 * MOST_SIDE)
-    for photo in scene.images:
-        photo.pixels()[2:4] = [0, 0, 255]
-    after = photos_for(kept(encoder), scene, features, seeing, ["fig"])
+    SEEN_AT.clear()
+    after = photos_for(before, tree_of(), features, seeing, ["fig"])
     assert after is not None
-    assert after.shapes.tolist() == [[6, MOST_SIDE]] * 2
-    assert set((after.places // MOST_SIDE).tolist()) == {1}
+    assert SEEN_AT == after.seen_at == [(0.5, 0.25), (1.5,)]
 
 
 def test_a_taught_negative_is_searched_in_the_photos_too(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     whole = replace(seeing, taught={**seeing.taught, "plum": word_of("plum", 0.0, 0.0, 0.0, bias=9.0)})
-    after = photos_for(kept(encoder), tree_of(), features, whole, ["plum"], ["fig"])
+    after = photos_for(of_two(encoder), tree_of(), features, whole, ["plum"], ["fig"])
     assert after is not None
     assert after.counts.tolist() == [48, 48]
     first, _ = photo_probabilities(after, features, whole, ["plum"], ["fig"]) or []
@@ -238,5 +309,5 @@ def test_the_search_for_a_taught_word_can_be_cancelled(encoder: EmbeddedEncoder,
 
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     with pytest.raises(Cancelled):
-        photos_for(kept(encoder), tree_of(), features, seeing, ["fig"], progress=progress)
+        photos_for(of_two(encoder), tree_of(), features, seeing, ["fig"], progress=progress)
     assert seen == [0.5]

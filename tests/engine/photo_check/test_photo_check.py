@@ -20,12 +20,14 @@ from scipy import ndimage
 
 from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, OutputError, SceneError
-from fruitlangs.engine.photo_check.check import check_photos
+from fruitlangs.engine.photo_check import findings
+from fruitlangs.engine.photo_check.check import check_photos, fruit_share
 from fruitlangs.engine.photo_check.cost import expected_costs
 from fruitlangs.engine.photo_check.exposure import most_involved
 from fruitlangs.engine.photo_check.finding import Finding, PhotoCheck
 from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, blurred_photos, relative_sharpness, sharpness
 from fruitlangs.engine.photo_check.sheet import COLOURS, contact_sheet, sheet_folder, write_sheet
+from fruitlangs.engine.progress import silent
 
 SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
 WIDTH, HEIGHT, STEP, RING = 420, 300, 100, 24
@@ -76,6 +78,12 @@ def kinds(result: PhotoCheck) -> set[str]:
 def brighter(stops: float) -> Edit:
     """sRGB is close to a power of 2.2 of linear light."""
     return lambda each: each.point(lambda value: int(value * 2 ** (stops / 2.2)))
+
+
+@pytest.fixture(autouse=True)
+def unmeasured_fruit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random pictures show no fruit, and measuring them takes seconds."""
+    monkeypatch.setattr("fruitlangs.engine.photo_check.check.fruit_share", lambda *_: None)
 
 
 def test_a_good_walk_has_no_findings(tmp_path: Path) -> None:
@@ -301,6 +309,49 @@ def test_too_little_memory_is_a_problem(tmp_path: Path) -> None:
     result = check_photos(walk(tmp_path / "walk", range(3)), free=100 << 20)
     assert found(result, "memory").severity == "problem"
     assert "0.1 GB are free" in found(result, "memory").sentence
+
+
+def about_fruit(share: float | None, side: int, **scene: int) -> list[Finding]:
+    return findings.about_fruit(share, [(side, side * 3 // 4)] * 3, Config(scene=SceneConfig(**scene)))
+
+
+def test_narrow_fruit_are_reported_with_their_width_and_what_to_do() -> None:
+    (found,) = about_fruit(0.006, 1600)
+    assert (found.severity, found.kind) == ("warning", "narrow fruit")
+    assert found.sentence == (
+        "The fruit are about 10 pixels wide in the photos as read (0.6% of the longer side), and 14 are needed: fruit "
+        "will be missing"
+    )
+    assert found.advice.startswith("Take photos from nearer")
+
+
+def test_fruit_too_narrow_for_any_shape_are_a_problem() -> None:
+    assert [found.severity for found in about_fruit(0.004, 1600)] == ["problem"]
+
+
+@pytest.mark.parametrize(("share", "side"), [(0.0075, 1600), (0.006, 4000), (None, 1600), (0.003, 1600)])
+def test_wide_fruit_fruit_that_are_read_larger_and_no_fruit_are_no_finding(share: float | None, side: int) -> None:
+    assert about_fruit(share, side) == []
+
+
+def test_a_size_that_the_user_set_is_kept_and_the_files_size_is_the_advice() -> None:
+    (found,) = about_fruit(0.006, 4000, max_side=1200)
+    assert "about 7 pixels wide" in found.sentence
+    assert found.advice == "Read the photos larger with --scene.max-side 4000"
+
+
+def test_the_width_of_fruit_is_measured_in_the_photos() -> None:
+    share = fruit_share(sorted((SAMPLE / "images").iterdir()), Config(), silent)
+    assert share is not None
+    assert 480 * share == pytest.approx(16.2, rel=0.2)
+
+
+def test_photos_with_narrow_fruit_take_longer_to_encode() -> None:
+    def seconds(fruit: float) -> float:
+        costs = expected_costs([(1600, 1200)] * 40, Config(), posed=True, fruit=fruit, cores=2)
+        return next(cost.seconds for cost in costs if cost.stage == "computing features")
+
+    assert seconds(14.0 / 1600) == pytest.approx(4.0 * seconds(28.0 / 1600), rel=0.01)
 
 
 def test_a_cancel_ends_the_check(tmp_path: Path) -> None:

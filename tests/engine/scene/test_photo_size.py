@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,9 +13,18 @@ from PIL import Image
 
 from fruitlangs.engine.config import Config, EmbedConfig, SceneConfig
 from fruitlangs.engine.language.features.embedder import Embedder
-from fruitlangs.engine.photo_size import growth, needed_bytes, scaled_down, seen_width, side_to_read, width_notices
+from fruitlangs.engine.photo_size import (
+    fruit_angle,
+    fruit_width,
+    growth,
+    needed_bytes,
+    scaled_down,
+    scales_for,
+    side_to_read,
+    width_notices,
+)
 from fruitlangs.engine.reconstruction import reading_larger
-from fruitlangs.engine.scene.camera import Photo, Scene
+from fruitlangs.engine.scene.camera import Camera, Photo, Scene
 from fruitlangs.engine.scene.photos.lens import Lens
 from fruitlangs.engine.scene.photos.photo import make_scene, posed_photos
 from fruitlangs.engine.scene.read import read_scene
@@ -77,7 +87,8 @@ def test_one_small_photo_does_not_silence_the_advice(tmp_path: Path) -> None:
 
 def test_photos_that_are_mostly_small_get_no_advice_that_helps_one_of_them(tmp_path: Path) -> None:
     config, scene = Config(scene=SceneConfig(max_side=200)), mixed_scene(tmp_path, 160, 160, 160, 800)
-    assert width_notices(7.0, scene.images, scene.cameras, config) == []
+    (notice,) = width_notices(7.0, scene.images, scene.cameras, config)
+    assert "--scene.max-side" not in notice
 
 
 def test_the_advised_size_is_no_larger_than_the_largest_file(tmp_path: Path) -> None:
@@ -86,8 +97,9 @@ def test_the_advised_size_is_no_larger_than_the_largest_file(tmp_path: Path) -> 
     assert "--scene.max-side 250 makes them 8 pixels wide" in notice
 
 
-def test_a_result_without_photos_gets_no_advice_about_their_size() -> None:
-    assert width_notices(7.0, [], [], Config()) == []
+def test_a_result_without_photos_gets_no_advice_to_read_them_larger() -> None:
+    (notice,) = width_notices(7.0, [], [], Config())
+    assert "--scene.max-side" not in notice
 
 
 def test_photos_that_stay_as_they_are_need_no_more_memory(tmp_path: Path) -> None:
@@ -117,9 +129,17 @@ def test_the_advice_goes_no_further_than_the_files_and_names_a_downscale(tmp_pat
     assert "--scene.max-side 800 --scene.downscale 1 makes them 8 pixels wide" in notice
 
 
-@pytest.mark.parametrize(("width", "read"), [(12.0, {"max_side": 200}), (7.0, {}), (None, {"max_side": 200})])
-def test_wide_fruit_and_photos_of_full_size_need_no_advice(tmp_path: Path, width: float | None, read: dict) -> None:
-    assert said(tmp_path, width, **read) == []
+@pytest.mark.parametrize("width", [12.0, None])
+def test_wide_fruit_need_no_advice(tmp_path: Path, width: float | None) -> None:
+    assert said(tmp_path, width, max_side=200) == []
+
+
+def test_narrow_fruit_in_photos_of_full_size_are_reported_with_how_to_photograph(tmp_path: Path) -> None:
+    (notice,) = said(tmp_path, 7.0)
+    assert notice == (
+        "the fruit are 7 pixels wide in the photos as read, and 14 are needed: fruit may be missing. Take photos from "
+        "nearer, of a part of the tree each, or with more pixels"
+    )
 
 
 @pytest.mark.parametrize(("width", "side"), [(7.0, 400), (4.0, 400), (10.0, 280), (12.0, 200), (None, 200)])
@@ -144,8 +164,25 @@ def embedder() -> Embedder:
 @pytest.mark.parametrize(("side", "counted"), [(360, 14.6), (240, 9.7)])
 def test_the_width_of_fruit_is_measured_in_a_few_photos(embedder: Embedder, side: int, counted: float) -> None:
     """counted: the median width of the fruit of the sample, as it is counted."""
-    width = seen_width(read_scene(SAMPLE, SceneConfig(max_side=side)).images, embedder.encoder)
-    assert width == pytest.approx(counted, rel=0.2)
+    scene = read_scene(SAMPLE, SceneConfig(max_side=side))
+    angle = fruit_angle(scene.images, scene.cameras, embedder.encoder)
+    assert angle is not None
+    assert angle * scene.cameras[0].K[0, 0] == pytest.approx(counted, rel=0.2)
+
+
+def test_photos_without_fruit_tell_no_width_and_are_seen_as_photos_of_unknown_fruit(embedder: Embedder) -> None:
+    scene = read_scene(SAMPLE, SceneConfig())
+    blank = [np.full((240, 320, 3), 128, np.uint8)] * 2
+    assert fruit_width(blank, [320.0, 320.0], embedder.encoder) is None
+    assert scales_for(scene.cameras[:1], None, embedder.encoder) == [(2.0,)]
+
+
+def test_photos_of_one_capture_show_fruit_by_their_focal_lengths(embedder: Embedder) -> None:
+    """A photo of twice the pixels shows fruit twice as wide, and is seen at half the scale."""
+    camera = read_scene(SAMPLE, SceneConfig()).cameras[0]
+    (one,), (half,) = scales_for([camera, camera.scaled(2.0)], 14.0 / camera.K[0, 0] * 1.4, embedder.encoder)
+    assert one == pytest.approx(28.0 / 19.6, rel=0.01)
+    assert half == pytest.approx(one / 2.0, rel=0.01)
 
 
 def test_photos_with_narrow_fruit_are_read_larger_the_same_way_for_every_prompt(
@@ -156,7 +193,7 @@ def test_photos_with_narrow_fruit_are_read_larger_the_same_way_for_every_prompt(
     larger = reading_larger(source, first)
     assert 320 <= larger.config.scene.max_side <= 480
     (notice,) = first.log.notices
-    assert notice.startswith("fruit would be about 10 pixels wide, so the photos were read larger than usual")
+    assert re.match("fruit would be about (9|10) pixels wide, so the photos were read larger than usual", notice)
     (record,) = tmp_path.glob("size-*.json")
     record.write_text('{"width": 8.0, "max_side": 340}')
     again = reading_larger(source, Run(tmp_path, embedder, config, given=()))
@@ -169,11 +206,11 @@ def test_the_width_of_fruit_is_measured_in_the_photos_that_were_scaled_down(
     """In small photos the fruit are narrower, and reading larger does not change them."""
     scene, asked = mixed_scene(tmp_path, 160, 800, 160, 800), []
 
-    def measured(photos: Sequence[Photo], encoder: object) -> float:
+    def measured(photos: Sequence[Photo], cameras: Sequence[Camera], encoder: object, progress: object) -> float:
         asked.extend(photo.name for photo in photos)
-        return 7.0
+        return 7.0 / cameras[0].K[0, 0]
 
-    monkeypatch.setattr("fruitlangs.engine.reconstruction.seen_width", measured)
+    monkeypatch.setattr("fruitlangs.engine.reconstruction.fruit_angle", measured)
     source = SimpleNamespace(read=lambda _: scene, hash=lambda: "")
     run = Run(tmp_path, embedder, Config(scene=SceneConfig(max_side=200)), given=())
     assert reading_larger(source, run).config.scene.max_side == 400  # type: ignore[arg-type]

@@ -102,6 +102,7 @@ def test_photos_tell_the_colour_where_gaussians_are_wrong(tree: sim.Simulation) 
         values=torch.full((sum(pixels), 1), 255, dtype=torch.uint8),
         offsets=torch.zeros(sum(pixels), 2, dtype=torch.int8),
         colours=torch.tensor([190, 30, 40], dtype=torch.uint8).repeat(sum(pixels), 1),
+        scales=torch.ones(len(shapes), 1),
         encoder_id="test",
     )
     green = np.tile([0.0, 1.0, 0.0], (len(tree.gaussians), 1))

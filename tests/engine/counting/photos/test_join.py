@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
+from fruitlangs.engine.counting.evidence.cluster import SPREADS, Search
 from fruitlangs.engine.counting.evidence.visibility import Picture, draw
 from fruitlangs.engine.counting.fruit import FruitCount
-from fruitlangs.engine.counting.photos.join import measure_dissent
+from fruitlangs.engine.counting.photos import join
+from fruitlangs.engine.counting.photos.join import RADIUS_SD, joined, measure_dissent, measure_radius_sds
+from fruitlangs.engine.counting.photos.search import FoundInPhotos
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
@@ -75,6 +79,70 @@ def test_fruit_that_no_gaussian_matches_are_found_in_photos(without: sim.Simulat
     alone, together = counted(without, None), counted(without, maps)
     assert recall(without, alone) <= 1.0 - LEFT_OUT / SETTING.fruit
     assert recall(without, together) > recall(without, alone)
+
+
+@pytest.fixture(scope="module")
+def joints(without: sim.Simulation, maps: Maps) -> tuple[Search, tuple[FoundInPhotos, FruitCount]]:
+    """The search with photos, what was found in them, and the count."""
+    photos, searches = list[FoundInPhotos](), list[Search]()
+
+    def recorded(found: Search, seen: FoundInPhotos, *given: Any) -> Search:
+        photos.append(seen)
+        searches.append(joined(found, seen, *given))
+        return searches[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(join, "joined", recorded)
+        counts = counted(without, maps)
+    return searches[-1], (photos[-1], counts)
+
+
+@pytest.fixture
+def both(joints: tuple[Search, tuple[FoundInPhotos, FruitCount]]) -> tuple[FoundInPhotos, FruitCount]:
+    return joints[1]
+
+
+def test_the_search_goes_on_with_the_diameter_that_photos_tell(
+    joints: tuple[Search, tuple[FoundInPhotos, FruitCount]],
+) -> None:
+    assert joints[0].size.diameter == joints[1][0].diameter
+
+
+def test_fruit_have_the_centres_and_diameters_that_photos_tell(both: tuple[FoundInPhotos, FruitCount]) -> None:
+    photos, found = both
+    likely = photos.places.select(photos.log_odds > 0.0)
+    nearest = cKDTree(likely.centers).query(found.centers)[1]
+    assert np.array_equal(found.centers, likely.centers[nearest])
+    assert np.array_equal(found.diameters, 2.0 * likely.radii[nearest])
+    assert len(np.unique(found.diameters)) == found.count > LEFT_OUT
+
+
+def test_the_deviation_of_a_diameter_is_that_of_its_measurement_in_photos(
+    both: tuple[FoundInPhotos, FruitCount],
+) -> None:
+    photos, found = both
+    shares = photos.measured_shares[cKDTree(photos.places.centers).query(found.centers)[1]]
+    sds = np.array([fruit.diameter_sd / fruit.diameter for fruit in found.fruits])
+    assert (sds >= measure_radius_sds(shares, 0.0)).all()
+    assert (sds <= measure_radius_sds(shares, SPREADS[1])).all()
+    assert sds == pytest.approx(RADIUS_SD, rel=0.1)
+
+
+def test_the_deviations_tell_how_far_diameters_are_off(
+    without: sim.Simulation, both: tuple[FoundInPhotos, FruitCount]
+) -> None:
+    _, found = both
+    true = without.truth.diameters[cKDTree(without.truth.centers).query(found.centers)[1]]
+    off = np.log(found.diameters / true) / [fruit.diameter_sd / fruit.diameter for fruit in found.fruits]
+    assert (np.abs(off) < 2.0).mean() > 0.8
+
+
+def test_the_size_of_the_scene_is_that_of_the_photos(without: sim.Simulation, maps: Maps) -> None:
+    """Those of Gaussians, here given as too small, are measured again."""
+    config = dataclasses.replace(CONFIG, diameter=0.8)
+    found = count_fruit(without.gaussians, without.probability, without.cameras, config, label="apple", photos=maps)
+    true = without.truth.diameters[cKDTree(without.truth.centers).query(found.centers)[1]]
+    assert np.median(found.diameters / true) == pytest.approx(1.0, abs=0.08)
 
 
 def test_photos_of_a_whole_tree_change_nothing(tree: sim.Simulation, maps: Maps) -> None:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from balls_in_photos import balls_of, verifier_of
+from scipy.spatial import cKDTree
 
+from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.search import (
     FIRST,
+    KEPT_APART,
     PEAKS,
     PEAKS_OF_FRUIT,
+    FoundInPhotos,
     group_fruit,
+    held_to_usual,
     likely_places,
     search_photos,
 )
@@ -36,14 +43,100 @@ def test_no_fruit_is_found_nearer_than_two_thirds_of_a_diameter_to_a_likelier_on
     """Of three places in a row the middle one is .6 diameters from the first, the likeliest; the last one .75."""
     places = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.75, 0.0]])
     odds = dict(zip(map(tuple, places), (4.0, 3.0, 2.0), strict=True))
-    views = SimpleNamespace(places=lambda *_: places, score=lambda places, *_: np.ones(len(places)))
+    views = SimpleNamespace(
+        places=lambda *_: places,
+        score=lambda places, *_: np.ones(len(places)),
+        choose=lambda *_: (None, None),
+        measured=lambda centers, *_: (np.full(len(centers), np.nan), np.zeros(len(centers))),
+    )
     verifier = SimpleNamespace(
         views=views,
         surroundings=SimpleNamespace(fruit=np.zeros((0, 3))),
-        verify=lambda places, *_: (np.array([odds[tuple(place)] for place in places]), np.zeros((len(places), 3))),
+        resized=lambda _: verifier,
+        verify=lambda found, *_: (np.array([odds[tuple(place)] for place in found.centers]), np.zeros((len(found), 3))),
     )
     found = search_photos(verifier, 1.0, np.eye(3, 4))
-    assert sorted(map(tuple, found.centers)) == [tuple(places[0]), tuple(places[2])]
+    assert sorted(map(tuple, found.places.centers)) == [tuple(places[0]), tuple(places[2])]
+    assert found.diameter == 1.0
+    assert found.measured_shares.tolist() == [0.0, 0.0]
+
+
+class Line:
+    """Stands for views and verifier of places along x: a radius by place and number of measurement, from very many
+    pixels, odds by place, and a step of wandering places."""
+
+    def __init__(self, xs: list[float], radius: Callable[[float, int], float], odds: dict[float, float]) -> None:
+        self.xs, self.radius, self.odds = np.array(xs), radius, odds
+        self.measurements, self.searched = 0, list[float]()
+        self.views, self.surroundings = self, SimpleNamespace(fruit=np.zeros((0, 3)))
+        self.step = 0.0
+
+    def resized(self, diameter: float) -> Line:
+        self.diameter = diameter
+        return self
+
+    def places(self, radius: float, *_: object) -> np.ndarray:
+        self.searched.append(radius)
+        return np.stack([self.xs, 0.0 * self.xs, 0.0 * self.xs], axis=1)
+
+    def score(self, places: np.ndarray, *_: object) -> np.ndarray:
+        return np.ones(len(places))
+
+    def choose(self, *_: object) -> tuple[None, None]:
+        return None, None
+
+    def measured(self, centers: np.ndarray, *_: object) -> tuple[np.ndarray, np.ndarray]:
+        self.measurements += 1
+        return np.array([self.radius(x, self.measurements) for x, _, _ in centers]), np.full(len(centers), 1e9)
+
+    def verify(self, found: Places, *_: object) -> tuple[np.ndarray, np.ndarray]:
+        starts = np.array(sorted(self.odds))
+        nearest = [starts[np.abs(starts - x).argmin()] for x, _, _ in found.centers]
+        odds = np.array([self.odds[start] for start in nearest])
+        return odds, np.where(odds[:, None] == WANDERING, [[self.step, 0.0, 0.0]], 0.0)
+
+
+WANDERING = 0.0
+"""Log odds of places that move: they are no known fruit."""
+FAR = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]
+
+
+def test_places_are_searched_again_with_the_size_that_was_measured() -> None:
+    line = Line(FAR, lambda *_: 0.5, dict.fromkeys(FAR, 5.0))
+    found = search_photos(line, 1.5, np.eye(3, 4))  # type: ignore[arg-type]
+    assert line.searched == pytest.approx([0.75, 0.5])
+    assert line.diameter == pytest.approx(1.0)
+    assert found.diameter == pytest.approx(1.0)
+
+
+def test_a_size_that_is_nearly_right_is_corrected_without_another_search() -> None:
+    """Of six likely places only three fruit remain, too few to measure the size again."""
+    pairs = [0.0, 0.3, 10.0, 10.3, 20.0, 20.3]
+    line = Line(pairs, lambda *_: 0.525, dict.fromkeys(pairs, 5.0))
+    found = search_photos(line, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
+    assert len(line.searched) == 1
+    assert found.known == 3
+    assert found.diameter == pytest.approx(1.05)
+
+
+def test_the_usual_diameter_is_that_of_the_known_fruit_at_the_end() -> None:
+    line = Line(FAR, lambda _, number: 0.5 if number <= 2 else 0.6, dict.fromkeys(FAR, 5.0))
+    assert search_photos(line, 1.0, np.eye(3, 4)).diameter == pytest.approx(1.2)  # type: ignore[arg-type]
+
+
+def test_a_place_that_moves_into_a_known_fruit_is_left_out() -> None:
+    line = Line([*FAR, 51.0], lambda *_: 0.5, {**dict.fromkeys(FAR, 5.0), 50.5: WANDERING})
+    line.step = -0.24
+    found = search_photos(line, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
+    assert len(found.places) == found.known == len(FAR)
+
+
+def test_a_place_is_measured_where_it_has_moved_to() -> None:
+    line = Line([*FAR, 53.0], lambda x, _: 0.45 if 50.5 < x < 52.5 else 0.5, {**dict.fromkeys(FAR, 5.0), 52.0: 0.0})
+    line.step = -0.4
+    found = search_photos(line, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
+    assert found.places.centers[found.known :, 0] == pytest.approx([52.2])
+    assert found.places.radii[found.known :] == pytest.approx(held_to_usual(np.array([0.45]), np.full(6, 0.5), 0.5))
 
 
 AWAY = np.array([500.0, 0.0, 0.0])
@@ -110,3 +203,53 @@ def test_fruit_compete_unless_many_of_a_tree_are_in_less_than_half_the_photos() 
     assert groups([60.0] * 110 + [9.0] * 10) == [120]
     assert groups([60.0] * 40 + [25.0] * 40 + [10.0] * 40) == [40, 40, 40]
     assert groups([60.0]) == [1]
+
+
+RADIUS, BALLS = 0.08, 12
+
+
+def search_balls(balls: Places, diameter: float, *, every: int = 2) -> FoundInPhotos:
+    return search_photos(verifier_of(balls, diameter, every=every), diameter, np.eye(3, 4))
+
+
+def radii_at(balls: Places, found: FoundInPhotos) -> np.ndarray:
+    """The radius of the likely fruit that is found at each ball; NaN at balls without one, or with two."""
+    likely = found.places.select(found.log_odds > 0.0)
+    near = cKDTree(likely.centers).query_ball_point(balls.centers, 0.5 * balls.radii)
+    return np.array([likely.radii[each[0]] if len(each) == 1 else np.nan for each in near])
+
+
+@pytest.mark.parametrize("error", [0.7, 1.0, 1.3])
+def test_fruit_are_found_with_their_true_size_if_the_given_one_is_thirty_per_cent_off(error: float) -> None:
+    balls = balls_of(np.full(BALLS, RADIUS))
+    found = search_balls(balls, error * 2.0 * RADIUS)
+    assert found.diameter == pytest.approx(2.0 * RADIUS, rel=0.05)
+    assert (found.log_odds > 0.0).sum() == BALLS
+    assert radii_at(balls, found) == pytest.approx(balls.radii, rel=0.07)
+    assert found.measured_shares[: found.known].min() > 0.8
+
+
+def test_fruit_of_two_sizes_in_one_scene_keep_their_own_radii() -> None:
+    balls = balls_of(np.tile([0.06, 0.09], BALLS // 2))
+    found = search_balls(balls, 0.15)
+    assert radii_at(balls, found) == pytest.approx(balls.radii, rel=0.08)
+
+
+def test_small_fruit_that_touch_stay_two() -> None:
+    """Their distance is less than that which fruit of the usual size keep from each other."""
+    balls, small = balls_of(np.full(BALLS, 0.09)), 0.05
+    pair = Places(np.array([[0.0, 0.0, 0.75 - small], [0.0, 0.0, 0.75 + small]]), np.full(2, small))
+    found = search_balls(Places.join([balls, pair]), 0.18, every=1)
+    assert 2.0 * small < KEPT_APART * found.diameter
+    assert radii_at(pair, found) == pytest.approx(held_to_usual(pair.radii, balls.radii, 0.09), rel=0.15)
+    assert found.known == BALLS + 2
+
+
+def test_equal_photos_give_equal_bytes() -> None:
+    verifier = verifier_of(balls_of(np.full(BALLS, RADIUS)), 2.0 * RADIUS)
+    one, other = (search_photos(verifier, 2.0 * RADIUS, np.eye(3, 4)) for _ in range(2))
+    for name in ("log_odds", "measured_shares"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+    assert one.places.centers.tobytes() == other.places.centers.tobytes()
+    assert one.places.radii.tobytes() == other.places.radii.tobytes()
+    assert (one.known, one.diameter) == (other.known, other.diameter)

@@ -3,13 +3,43 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from balls_in_photos import balls_of, verifier_of
 
-from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network, read_network, require_trained_for
+from fruitlangs.engine.counting.photos import verifier
+from fruitlangs.engine.counting.photos.verifier import (
+    FORMAT,
+    LARGEST,
+    SEEN,
+    STORED,
+    Looked,
+    Network,
+    look,
+    read_network,
+    require_trained_for,
+)
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import halved, read_tensors, write_tensors
+
+
+def test_spheres_and_known_fruit_are_judged_at_a_share_of_their_radii(monkeypatch: pytest.MonkeyPatch) -> None:
+    balls, radii = balls_of(np.array([0.06, 0.09, 0.08])), []
+
+    def recorded(*given: Any) -> Looked:
+        radii.append((given[3], given[5]))
+        return look(*given)
+
+    monkeypatch.setattr(verifier, "look", recorded)
+    odds, _ = verifier_of(balls, 0.16).verify(balls.select(np.arange(2)), balls, np.arange(2))
+    ((own, known),) = radii
+    seen = SEEN * np.array([0.06, LARGEST * 0.08, 0.08])
+    assert np.allclose(own, seen[:2], rtol=1e-12)
+    assert np.allclose(known, seen, rtol=1e-12)
+    assert (odds > 0.0).all()
 
 
 def test_the_networks_of_the_package_belong_together() -> None:

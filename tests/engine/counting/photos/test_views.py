@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from fruitlangs.engine.counting.evidence.visibility import Picture
-from fruitlangs.engine.counting.photos.verifier import Network, Verifier, known_near
+from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
+from fruitlangs.engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, known_near
 from fruitlangs.engine.counting.photos.view_kernels import DEPTH, DOWN, INSIDE, OTHERS, OWN, PROBABILITY, RIGHT
 from fruitlangs.engine.counting.photos.views import PhotoViews, cube_centers, occupied
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
@@ -213,16 +214,33 @@ def test_a_shift_in_radii_moves_a_centre_as_far_in_pixels_that_are_not_square(
 ) -> None:
     shifts, errors = torch.tensor([[[0.3, -0.5]] * 6]), torch.tensor([[-1.0, 0.0, 0.5, -0.5, 0.2, 0.1]])
     moves = [
-        Verifier(Network(), each, None)._moves(BALL[None], RADIUS, np.arange(6)[None], shifts, errors)  # type: ignore[arg-type]
+        Verifier(Network(), each, None)._moves(BALL[None], np.array([RADIUS]), np.arange(6)[None], shifts, errors)  # type: ignore[arg-type]
         for each in (views, flat)
     ]
     np.testing.assert_allclose(moves[1], moves[0], rtol=1e-9)
     assert np.linalg.norm(moves[0]) > 0.2 * RADIUS
 
 
+def test_a_shift_in_radii_moves_a_small_sphere_less_than_a_large_one(views: PhotoViews) -> None:
+    verifier = Verifier(Network(), views, None)  # type: ignore[arg-type]
+    shifts, errors = torch.tensor([[[0.3, -0.5]] * 6] * 2), torch.zeros(2, 6)
+    both, chosen, radii = np.stack([BALL, BALL]), np.tile(np.arange(6), (2, 1)), np.array([RADIUS, 0.5 * RADIUS])
+    lengths = np.linalg.norm(verifier._moves(both, radii, chosen, shifts, errors), axis=1)
+    assert lengths[1] == pytest.approx(0.5 * lengths[0])
+    far = np.linalg.norm(verifier._moves(both, radii, chosen, 10.0 * shifts, errors), axis=1)
+    assert far == pytest.approx(radii)
+
+
 def test_known_near_leaves_out_far_fruit_and_the_own_one() -> None:
-    others = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]])
-    near = known_near(np.array([[0.1, 0, 0], [1.0, 0, 0]]), others, 2.0, np.array([-1, 1]))
+    others = Places(np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]]), np.array([0.2, 0.4, 0.3]))
+    near = known_near(np.array([[0.1, 0, 0], [1.0, 0, 0]]), others, np.array([-1, 1]))
     assert near[0, :3].tolist() == [0, 1, -1]
     assert near[1, :2].tolist() == [0, -1]
-    assert (known_near(np.zeros((2, 3)), NOWHERE, 1.0) == -1).all()
+    assert (known_near(np.zeros((2, 3)), NO_PLACES) == -1).all()
+
+
+def test_fruit_are_near_within_a_multiple_of_the_largest_diameter() -> None:
+    others = Places(np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]]), np.array([0.1, 0.5]))
+    within, beyond = ([[factor * KNOWN_REACH, 0.0, 0.0]] for factor in (0.99, 1.01))
+    assert known_near(np.array(within), others)[0, 0] == 0
+    assert known_near(np.array(beyond), others)[0, 0] == -1

@@ -17,10 +17,11 @@ from fruitlangs.engine.errors import EncoderError, VocabularyError
 from fruitlangs.engine.language.encoders.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.encoders.network import Network, normalise
 from fruitlangs.engine.language.encoders.open_encoder import open_encoder
+from fruitlangs.engine.language.encoders.seen import of_size
 from fruitlangs.engine.language.prompts.relevancy import answer, scene_answers, understood
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, parse
 
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "orchard_tree"
+EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "orchard_tree"
 WIDTHS, DEPTHS = (4, 6, 8, 10), (1, 1, 1, 1)
 
 
@@ -63,7 +64,7 @@ def test_an_unknown_word_is_a_vocabulary_error(tiny: EmbeddedEncoder):
 
 
 @pytest.mark.parametrize("size", [(37, 23), (64, 48), (5, 90)])
-def test_dense_features_are_unit_and_cover_a_picture_of_any_size(tiny: EmbeddedEncoder, size: tuple[int, int]):
+def test_dense_features_of_a_small_picture_are_unit_and_of_its_size(tiny: EmbeddedEncoder, size: tuple[int, int]):
     features = tiny.encode_dense(_noise(*size))
     assert features.shape == (*size, tiny.dimension)
     assert torch.allclose(features.norm(dim=-1), torch.ones(size), atol=1e-4)
@@ -80,6 +81,20 @@ def test_a_question_about_an_object_is_the_networks_probability_when_uncalibrate
     pixels = torch.from_numpy(image).permute(2, 0, 1).float() / 255.0
     expected = plain.concept_logits(pixels).softmax(0)[CONCEPTS.index("pear")]
     assert torch.allclose(answer(plain.encode_dense(image), plain.questions("pear")), expected, atol=1e-4)
+
+
+def test_logits_are_the_mean_of_those_at_each_scale(tiny: EmbeddedEncoder):
+    pixels = torch.rand(3, 40, 60, generator=torch.Generator().manual_seed(2))
+    large, small, both = (tiny.concept_logits(pixels, scales) for scales in ((2.0,), (1.0,), (2.0, 1.0)))
+    assert small.shape[1:] == (20, 30)
+    torch.testing.assert_close(both, (large + of_size(small, 40, 60)) / 2.0, atol=1e-4, rtol=0.0)
+
+
+def test_a_picture_is_seen_at_the_scales_for_fruit_of_unknown_width_unless_others_are_given(tiny: EmbeddedEncoder):
+    image = _noise(30, 1200)
+    assert tiny.encode_dense(image).shape[:2] == (12, 480)
+    assert torch.equal(tiny.encode_dense(image), tiny.encode_dense(image, tiny.scales_of(30, 1200)))
+    assert tiny.encode_dense(image, tiny.scales_of(30, 1200, 28.0)).shape[:2] == (15, 600)
 
 
 def test_answers_about_disjoint_words_sum_to_one(tiny: EmbeddedEncoder):

@@ -11,6 +11,7 @@ import torch
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, offsets_identity, save_offsets, stored_offsets
+from fruitlangs.engine.language.encoders.seen import of_size, see
 from fruitlangs.fitting.encoder.offset_learning import OffsetPicture, learn_offsets
 
 SIDE, MIDDLE, RADIUS = 160, np.array([70.0, 90.0]), 18.0
@@ -58,7 +59,31 @@ def test_features_are_the_same_with_offsets_and_without(encoder: EmbeddedEncoder
 
 def test_large_photos_have_offsets_of_their_features_size(encoder: EmbeddedEncoder) -> None:
     view = encoder.encode_fruit(np.full((60, 2000, 3), 90, np.uint8))
-    assert view.features.shape[:2] == view.offsets.shape[:2] == view.embedding.shape[:2] == (48, 1600)
+    assert view.features.shape[:2] == view.offsets.shape[:2] == view.embedding.shape[:2] == (14, 480)
+
+
+def test_offsets_of_a_large_ball_lead_to_its_middle_at_the_scale_for_its_width(
+    encoder: EmbeddedEncoder, ball: np.ndarray, places: np.ndarray
+) -> None:
+    large = ball.repeat(3, axis=0).repeat(3, axis=1)
+    scales = encoder.scales_of(*large.shape[:2], 6.0 * RADIUS)
+    offsets = encoder.encode_fruit(large, scales).offsets.permute(2, 0, 1)
+    assert offsets.shape[1:] == (62, 62)
+    inside = (places**2).sum(axis=-1) < 0.8
+    errors = np.linalg.norm(of_size(offsets, SIDE, SIDE).permute(1, 2, 0).numpy() - places, axis=-1)[inside]
+    assert np.median(errors) < 0.25
+
+
+def test_offsets_at_several_scales_are_averaged_by_their_errors(encoder: EmbeddedEncoder, ball: np.ndarray) -> None:
+    pixels, network = torch.from_numpy(ball).permute(2, 0, 1).float() / 255.0, stored_offsets(encoder.identity)
+    found = [see(encoder.network, pixels, scale, network).offsets for scale in (2.0, 1.0)]
+    (fine, fine_error), (coarse, coarse_error) = (
+        of_size(each, SIDE, SIDE).split((2, 1)) for each in found if each is not None
+    )
+    weights = [torch.exp(error).square().reciprocal() for error in (fine_error, coarse_error)]
+    expected = (weights[0] * fine + weights[1] * coarse) / (weights[0] + weights[1])
+    shown = encoder.encode_fruit(ball, (2.0, 1.0)).offsets.permute(2, 0, 1)
+    torch.testing.assert_close(shown, expected, atol=1e-3, rtol=0.0)
 
 
 def test_weights_for_another_encoder_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,116 @@
+"""What the network that verifies fruit learns from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from balls_in_photos import balls_of, surroundings_of, views_of
+from scipy.spatial import cKDTree
+
+from fruitlangs.engine.counting.photos.join import RADIUS_SD
+from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
+from fruitlangs.engine.counting.photos.search import FoundInPhotos, search_photos
+from fruitlangs.engine.counting.photos.verifier import SEEN, Looked, Network, look, stored_network
+from fruitlangs.engine.evaluation.truth import Truth
+from fruitlangs.fitting.counting import verifying
+from fruitlangs.fitting.counting.verifying import Tree, _samples, around_truth, calibrate, fit, mined
+
+SIZES = np.tile([0.06, 0.09], 6)
+BALLS = balls_of(SIZES)
+
+
+@pytest.fixture(scope="module")
+def tree() -> Tree:
+    """A tree with fruit of two sizes, the last of which is hidden."""
+    truth = Truth(BALLS.centers, 2.0 * BALLS.radii, np.arange(12) < 11, np.ones(12))
+    around = surroundings_of(BALLS, BALLS.centers[::2], 0.15)
+    return Tree("ball", views_of(BALLS), around, truth, np.eye(3, 4))
+
+
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, ...]]:
+    """The centres and radii of places, and those of known fruit, for which crops are cut."""
+    taken = []
+
+    def recorded(*given: object) -> Looked:
+        taken.append(given[2:6])
+        return look(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(verifying, "look", recorded)
+    return taken
+
+
+def test_places_around_fruit_have_the_radii_of_the_nearest_ones_with_the_error_of_photos(
+    tree: Tree, looks: list[tuple[np.ndarray, ...]]
+) -> None:
+    around_truth(tree, np.random.default_rng(0))
+    ((centers, radii, _, _),) = looks
+    visible = tree.truth.visible
+    nearest = cKDTree(BALLS.centers[visible]).query(centers)[1]
+    off = np.log(radii / (SEEN * BALLS.radii[visible][nearest]))
+    assert abs(off.mean()) < 4.0 * RADIUS_SD / np.sqrt(len(off))
+    assert off.std() == pytest.approx(RADIUS_SD, rel=0.2)
+
+
+def test_known_fruit_have_their_own_radii_as_the_network_sees_them(
+    tree: Tree, looks: list[tuple[np.ndarray, ...]]
+) -> None:
+    around_truth(tree, np.random.default_rng(0))
+    ((_, _, known, known_radii),) = looks
+    assert len(known) == 11
+    off = np.log(known_radii / (SEEN * BALLS.radii[:11]))
+    assert 0.3 * RADIUS_SD < off.std() < 2.0 * RADIUS_SD
+    assert abs(off.mean()) < RADIUS_SD
+
+
+def test_mistakes_are_learnt_with_the_radii_that_the_search_measured(
+    tree: Tree, looks: list[tuple[np.ndarray, ...]]
+) -> None:
+    samples = mined(tree, stored_network(), np.random.default_rng(0))
+    found = search_photos(tree.verifier(stored_network()), tree.diameter, tree.frame)
+    (exact, radii, known, known_radii), (moved, radii_of_moved, _, _) = looks
+    assert np.array_equal(exact, found.places.centers)
+    assert np.array_equal(radii, SEEN * found.places.radii)
+    assert np.array_equal(radii_of_moved, radii)
+    assert np.array_equal(known, found.places.centers[: found.known])
+    assert np.array_equal(known_radii, SEEN * found.places.radii[: found.known])
+    assert 0.0 < np.abs(moved - exact).mean() < 0.1
+    assert samples.fruit.sum() >= 11
+
+
+def test_shifts_that_are_learnt_are_those_from_which_the_verifier_moves_to_the_fruit(tree: Tree) -> None:
+    aside = Places(BALLS.centers[:1] + [0.01, -0.02, 0.02], BALLS.radii[:1])
+    samples = _samples(tree, aside, NO_PLACES, np.full((1, 1), -1), np.zeros((1, 11), bool))
+    chosen, _ = tree.views.choose(aside.centers, SEEN * aside.radii, samples.exists.shape[1])
+    moves = tree.verifier(stored_network())._moves(
+        aside.centers, SEEN * aside.radii, chosen, samples.shifts, torch.full(samples.exists.shape, -4.0)
+    )
+    assert samples.near.any()
+    np.testing.assert_allclose(moves[0], BALLS.centers[0] - aside.centers[0], atol=0.001)
+
+
+def test_equal_places_train_equal_networks(tree: Tree) -> None:
+    samples = around_truth(tree, np.random.default_rng(0))
+    one, other = (fit(samples, epochs=1, seed=0) for _ in range(2))
+    assert all((a == b).all() for a, b in zip(one.parameters(), other.parameters(), strict=True))
+
+
+def test_log_odds_are_calibrated_to_the_share_of_places_that_are_fruit(
+    tree: Tree, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At twelve log odds of 0 one place of three is a fruit; at those of 2 two of three are."""
+    false = BALLS.centers[:11] + [0.0, 0.0, 5.0]
+    centers = np.concatenate([BALLS.centers[:4], false[:8], BALLS.centers[4:11], false[8:], false[:1]])
+    odds = np.repeat([0.0, 2.0], [12, 11])
+    found = FoundInPhotos(Places.alike(centers, 0.15), odds, 0, np.ones(len(odds)), 0.15)
+    monkeypatch.setattr(verifying, "search_photos", lambda *_: found)
+    network, before = Network(), Network()
+    before.load_state_dict(network.state_dict())
+    calibrate(network, [tree])
+    (weight, bias), (weight_before, bias_before) = (
+        (each.together[-1].weight.detach(), each.together[-1].bias.detach()) for each in (network, before)
+    )
+    scale = float((weight / weight_before).median())
+    assert float(bias - scale * bias_before) == pytest.approx(np.log(4 / 8), abs=0.02)
+    assert 2.0 * scale == pytest.approx(np.log(7 / 4) - np.log(4 / 8), abs=0.02)
