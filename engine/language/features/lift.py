@@ -46,9 +46,7 @@ def lift_features(
     for index, (camera, target) in enumerate(views):
         progress(index / len(cameras), f"Lifting features of view {index + 1} of {len(cameras)}")
         length = target.shape[-1] - embedded
-        usable = target[..., :length].square().sum(-1, keepdim=True) > 0.0
-        counted = usable.to(target.dtype)
-        drawn = accumulate(gaussians, camera, torch.cat([target * counted, counted], dim=-1)).sums
+        drawn = accumulate(gaussians, camera, _with_count(target, length)).sums
         drawn *= cameras[index].width * cameras[index].height / (camera.width * camera.height)
         sums = drawn[:, :-1] if sums is None else sums.add_(drawn[:, :-1])
         weights += drawn[:, -1]
@@ -61,6 +59,17 @@ def lift_features(
     vectors = functional.normalize(totals, dim=-1)
     means = (sums[:, length:] / weights.clamp_min(1e-12)[:, None]).half() if embedded else None
     return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id, embedding=means)
+
+
+def _with_count(target: Tensor, length: int) -> Tensor:
+    """(H, W, C + 1) a target (H, W, C) with 1 where a pixel counts, and zeros where its feature, the first `length`
+    channels, is zero."""
+    usable = target[..., :length].any(-1)
+    drawn = torch.empty(*target.shape[:2], target.shape[2] + 1)
+    drawn[..., :-1], drawn[..., -1] = target, usable
+    if not bool(usable.all()):
+        drawn[~usable] = 0.0
+    return drawn
 
 
 def encode_photos(

@@ -126,11 +126,11 @@ class PhotoFeaturesRecorder:
         else:
             embedding = embedding.reshape(-1, embedding.shape[-1])
             fruit = self._wanted(functional.normalize(photo.reshape(-1, photo.shape[-1]), dim=-1), embedding)
-        shown = photo.reshape(-1, photo.shape[-1]).abs().amax(-1) > 0.0  # not outside a mask
+        shown = photo.any(-1).reshape(-1)  # not outside a mask
         places = (shown & (fruit >= LEAST_FRUIT)).nonzero()[:, 0]
         if self._wanted is not None:
             self._embedding.append(embedding[places].half())
-        values = functional.normalize(photo.reshape(-1, photo.shape[-1])[places], dim=-1)
+        values = functional.normalize(photo[places // photo.shape[1], places % photo.shape[1]], dim=-1)
         self._shapes.append((photo.shape[0], photo.shape[1]))
         self._scales.append(torch.tensor(list(scales), dtype=torch.float32))
         self._places.append(places.int())
