@@ -17,7 +17,7 @@ from fruitlangs.engine.splatting.gpu.adapters import Adapter
 def test_a_count_on_a_card_finds_the_fruit(balls: Path, adapter: Adapter, tmp_path: Path) -> None:
     usual = balls_config()
     train = dataclasses.replace(usual.train, steps=60, max_gaussians=800, coarse_until=0.0, device=adapter.name)
-    config = dataclasses.replace(usual, train=train, scene=SceneConfig(downscale=1.6))
+    config = dataclasses.replace(usual, train=train, scene=SceneConfig(downscale=1.2))
     result = count_scene(balls, ["apple"], tmp_path / "out", config=config)
     assert result.origin["training"]["device"] == adapter.identity
     assert not any("CPU" in notice for notice in result.notices)
