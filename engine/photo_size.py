@@ -11,7 +11,8 @@ from .config import Config
 from .counting.accounts.zero import ENOUGH_PIXELS
 from .counting.evidence.picture_size import Regions, common_width
 from .counting.evidence.pixel_width import focal_length
-from .language.encoders.encoder import DenseEncoder
+from .language.encoders.encoder import CropEncoder, DenseEncoder, sees_whole
+from .language.encoders.seen import MOST as MOST_ENLARGED
 from .language.prompts.relevancy import answer
 from .memory import available_bytes, stage_bytes
 from .progress import Progress, silent
@@ -85,7 +86,7 @@ def fruit_width(pixels: Sequence[Pixels], units: Sequence[float], encoder: Dense
     The encoder sees the photos again at the scale for the width that was found, until the width changes little. On the
     sample orchard, read at 160 to 480 pixels a side, it is between 8 % below and 6 % above that of the counted fruit.
     """
-    first = [tuple((min(side / max(photo.shape), MOST),) for photo in pixels) for side in FIRST_SIDES]
+    first = [tuple((min(side / max(photo.shape), MOST_ENLARGED),) for photo in pixels) for side in FIRST_SIDES]
     tried = (_seen_width(pixels, units, scales, encoder) for scales in dict.fromkeys(first))
     width = next((each for each in tried if each is not None), None)
     if width is None:
@@ -102,8 +103,13 @@ def fruit_width(pixels: Sequence[Pixels], units: Sequence[float], encoder: Dense
     return width
 
 
-def photo_scales(scene: Scene, encoder: DenseEncoder, progress: Progress = silent) -> list[Sequence[float]]:
-    """The scales at which an encoder sees each photo of a scene, by the width of the fruit in some of them."""
+def photo_scales(
+    scene: Scene, encoder: DenseEncoder | CropEncoder, progress: Progress = silent
+) -> list[Sequence[float]]:
+    """The scales at which an encoder sees each photo of a scene, by the width of the fruit in some of them; none if it
+    does not process whole photos."""
+    if not sees_whole(encoder):
+        return []
     return scales_for(scene.cameras, fruit_angle(scene.images, scene.cameras, encoder, progress), encoder)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -229,9 +229,7 @@ def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress
             encoder, recorder = run.embedder.encoder, None
             if kept and sees_fruit(encoder):
                 recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
-            scales: list[Sequence[float]] = []
-            if sees_whole(encoder):
-                scales = photo_scales(scene, encoder, part(progress, 0.0, 0.1))
+            scales = photo_scales(scene, encoder, part(progress, 0.0, 0.1))
             lifted = run.embedder.lift(
                 gaussians, scene, run.cache, scales=scales, recorder=recorder, progress=part(progress, 0.1, 1.0)
             )
@@ -330,8 +328,9 @@ def with_fitting_photos(
     """
     if not sees_fruit(encoder) or _was_placed(made.origin):
         return made
+    fitting = made.photos is not None and made.photos.are_of(encoder)
     earlier = made.photos is not None and not any(made.photos.seen_at)
-    if made.photos is not None and made.photos.are_of(encoder) and not earlier:
+    if fitting and not earlier:
         return made
     scene = made.scene
     if earlier:
@@ -340,7 +339,7 @@ def with_fitting_photos(
             "the fruit: small fruit may be missing. Give the folder of the photos as SCENE to encode them again"
         )
     if len(scene.images) != len(scene.cameras):
-        if earlier and made.photos is not None and made.photos.are_of(encoder):
+        if fitting:  # and of an earlier version, which is better than none
             return made
         log.notices.append(
             "the result keeps no features of its photos that this version's networks can use, and the photos are "

@@ -24,7 +24,7 @@ from ...engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
 from ...engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read_depths, read_instances
 from ...engine.evaluation.true_surface import TrueSurface, true_surface
 from ...engine.evaluation.truth import TrueView, Truth
-from ...engine.language.encoders.encoder import sees_fruit, sees_whole
+from ...engine.language.encoders.encoder import sees_fruit
 from ...engine.language.encoders.seen import of_size
 from ...engine.language.features.embedder import Embedder
 from ...engine.language.prompts.photo_probability import PhotoMap
@@ -172,7 +172,7 @@ class LadderStages:
     def _true_geometry(self, progress: Progress) -> Counted:
         surface = self._true_surface(part(progress, 0.0, 0.2))
         embedder = Embedder.open(self.config.embed)
-        scales = photo_scales(self.scene, embedder.encoder) if sees_whole(embedder.encoder) else []
+        scales = photo_scales(self.scene, embedder.encoder)
         features = embedder.lift(
             surface.gaussians, self.scene, self.out / "cache", scales=scales, progress=part(progress, 0.2, 0.6)
         )

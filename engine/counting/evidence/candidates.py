@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..geometry.cells import Cells, apart
-from ..geometry.matching import ROUNDING
+from ..geometry.overlaps import Overlaps
 from ..geometry.sphere import REACH, Spheres, fit_spheres
 from .claims import claim
 from .size import FruitSize
@@ -152,7 +151,7 @@ def cover(surface: SurfaceIndex, spheres: Spheres, merit: FloatArray) -> tuple[I
     heap = [(-own[index] * spheres.shell[index] * merit[index], index) for index in range(len(spheres))]
     heapq.heapify(heap)
     chosen, free = list[int](), list[float]()
-    overlaps = Overlaps.of(spheres)
+    overlaps = Overlaps.of(spheres.centers, spheres.radii, OVERLAP)
     while heap:
         score, index = heapq.heappop(heap)
         left, inside = claims.value(index, owners)
@@ -169,27 +168,3 @@ def cover(surface: SurfaceIndex, spheres: Spheres, merit: FloatArray) -> tuple[I
         chosen.append(index)
         free.append(left / own[index])
     return np.array(chosen, np.int64), owners, np.array(free)
-
-
-@dataclass(frozen=True, eq=False)
-class Overlaps:
-    """Finds overlaps of C spheres with those that are chosen (C,). tree: of all centers; largest: radius."""
-
-    spheres: Spheres
-    tree: cKDTree
-    chosen: NDArray[np.bool_]
-    largest: float
-
-    @classmethod
-    def of(cls, spheres: Spheres) -> Overlaps:
-        largest = float(spheres.radii.max(initial=0.0))
-        return cls(spheres, cKDTree(spheres.centers), np.zeros(len(spheres), bool), largest)
-
-    def any_chosen(self, index: int) -> bool:
-        """Whether the centers of sphere `index` and of a chosen one are nearer than OVERLAP sums of their radii."""
-        centers, radii = self.spheres.centers, self.spheres.radii
-        reach = ROUNDING * OVERLAP * (radii[index] + self.largest)
-        near = np.array(self.tree.query_ball_point(centers[index], reach), np.int64)
-        near = near[self.chosen[near]]
-        between = np.linalg.norm(centers[near] - centers[index], axis=1)
-        return bool((between < OVERLAP * (radii[near] + radii[index])).any())

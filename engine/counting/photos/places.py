@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from ..geometry.matching import ROUNDING
+from ..geometry.overlaps import Overlaps
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -50,29 +49,17 @@ NO_PLACES = Places(np.zeros((0, 3)), np.zeros(0))
 
 def apart(places: Places, strengths: FloatArray, share: float) -> IntArray:
     """Which places to keep, the strongest (C,) first, so that the centres of no two are nearer than `share` of the sum
-    of their diameters divided by two."""
-    near, kept, chosen = _near(places, places, share), np.zeros(len(places), bool), list[int]()
+    of their radii."""
+    overlaps, kept = Overlaps.of(places.centers, places.radii, share), list[int]()
     for index in np.argsort(-strengths, kind="stable").tolist():
-        if not kept[near[index]].any():
-            kept[index] = True
-            chosen.append(index)
-    return np.array(chosen, np.int64)
+        if not overlaps.any_chosen(index):
+            overlaps.chosen[index] = True
+            kept.append(index)
+    return np.array(kept, np.int64)
 
 
 def clear_of(places: Places, others: Places, share: float) -> NDArray[np.bool_]:
-    """(C,) which places keep `share` of a mean diameter from all others, as in `apart`."""
-    return np.array([len(each) == 0 for each in _near(places, others, share)], bool)
-
-
-def _near(places: Places, others: Places, share: float) -> list[IntArray]:
-    """Of each place which of the others are nearer than `share` of the sum of both radii."""
-    if len(places) == 0 or len(others) == 0:
-        return [np.zeros(0, np.int64)] * len(places)
-    reach = ROUNDING * share * (places.radii + others.largest)
-    found = cKDTree(others.centers).query_ball_point(places.centers, reach)
-    near = []
-    for center, radius, each in zip(places.centers, places.radii, found, strict=True):
-        index = np.array(sorted(each), np.int64)
-        between = np.linalg.norm(others.centers[index] - center, axis=1)
-        near.append(index[between < share * (others.radii[index] + radius)])
-    return near
+    """(C,) which places keep `share` of the sum of both radii from all others."""
+    overlaps = Overlaps.of(others.centers, others.radii, share)
+    overlaps.chosen[:] = True
+    return np.array([not overlaps.any_near(*each) for each in zip(places.centers, places.radii, strict=True)], bool)

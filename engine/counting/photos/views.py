@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn import functional
 
+from ...language.encoders.seen import of_size
 from ...language.prompts.photo_probability import PhotoMap
 from ...splatting.kernels.surface import NOTHING
 from ..evidence.visibility import Picture, spiral
@@ -61,8 +61,9 @@ class PhotoViews:
         sizes = [picture.depth.shape for picture in pictures]
         lengths = [picture.depth.size for picture in pictures]
         cameras = [picture.camera for picture in pictures]
+        shown = (of_size(torch.from_numpy(m.probability)[None], *size) for m, size in zip(maps, sizes, strict=True))
         return cls(
-            np.concatenate([_resized(m.probability, size).reshape(-1) for m, size in zip(maps, sizes, strict=True)]),
+            np.concatenate([each.numpy().reshape(-1) for each in shown]),
             np.concatenate([_picked(m.offsets, size).reshape(-1, 2) for m, size in zip(maps, sizes, strict=True)]),
             np.concatenate([picture.depth.reshape(-1) for picture in pictures]),
             np.cumsum([0, *lengths[:-1]]),
@@ -199,11 +200,3 @@ def _picked(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.fl
     """(H, W, 2) → (*size, 2), the nearest of each."""
     rows, columns = ((np.arange(new) + 0.5) * old / new for new, old in zip(size, values.shape, strict=False))
     return np.ascontiguousarray(values[rows.astype(int)[:, None], columns.astype(int)])
-
-
-def _resized(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:
-    if values.shape == size:
-        return values
-    image = torch.from_numpy(values)[None, None]
-    resized = functional.interpolate(image, size, mode="bilinear", antialias=True, align_corners=False)
-    return np.ascontiguousarray(resized[0, 0].numpy())

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fruitlangs.engine.counting.evidence.candidates import OVERLAP, FruitSize, Overlaps, SurfaceIndex, vote
+from fruitlangs.engine.counting.evidence.candidates import OVERLAP, FruitSize, SurfaceIndex, vote
 from fruitlangs.engine.counting.evidence.cluster import USUAL, USUALLY, Clusters, find_fruit, refine, search
 from fruitlangs.engine.counting.evidence.surface_points import SurfacePoints
+from fruitlangs.engine.counting.geometry.overlaps import Overlaps
 from fruitlangs.engine.counting.geometry.random_streams import even_turns
 from fruitlangs.engine.counting.geometry.sphere import Spheres
 
@@ -154,8 +155,7 @@ def test_fruit_that_were_held_alike_are_as_different_as_loose_fits_of_them_say()
 def test_overlaps_are_those_with_chosen_spheres_of_any_size():
     rng = np.random.default_rng(0)
     centers, radii = rng.random((300, 3)), rng.uniform(0.01, 0.2, 300)
-    empty = np.zeros(300)
-    overlaps = Overlaps.of(Spheres(centers, radii, empty, empty, empty, empty, empty, empty, empty))
+    overlaps = Overlaps.of(centers, radii, OVERLAP)
     overlaps.chosen[:60] = True
     apart = np.linalg.norm(centers - centers[:60, None], axis=2)
     expected = (apart < OVERLAP * (radii + radii[:60, None])).any(axis=0)
