@@ -9,6 +9,9 @@
     python scripts/benchmark.py --counting 1000000 10000000
     python scripts/benchmark.py --cameras PHOTOS 40 80 160
     python scripts/benchmark.py --language examples/orchard_tree results/tree/gaussians.ply --clip CHECKPOINT
+    python scripts/benchmark.py --widths results/apple-whole-402 results/apple/gaussians.ply
+
+--widths counts a rendered tree in its photos read smaller and smaller, and keeps the rows in benchmarks/widths.csv.
 
 Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
 vary between runs, so compare within one.
@@ -41,9 +44,11 @@ from fruitlangs.benchmarks.training.pages import (
 )
 from fruitlangs.benchmarks.training.published_3dgs import compare_with_published
 from fruitlangs.benchmarks.training.step_times import MOST_THREADS, Setting, measure
+from fruitlangs.benchmarks.widths import draw_widths, measure_widths, read_widths, width_table, write_widths
 from fruitlangs.engine.config import EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 
+WIDTHS_PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "widths.png"
 SIZES = ((400, 300), (800, 600), (1500, 1000))
 COUNTS = (20_000, 50_000, 200_000, 1_000_000)
 TWO = min(2, MOST_THREADS)
@@ -71,6 +76,7 @@ def main() -> None:
         options.language,
         options.counting,
         options.cameras,
+        options.widths,
     )
     rows = []
     if options.quick or not any(others):
@@ -96,6 +102,10 @@ def main() -> None:
             raise ConfigError("--cameras needs a folder and numbers of photos, for example --cameras PHOTOS 40 80")
         searches = measure_cameras(Path(folder), [int(number) for number in numbers], progress=progress)
         pages.append("Finding cameras.\n\n" + camera_table(searches))
+    if options.widths is not None:
+        write_widths(measure_widths(*options.widths, progress=progress))
+        draw_widths(read_widths(), WIDTHS_PICTURE)
+        pages.append(width_table(read_widths()))
     progress(1.0, "Done")
     print("\n\n".join(pages))
     if options.json is not None:
@@ -172,6 +182,13 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--cameras", nargs="+", default=[], metavar="", help="PHOTOS N…: find cameras for its first N photos"
+    )
+    parser.add_argument(
+        "--widths",
+        type=Path,
+        nargs=2,
+        metavar=("TREE", "PLY"),
+        help="count a tree in photos of smaller and smaller fruit",
     )
     parser.add_argument("--clip", metavar="CHECKPOINT", help="also by masks and this CLIP or SigLIP checkpoint")
     parser.add_argument("--sam", metavar="CHECKPOINT", help="with --clip: also by the masks of this SAM checkpoint")

@@ -15,6 +15,9 @@ RINGS = (0.0, 12.0, 28.0, 48.0, 75.0, 110.0, 150.0)
 """Pixels of a picture 1,000 high between an object and its number, nearest first."""
 _OVER = 0.6
 """Cost, in rings, of covering another object completely."""
+CROWD, CROWDED = 40, 0.1
+"""Number of objects, and share of the area in which they lie that their texts would cover, from which only texts that
+are next to their object, and cover no other, are placed: 158 numbers in front of a tree hid it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +43,11 @@ def place_labels(
     """Place texts of sizes (N, 2) px next to objects at centers (N, 2) with upright half sizes reaches (N, 2), px.
 
     In the order given, each gets the best free place: near, within the picture, not on another text or a `taken` box
-    (B, 4), and preferably not on another object. A text without a free place is left out.
+    (B, 4), and preferably not on another object; in a crowd never on one, nor away from its own. A text without a free
+    place is left out.
     """
+    area = np.prod(np.ptp(centers, axis=0)) if len(centers) else 0.0
+    crowded = len(centers) >= CROWD and np.prod(sizes, axis=1).sum() > CROWDED * area
     unit = height / 1000.0
     things = np.hstack([centers - reaches, centers + reaches])
     turns = 2.0 * np.pi * (np.arange(TURNS) / TURNS - 0.125)  # upper right first
@@ -55,6 +61,10 @@ def place_labels(
         if not free.any():
             continue
         covered = _shared(boxes, np.delete(things, index, axis=0)).sum(1) / np.prod(size)
+        if crowded:
+            free &= (rings == 0) & (covered == 0.0)
+            if not free.any():
+                continue
         costs = np.where(free, rings + covered / _OVER, np.inf)
         best = int(costs.argmin())
         full = np.vstack([full, boxes[best]])

@@ -16,12 +16,11 @@ from torch.nn import functional
 from ...engine.config import CountConfig
 from ...engine.counting.evidence.cluster import LIKELY
 from ...engine.counting.evidence.visibility import frame_of
-from ...engine.counting.photos.join import RADIUS_SD
 from ...engine.counting.photos.places import Places
 from ...engine.counting.photos.search import UNLIKELY, likely_places, search_photos
 from ...engine.counting.photos.surroundings import FARTHEST, Surroundings
 from ...engine.counting.photos.surroundings import NUMBERS as SURROUNDINGS
-from ...engine.counting.photos.verifier import SEEN, Network, Verifier, known_near, look
+from ...engine.counting.photos.verifier import Network, Verifier, known_near, look
 from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
 from ...engine.evaluation.judgement import judge
@@ -50,7 +49,9 @@ STILL_FREE = 0.35
 """Share of the places near a fruit to which this fruit is not known."""
 MINED_SD = 0.06
 """Deviation in diameters by which found places are moved in their second copy."""
-BATCH, RATE, DECAY, SHIFT_WEIGHT = 128, 2e-3, 1e-3, 0.3
+PLACE_RADIUS_SD, KNOWN_RADIUS_SD = 0.15, 0.08
+"""Deviations of the logarithms of radii: of places, and of known fruit and of the second copy of found places."""
+BATCH, RATE, DECAY, SHIFT_WEIGHT, SIZE_WEIGHT = 128, 2e-3, 1e-3, 0.3, 0.3
 MOST_DROPPED = 0.5
 """Largest share of its views that are left out of a place; the share is random."""
 UNMATCHED = 0.15
@@ -99,7 +100,7 @@ def prepared(renders: Path) -> Iterator[Tree]:
 class Samples:
     """S places. crops: (S, K, C, n, n) float16; exists: (S, K); scene: (S, D); fruit: (S,) whether a fruit that is not
     known is there; shifts: (S, K, 2) to the nearest such fruit, in radii; near: (S, K) where shifts are learnt;
-    weights: (S,)."""
+    growths: (S,) the logarithm of that fruit's radius over the place's; weights: (S,)."""
 
     crops: Tensor
     exists: Tensor
@@ -107,6 +108,7 @@ class Samples:
     fruit: Tensor
     shifts: Tensor
     near: Tensor
+    growths: Tensor
     weights: Tensor
 
     def __len__(self) -> int:
@@ -129,8 +131,10 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     jittered = [visible + rng.normal(size=visible.shape) * diameter * sd for sd in JITTERS]
     centers = np.concatenate([places[:BEST], rest, *jittered, tree.surroundings.fruit])
     distances, nearest = cKDTree(visible).query(centers)
-    free = (distances < 0.5 * truth.mean_diameter) | (rng.random(len(centers)) < STILL_FREE)
-    known = Places(visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD, mismeasured(true_radii, rng))
+    free = (distances < true_radii[nearest]) | (rng.random(len(centers)) < STILL_FREE)
+    known = Places(
+        visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD, mismeasured(true_radii, KNOWN_RADIUS_SD, rng)
+    )
     near = known_near(centers, known, np.where(free, nearest, -1))
     some = rng.random(near.shape) < KNOWN_SHARE
     some &= (rng.random(len(centers)) >= NOTHING_KNOWN)[:, None]
@@ -138,12 +142,13 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     explained = np.zeros((len(centers), len(visible)), bool)
     rows, columns = np.nonzero(near >= 0)
     explained[rows, near[rows, columns]] = True
-    return _samples(tree, Places(centers, mismeasured(true_radii[nearest], rng)), known, near, explained)
+    radii = mismeasured(true_radii[nearest], PLACE_RADIUS_SD, rng)
+    return _samples(tree, Places(centers, radii), known, near, explained)
 
 
-def mismeasured(radii: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Radii (S,) with the error of those that are measured in photos."""
-    return radii * np.exp(rng.normal(size=len(radii)) * RADIUS_SD)
+def mismeasured(radii: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
+    """Radii (S,) with errors; sd: the standard deviation of their logarithms."""
+    return radii * np.exp(rng.normal(size=len(radii)) * sd)
 
 
 def mined(tree: Tree, network: Network, rng: np.random.Generator) -> Samples:
@@ -156,14 +161,14 @@ def mined(tree: Tree, network: Network, rng: np.random.Generator) -> Samples:
     taken = np.full(len(visible), -1)
     if len(known):
         distances, owners = cKDTree(known.centers).query(visible)
-        taken = np.where(distances < 0.5 * truth.mean_diameter, owners, -1)
+        taken = np.where(distances < truth.diameters[truth.visible] / 2.0, owners, -1)
     own = np.where(numbers < found.known, numbers, -1)
     explained = (taken[None] >= 0) & (taken[None] != own[:, None])
     parts = []
-    for sd in (0.0, MINED_SD):
+    for sd, radius_sd in ((0.0, 0.0), (MINED_SD, KNOWN_RADIUS_SD)):
         centers = places.centers + rng.normal(size=places.centers.shape) * found.diameter * sd
-        near = known_near(centers, known, own)
-        parts.append(_samples(tree, Places(centers, places.radii), known, near, explained))
+        near, radii = known_near(centers, known, own), mismeasured(places.radii, radius_sd, rng)
+        parts.append(_samples(tree, Places(centers, radii), known, near, explained))
     return Samples.join(parts)
 
 
@@ -181,10 +186,11 @@ def _samples(
 ) -> Samples:
     """What the network is given of places as `Verifier.verify` gives it, and what it should answer; explained: (S, F)
     which visible fruit are known to each place."""
-    truth, centers, radii = tree.truth, places.centers, SEEN * places.radii
+    truth, centers, radii = tree.truth, places.centers, places.radii
+    diameters = truth.diameters[truth.visible]
     visible, hidden = truth.centers[truth.visible], truth.centers[~truth.visible]
-    looked = look(tree.views, tree.surroundings, centers, radii, known.centers, SEEN * known.radii, near)
-    distances = np.linalg.norm(visible[None] - centers[:, None], axis=2) / truth.mean_diameter
+    looked = look(tree.views, tree.surroundings, centers, radii, known.centers, known.radii, near)
+    distances = np.linalg.norm(visible[None] - centers[:, None], axis=2) / diameters
     distances[explained] = np.inf
     target = distances.argmin(axis=1)
     distance = distances[np.arange(len(centers)), target]
@@ -206,6 +212,7 @@ def _samples(
         torch.from_numpy((distance < ON)[kept].astype(np.float32)),
         torch.from_numpy(np.where(near_one[..., None], shifts, 0.0)[kept].astype(np.float32)),
         torch.from_numpy(near_one[kept]),
+        torch.from_numpy(np.log(diameters[target] / (2.0 * radii))[kept].astype(np.float32)),
         torch.from_numpy(weights[kept].astype(np.float32)),
     )
 
@@ -218,26 +225,32 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=epochs * batches)
     for epoch in range(epochs):
-        order, losses = torch.randperm(len(samples), generator=generator), [0.0, 0.0]
+        order, losses = torch.randperm(len(samples), generator=generator), [0.0, 0.0, 0.0]
         for number in range(batches):
             rows = order[number * BATCH : (number + 1) * BATCH]
             crops, shifts = _turned(samples.crops[rows].float(), samples.shifts[rows], generator)
             dropped = MOST_DROPPED * torch.rand(len(rows), 1, generator=generator)
             exists = samples.exists[rows]
             exists = exists & (torch.rand(exists.shape, generator=generator) >= dropped)
-            odds, guesses, errors = network(crops, exists, _unmatched(samples.scene[rows], generator))
+            odds, guesses, errors, growths, size_errors = network(
+                crops, exists, _unmatched(samples.scene[rows], generator)
+            )
             verdict = functional.binary_cross_entropy_with_logits(
                 odds, samples.fruit[rows], weight=samples.weights[rows]
             )
             learnt = (samples.near[rows] & exists).float()
             off = (guesses - shifts).abs().sum(-1)
             shift = ((off * torch.exp(-errors) + 2.0 * errors) * learnt).sum() / learnt.sum().clamp_min(1.0)
+            misses = (growths - samples.growths[rows]).abs() * torch.exp(-size_errors) + size_errors
+            size = (misses * samples.fruit[rows]).sum() / samples.fruit[rows].sum().clamp_min(1.0)
             optimiser.zero_grad()
-            (verdict + SHIFT_WEIGHT * shift).backward()
+            (verdict + SHIFT_WEIGHT * shift + SIZE_WEIGHT * size).backward()
             optimiser.step()
             schedule.step()
-            losses = [losses[0] + float(verdict.detach()) / batches, losses[1] + float(shift.detach()) / batches]
-        report(f"epoch {epoch + 1} of {epochs}: verdict {losses[0]:.3f}, shift {losses[1]:.3f}")
+            losses = [
+                loss + float(part.detach()) / batches for loss, part in zip(losses, (verdict, shift, size), strict=True)
+            ]
+        report("epoch {} of {}: verdict {:.3f}, shift {:.3f}, size {:.3f}".format(epoch + 1, epochs, *losses))
     return network.eval()
 
 
@@ -252,22 +265,26 @@ def _unmatched(scene: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def calibrate(network: Network, trees: Sequence[Tree]) -> None:
-    """Scale and shift the log odds, in place, to those with which the places found in trees are fruit; the trees are
-    not learnt from."""
-    odds, fruit = [], []
+    """Scale and shift the log odds, in place, to those with which the places found in trees are fruit, and the errors
+    of radii to those that they have there; the trees are not learnt from."""
+    odds, fruit, errors = [], [], []
     for tree in trees:
         found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
         judged = judge(found.places.centers, 2.0 * found.places.radii, tree.truth, 0.5)
         own = np.setdiff1d(np.flatnonzero(found.log_odds > UNLIKELY), judged.ignored)
         odds.append(found.log_odds[own])
         fruit.append(np.isin(own, judged.pairs.predicted))
-    said, true = np.concatenate(odds), np.concatenate(fruit)
-    temperature, bias = logistic(said, true, np.ones(len(said)))
+        paired, true = found.places.radii[judged.pairs.predicted], tree.truth.diameters[judged.pairs.true] / 2.0
+        errors.append(np.log(paired / true) / found.radius_sds[judged.pairs.predicted])
+    said, right = np.concatenate(odds), np.concatenate(fruit)
+    temperature, bias = logistic(said, right, np.ones(len(said)))
+    widening = 1.48 * float(np.median(np.abs(np.concatenate(errors))))
     with torch.no_grad():
         last = network.together[-1]
         assert isinstance(last, torch.nn.Linear)
-        last.weight.copy_(last.weight / temperature)
-        last.bias.copy_(last.bias / temperature - bias)
+        last.weight[0] /= temperature
+        last.bias[0] = last.bias[0] / temperature - bias
+        last.bias[2] += np.log(widening)
 
 
 def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

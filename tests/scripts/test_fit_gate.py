@@ -92,7 +92,7 @@ def test_trees_are_encoded_at_the_scales_of_a_run(tmp_path: Path, monkeypatch: p
     scene = read_scene(ball_scene.write_scene(tmp_path / "1003", views=2, seed=1003))
     gaussians = simulate(FEW, 1003).gaussians
     focal = focal_length(scene.cameras[0])
-    for width, share in ((28.0, 0.5), (14.0, 1.0)):
+    for width, share in ((44.0, 0.5), (14.0, 1.0)):
         monkeypatch.setattr("fruitlangs.engine.photo_size.fruit_angle", lambda *_, w=width: w / focal)
         _, maps = encoded(gaussians, scene, "apple", EmbeddedEncoder.open())
         assert maps is not None

@@ -29,9 +29,6 @@ LEAST = 0.01
 """Probability below which a place is no candidate."""
 HALF = 0.5
 """Fruit that are added to two expected numbers before they are compared, so that none may be 0."""
-RADIUS_SD = 0.07
-"""Standard deviation of the logarithm of a radius that many pixels tell: the root mean square of the sample's errors is
-.072, 70 % of them are less than this and 95 % less than twice this."""
 USUAL = 0.06
 """Logarithm of the fruit expected on surfaces over those expected with photos, up to which photos refuse no more than
 usual: on twelve trees its mean is -.12 and its standard deviation .08, of which this is 2.3 above the mean."""
@@ -79,12 +76,6 @@ def measure_dissent(on_surfaces: float, in_photos: float) -> float:
     return max(float(np.log((on_surfaces + HALF) / (in_photos + HALF))) - USUAL, 0.0)
 
 
-def measure_radius_sds(measured_shares: FloatArray, spread: float) -> FloatArray:
-    """(C,) standard deviations of log radii; measured_shares: (C,) of each, the rest is the usual radius, from which
-    fruit differ by `spread`."""
-    return np.hypot(RADIUS_SD, (1.0 - measured_shares) * spread)
-
-
 def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:
     """The places of the photos as candidates, with the points of the surfaces that lie on them."""
     probabilities = 1.0 / (1.0 + np.exp(-photos.log_odds))
@@ -93,7 +84,7 @@ def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], th
     places, probabilities = photos.places.select(order), probabilities[order]
     centers, radii = places.centers, places.radii
     found = replace(found, size=FruitSize(photos.diameter, found.size.spread))
-    radius_sds = radii * measure_radius_sds(photos.measured_shares[order], found.size.spread)
+    radius_sds = radii * photos.radius_sds[order]
     surface = found.surface
     spheres = weighed(surface.cells, surface.normals, centers, radii, radius_sds)
     claims = claim(surface.cells, surface.normals, centers, radii)

@@ -1,14 +1,17 @@
-"""A small network that says whether a sphere is a fruit, and where the fruit is, from what several photos show.
+"""A small network that says whether a sphere is a fruit, and where and how large the fruit is, from what several photos
+show.
 
 Each chosen view gives a crop of the probability of the prompt, of the depth, and of the fruit that are already known. A
 convolutional network turns every crop into a shift of the centre with its error, a weight and a few numbers; the
-shifts of all views together move the centre in space, and the numbers together give the probability. It sees neither
-colours nor words, so it serves every prompt. Trained by `scripts/developer/fit_verifier.py` on rendered trees.
+shifts of all views together move the centre in space, and the numbers together give the probability and the radius. It
+sees neither colours nor words, so it serves every prompt. Trained by `scripts/developer/fit_verifier.py` on rendered
+trees.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -29,7 +32,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STORED = Path(__file__).with_name("verifier.safetensors")
-FORMAT = "fruitlangs-verifier-3"
+FORMAT = "fruitlangs-verifier-4"
 CELLS, SPAN = 16, 2.0
 """Cells along each side of a crop, and radii to each side that it covers."""
 VIEWS = 16
@@ -40,19 +43,19 @@ KNOWN = 24
 """Most known fruit in the surroundings of a sphere."""
 KNOWN_REACH = 2.6
 """Diameters of the largest known fruit within which known fruit are drawn into the crops."""
-NUMBERS = 24
+NUMBERS = 32
 """Numbers that a view gives besides shift, error and weight."""
-SCENE = 14
-"""Numbers about a sphere that do not come from crops: of all views, and of the Gaussians."""
+SCENE = 15
+"""Numbers about a sphere that do not come from crops: of all views, its size in the maps, and of the Gaussians."""
 STIFF = 0.1
 """Weight, as an error of a pixel's square over a radius' square, that keeps a centre which no view locates."""
 FARTHEST = 1.0
 """Radii that a centre moves at most."""
-SEEN = 0.87
-"""Share of a radius with which a sphere is judged: the network refuses fruit that are a little smaller than the sphere,
-but not those that are larger. Of 204 plums 27 pixels wide, 1 gives 165, .93 gives 174, this 175, .8 gives 175."""
-LARGEST = 1.1
-"""Usual radii above which a radius is judged as this one: where fruit touch, a radius may be measured too large."""
+MOST_GROWTH = 0.3
+"""Logarithm by which a radius grows or shrinks at most at once."""
+UNUSUAL_SD, UNKNOWN_SPREAD = 0.15, 0.4
+"""Standard deviation of the logarithm of sizes beyond the spread of the fruit: a ball of three usual diameters is no
+fruit, whatever its shape. The spread before any fruit are known."""
 AT_ONCE = 250
 """Spheres whose crops are in memory together."""
 UNSEEN = -9.0
@@ -61,7 +64,8 @@ UNSEEN = -9.0
 
 class Network(nn.Module):
     """Crops (n, K, CHANNELS, CELLS, CELLS), which of them exist (n, K), and numbers of the scene (n, SCENE) → log odds
-    (n,), shifts of the centre (n, K, 2) in radii, and the logarithm of the error of each (n, K)."""
+    (n,), shifts of the centre (n, K, 2) in radii, the logarithm of the error of each (n, K), the logarithm by which the
+    radius grows (n,), and the logarithm of the mean absolute error of this (n,)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -72,10 +76,10 @@ class Network(nn.Module):
             nn.Linear(48 * (CELLS // 4) ** 2, 48), nn.ReLU(), nn.Linear(48, 4 + NUMBERS),
         )  # fmt: skip
         self.together = nn.Sequential(
-            nn.Linear(2 * NUMBERS + 1 + SCENE, 48), nn.ReLU(), nn.Dropout(0.1), nn.Linear(48, 1)
+            nn.Linear(2 * NUMBERS + 1 + SCENE, 64), nn.ReLU(), nn.Dropout(0.1), nn.Linear(64, 3)
         )
 
-    def forward(self, crops: Tensor, exists: Tensor, scene: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, crops: Tensor, exists: Tensor, scene: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         n, k = exists.shape
         index = exists.reshape(-1).nonzero()[:, 0]
         said = self.crop(crops.reshape(n * k, *crops.shape[2:])[index])
@@ -85,7 +89,8 @@ class Network(nn.Module):
         total = weights.sum(1, keepdim=True)
         mean = (numbers * weights[..., None]).sum(1) / (total + 1e-3)
         joined = torch.cat([mean, numbers.amax(1), torch.log1p(total), scene], dim=1)
-        return self.together(joined)[:, 0], views[..., :2], views[..., 2].clamp(-4.0, 3.0)
+        odds, growths, size_errors = self.together(joined).unbind(1)
+        return odds, views[..., :2], views[..., 2].clamp(-4.0, 3.0), growths, size_errors.clamp(-4.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,41 +117,69 @@ def look(
     chosen, sums = views.choose(centers, radii, VIEWS)
     crops = views.crops(centers, radii, chosen, others, other_radii, near, cells=CELLS, span=SPAN)
     shares = sums[:, :4] / np.maximum(sums[:, 4:], 1.0)
-    scene = np.concatenate([np.log1p(sums), shares, surroundings.numbers(centers, radii)], axis=1)
+    wide = np.log(np.maximum(views.pixels_wide(centers, radii, chosen), 1.0))[:, None]
+    scene = np.concatenate([np.log1p(sums), shares, wide, surroundings.numbers(centers, radii)], axis=1)
     return Looked(crops, chosen, scene.astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
+class Verdicts:
+    """What photos say of C places: log_odds: (C,) that they hold fruit; moves: (C, 3) to where that fruit is, scene
+    units; growths: (C,) the logarithm of its radius over that of the place; radius_sds: (C,) the standard deviation of
+    the logarithm of its radius."""
+
+    log_odds: FloatArray
+    moves: FloatArray
+    growths: FloatArray
+    radius_sds: FloatArray
+
+    def select(self, index: NDArray) -> Verdicts:
+        """Those of the places at `index` (bool mask (C,) or integer indices)."""
+        return Verdicts(*(getattr(self, each.name)[index] for each in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
 class Verifier:
-    """The network with what it looks at. views: of the scene; surroundings: its Gaussians."""
+    """The network with what it looks at. views: of the scene; surroundings: its Gaussians; spread: standard deviation
+    of the logarithm of the radii of its fruit."""
 
     network: Network
     views: PhotoViews
     surroundings: Surroundings
+    spread: float = UNKNOWN_SPREAD
 
-    def resized(self, diameter: float) -> Verifier:
-        """The same for fruit of another usual diameter, scene units."""
-        return replace(self, surroundings=replace(self.surroundings, diameter=diameter))
+    def resized(self, diameter: float, spread: float = UNKNOWN_SPREAD) -> Verifier:
+        """The same for fruit of another usual diameter, scene units, and spread."""
+        return replace(self, surroundings=replace(self.surroundings, diameter=diameter), spread=spread)
 
     @torch.inference_mode()
-    def verify(self, places: Places, others: Places, own: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """(C,) log odds that places hold fruit that the `others`, known fruit, leave unexplained, and (C, 3) the moves
-        to where that fruit is; own: (C,) which of the others each place is itself, -1 for none."""
-        odds, moves = np.full(len(places), UNSEEN), np.zeros((len(places), 3))
-        near, other_radii, own_radii = known_near(places.centers, others, own), self._seen(others), self._seen(places)
-        for start in range(0, len(places), AT_ONCE):
+    def verify(self, places: Places, others: Places, own: IntArray | None = None) -> Verdicts:
+        """What photos say of places, of the fruit there that the `others`, known fruit, leave unexplained; own: (C,)
+        which of the others each place is itself, -1 for none."""
+        count = len(places)
+        verdicts = Verdicts(np.full(count, UNSEEN), np.zeros((count, 3)), np.zeros(count), np.ones(count))
+        near = known_near(places.centers, others, own)
+        for start in range(0, count, AT_ONCE):
             part = slice(start, start + AT_ONCE)
-            centers, radii = places.centers[part], own_radii[part]
-            looked = look(self.views, self.surroundings, centers, radii, others.centers, other_radii, near[part])
+            centers, radii = places.centers[part], places.radii[part]
+            looked = look(self.views, self.surroundings, centers, radii, others.centers, others.radii, near[part])
             exists = torch.from_numpy(looked.chosen >= 0)
-            said, shifts, errors = self.network(torch.from_numpy(looked.crops), exists, torch.from_numpy(looked.scene))
-            odds[part] = torch.where(exists.sum(1) >= FEWEST_VIEWS, said, UNSEEN).double().numpy()
-            moves[part] = self._moves(centers, radii, looked.chosen, shifts, errors)
-        return odds, moves
+            odds, shifts, errors, growths, size_errors = self.network(
+                torch.from_numpy(looked.crops), exists, torch.from_numpy(looked.scene)
+            )
+            grown = growths.clamp(-MOST_GROWTH, MOST_GROWTH).double().numpy()
+            seen = torch.where(exists.sum(1) >= FEWEST_VIEWS, odds, UNSEEN).double().numpy()
+            verdicts.log_odds[part] = seen - self._unusual(radii * np.exp(grown))
+            verdicts.moves[part] = self._moves(centers, radii, looked.chosen, shifts, errors)
+            verdicts.growths[part] = grown
+            verdicts.radius_sds[part] = math.sqrt(2.0) * size_errors.exp().double().numpy()
+        return verdicts
 
-    def _seen(self, places: Places) -> FloatArray:
-        """(C,) the radii at which places are judged."""
-        return SEEN * np.minimum(places.radii, LARGEST * self.surroundings.diameter / 2.0)
+    def _unusual(self, radii: FloatArray) -> FloatArray:
+        """(C,) log odds against fruit of radii (C,) that are larger than the usual one by more than the spread."""
+        off = np.log(2.0 * radii / self.surroundings.diameter)
+        unusual: FloatArray = 0.5 * (np.maximum(off - 2.0 * self.spread, 0.0) / UNUSUAL_SD) ** 2
+        return unusual
 
     def _moves(
         self, centers: FloatArray, radii: FloatArray, chosen: IntArray, shifts: Tensor, errors: Tensor

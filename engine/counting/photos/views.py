@@ -153,6 +153,14 @@ class PhotoViews:
         lens, depths = self.lenses[index], np.maximum(camera[..., 2], 1e-12)
         return lens[..., :2] * camera[..., :2] / depths[..., None] + lens[..., 2:], depths
 
+    def pixels_wide(self, centers: FloatArray, radii: FloatArray, chosen: IntArray) -> FloatArray:
+        """(C,) the mean width of spheres in the chosen views, in pixels of the maps; 0 where none is chosen."""
+        index, seen = np.maximum(chosen, 0), chosen >= 0
+        _, depths = self.project(centers, chosen)
+        widths = 2.0 * radii[:, None] * self.lenses[index, 0] / depths * (BLUR / self.blurs[index])
+        total: FloatArray = (widths * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        return total
+
     def slopes(self, centers: FloatArray, chosen: IntArray) -> FloatArray:
         """(C, K, 2, 3) change of the pixel of a centre in each chosen view per scene unit."""
         index = np.maximum(chosen, 0)

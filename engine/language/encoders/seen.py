@@ -16,8 +16,11 @@ from .offsets import OffsetNetwork
 Scales = tuple[float, ...]
 """Sizes relative to a photo, the largest first."""
 
-BEST_WIDTH = 28.0
+BEST_WIDTH = 30.0
 """Width of fruit, in pixels of the image that the network sees, at which it finds them best."""
+CLOSE_WIDTH, FEW_PIXELS = 44.0, 690_000
+"""Width at which it sees fruit in photos that are quickly processed, where sizes and what is small in the photo are
+better seen, and the pixels of the image that it sees up to which it is quick."""
 MOST, MOST_PIXELS = 2.0, 16_000_000
 """Largest scale, and the most pixels of the image that the network sees."""
 SIDE = 960
@@ -35,8 +38,9 @@ def scales_of(height: int, width: int, fruit: float | None = None) -> Scales:
     fruit: their width in the photo, in pixels. If it is not known, the network sees the photo at half the size too,
     where large fruit fit its receptive field, unless the photo is so small that its fruit are small.
     """
-    finest = SIDE / max(height, width) if fruit is None else BEST_WIDTH / fruit
-    finest = min(finest, (MOST_PIXELS / (height * width)) ** 0.5)
+    quick, largest = ((pixels / (height * width)) ** 0.5 for pixels in (FEW_PIXELS, MOST_PIXELS))
+    by_fruit = None if fruit is None else max(min(quick, CLOSE_WIDTH / fruit), BEST_WIDTH / fruit)
+    finest = min(by_fruit or SIDE / max(height, width), largest)
     if finest >= MOST:
         return (MOST,)
     return (finest, finest / 2.0) if fruit is None else (finest,)

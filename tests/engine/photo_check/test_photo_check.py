@@ -351,7 +351,7 @@ def test_photos_with_narrow_fruit_take_longer_to_encode() -> None:
         costs = expected_costs([(1600, 1200)] * 40, Config(), posed=True, fruit=fruit, cores=2)
         return next(cost.seconds for cost in costs if cost.stage == "computing features")
 
-    assert seconds(14.0 / 1600) == pytest.approx(4.0 * seconds(28.0 / 1600), rel=0.01)
+    assert seconds(15.0 / 1600) == pytest.approx(4.0 * seconds(30.0 / 1600), rel=0.01)
 
 
 def test_a_cancel_ends_the_check(tmp_path: Path) -> None:

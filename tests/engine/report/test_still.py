@@ -147,18 +147,30 @@ def test_a_tree_without_fruit_and_fruit_without_a_tree_are_framed(fruits: list[F
 
 def test_no_number_stands_on_another_nor_outside_the_picture() -> None:
     random = np.random.default_rng(5)
-    centers = random.uniform(60, 240, size=(60, 2))
-    sizes = np.tile([22.0, 12.0], (60, 1))
+    centers = random.uniform(60, 240, size=(39, 2))
+    sizes = np.tile([22.0, 12.0], (39, 1))
     taken = np.array([[0.0, 250.0, 120.0, 300.0]])
-    labels = place_labels(centers, np.full((60, 2), 8.0), sizes, width=300, height=300, taken=taken)
+    labels = place_labels(centers, np.full((39, 2), 8.0), sizes, width=300, height=300, taken=taken)
     boxes = np.vstack([taken, *(label.box for label in labels)])
-    assert len(labels) > 40
+    assert len(labels) > 30
     assert boxes.min() >= 0.0
     assert boxes.max() <= 300.0
     for index, box in enumerate(boxes):
         others = np.delete(boxes, index, axis=0)
         apart = (others[:, :2] >= box[2:] - 1e-9).any(1) | (others[:, 2:] <= box[:2] + 1e-9).any(1)
         assert apart.all()
+
+
+def test_in_a_crowd_numbers_hide_no_fruit_and_stand_next_to_their_own() -> None:
+    centers = np.random.default_rng(5).uniform(60, 240, size=(80, 2))
+    reaches, sizes = np.full((80, 2), 6.0), np.tile([14.0, 9.0], (80, 1))
+    labels = place_labels(centers, reaches, sizes, width=300, height=300, taken=np.zeros((0, 4)))
+    assert 10 < len(labels) < 80
+    assert not any(label.tied for label in labels)
+    for label in labels:
+        others = np.delete(centers, label.index, axis=0)
+        beside = (others + 6.0 <= label.box[:2] + 1e-9).any(1) | (others - 6.0 >= label.box[2:] - 1e-9).any(1)
+        assert beside.all()
 
 
 def test_a_lone_number_stands_next_to_its_fruit_without_a_line() -> None:

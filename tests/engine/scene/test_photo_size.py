@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from fruitlangs.engine.config import Config, EmbedConfig, SceneConfig
+from fruitlangs.engine.language.encoders.seen import BEST_WIDTH
 from fruitlangs.engine.language.features.embedder import Embedder
 from fruitlangs.engine.photo_size import (
     fruit_angle,
@@ -179,9 +180,9 @@ def test_photos_without_fruit_tell_no_width_and_are_seen_as_photos_of_unknown_fr
 
 def test_photos_of_one_capture_show_fruit_by_their_focal_lengths(embedder: Embedder) -> None:
     """A photo of twice the pixels shows fruit twice as wide, and is seen at half the scale."""
-    camera = read_scene(SAMPLE, SceneConfig()).cameras[0]
+    camera = read_scene(SAMPLE, SceneConfig()).cameras[0].scaled(3.0)
     (one,), (half,) = scales_for([camera, camera.scaled(2.0)], 14.0 / camera.K[0, 0] * 1.4, embedder.encoder)
-    assert one == pytest.approx(28.0 / 19.6, rel=0.01)
+    assert one == pytest.approx(BEST_WIDTH / 19.6, rel=0.01)
     assert half == pytest.approx(one / 2.0, rel=0.01)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from balls_in_photos import RING, photo_of, views_of
 
-from fruitlangs.engine.counting.photos.join import RADIUS_SD, measure_radius_sds
 from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.search import FARTHEST_SIZE, held_to_usual, sized
 from fruitlangs.engine.counting.photos.views import PhotoViews
@@ -140,18 +139,17 @@ def test_small_fruit_that_touch_are_measured_again_around_their_own_size() -> No
     assert found.radii == pytest.approx(pair.radii, rel=0.04)
 
 
-def test_the_deviation_of_a_radius_is_that_of_the_measurement_and_more_where_few_pixels_tell_it() -> None:
-    shares = np.array([1.0, 0.9, 0.5, 0.0])
-    sds = measure_radius_sds(shares, 0.2)
-    assert sds[0] == pytest.approx(RADIUS_SD)
-    assert (np.diff(sds) > 0.0).all()
-    assert sds[3] == pytest.approx(np.hypot(RADIUS_SD, 0.2))
-
-
 def test_radii_of_alike_fruit_are_moved_towards_the_usual_one_and_those_of_varied_fruit_hardly() -> None:
-    radii = np.array([0.5, 1.0, 2.0])
-    alike = held_to_usual(radii, np.ones(20), 1.0)
+    radii, sds = np.array([0.5, 1.0, 2.0]), np.full(3, 0.1)
+    alike = held_to_usual(radii, sds, np.ones(20), 1.0)
     assert alike == pytest.approx(radii ** (1.44 / 2.44))
-    varied = held_to_usual(radii, np.exp(np.linspace(-0.6, 0.6, 21)), 1.0)
+    varied = held_to_usual(radii, sds, np.exp(np.linspace(-0.6, 0.6, 21)), 1.0)
     assert varied == pytest.approx(radii, rel=0.08)
-    assert held_to_usual(radii, np.full(2, 9.0), 1.0) == pytest.approx(alike)
+    assert held_to_usual(radii, sds, np.full(2, 9.0), 1.0) == pytest.approx(alike)
+
+
+def test_the_less_certain_a_radius_is_the_nearer_it_is_to_the_usual_one() -> None:
+    held = held_to_usual(np.full(3, 2.0), np.array([0.0, 0.1, 1.0]), np.ones(20), 1.0)
+    assert held[0] == 2.0
+    assert 2.0 > held[1] > held[2] > 1.0
+    assert held[2] < 1.02

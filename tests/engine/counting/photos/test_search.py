@@ -16,12 +16,14 @@ from fruitlangs.engine.counting.photos.search import (
     KEPT_APART,
     PEAKS,
     PEAKS_OF_FRUIT,
+    SMALLER,
     FoundInPhotos,
     group_fruit,
     held_to_usual,
     likely_places,
     search_photos,
 )
+from fruitlangs.engine.counting.photos.verifier import Verdicts
 
 
 def test_a_place_with_a_low_score_comes_before_the_many_around_a_clear_fruit() -> None:
@@ -52,26 +54,36 @@ def test_no_fruit_is_found_nearer_than_two_thirds_of_a_diameter_to_a_likelier_on
     verifier = SimpleNamespace(
         views=views,
         surroundings=SimpleNamespace(fruit=np.zeros((0, 3))),
-        resized=lambda _: verifier,
-        verify=lambda found, *_: (np.array([odds[tuple(place)] for place in found.centers]), np.zeros((len(found), 3))),
+        resized=lambda *_: verifier,
+        verify=lambda found, *_: steady(np.array([odds[tuple(place)] for place in found.centers])),
     )
     found = search_photos(verifier, 1.0, np.eye(3, 4))
     assert sorted(map(tuple, found.places.centers)) == [tuple(places[0]), tuple(places[2])]
     assert found.diameter == 1.0
-    assert found.measured_shares.tolist() == [0.0, 0.0]
+    assert found.radius_sds.tolist() == [SD, SD]
+
+
+SD = 0.07
+"""Standard deviation of the logarithm of every radius."""
+
+
+def steady(odds: np.ndarray) -> Verdicts:
+    """Verdicts that change no place."""
+    return Verdicts(odds, np.zeros((len(odds), 3)), np.zeros(len(odds)), np.full(len(odds), SD))
 
 
 class Line:
-    """Stands for views and verifier of places along x: a radius by place and number of measurement, from very many
-    pixels, odds by place, and a step of wandering places."""
+    """Stands for views and verifier of places along x: a radius by place and number of verdict, odds by place, and a
+    step of wandering places. Radii that are measured before verdicts are those of the first one, from very many
+    pixels."""
 
     def __init__(self, xs: list[float], radius: Callable[[float, int], float], odds: dict[float, float]) -> None:
         self.xs, self.radius, self.odds = np.array(xs), radius, odds
-        self.measurements, self.searched = 0, list[float]()
+        self.number, self.searched = 0, list[float]()
         self.views, self.surroundings = self, SimpleNamespace(fruit=np.zeros((0, 3)))
         self.step = 0.0
 
-    def resized(self, diameter: float) -> Line:
+    def resized(self, diameter: float, *_: float) -> Line:
         self.diameter = diameter
         return self
 
@@ -86,14 +98,16 @@ class Line:
         return None, None
 
     def measured(self, centers: np.ndarray, *_: object) -> tuple[np.ndarray, np.ndarray]:
-        self.measurements += 1
-        return np.array([self.radius(x, self.measurements) for x, _, _ in centers]), np.full(len(centers), 1e9)
+        return np.array([self.radius(x, 1) for x, _, _ in centers]), np.full(len(centers), 1e9)
 
-    def verify(self, found: Places, *_: object) -> tuple[np.ndarray, np.ndarray]:
+    def verify(self, found: Places, *_: object) -> Verdicts:
+        self.number += 1
         starts = np.array(sorted(self.odds))
         nearest = [starts[np.abs(starts - x).argmin()] for x, _, _ in found.centers]
         odds = np.array([self.odds[start] for start in nearest])
-        return odds, np.where(odds[:, None] == WANDERING, [[self.step, 0.0, 0.0]], 0.0)
+        moves = np.where(odds[:, None] == WANDERING, [[self.step, 0.0, 0.0]], 0.0)
+        radii = np.array([self.radius(x, self.number) for x in (found.centers + moves)[:, 0]])
+        return Verdicts(odds, moves, np.log(radii / found.radii), np.full(len(odds), SD))
 
 
 WANDERING = 0.0
@@ -119,9 +133,18 @@ def test_a_size_that_is_nearly_right_is_corrected_without_another_search() -> No
     assert found.diameter == pytest.approx(1.05)
 
 
+def test_where_sizes_vary_places_of_small_fruit_are_searched_too() -> None:
+    varied = Line(FAR, lambda x, _: 0.35 if x % 20.0 else 0.65, dict.fromkeys(FAR, 5.0))
+    search_photos(varied, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
+    assert varied.searched == pytest.approx([0.5, SMALLER * 0.5])
+    alike = Line(FAR, lambda x, _: 0.48 if x % 20.0 else 0.52, dict.fromkeys(FAR, 5.0))
+    search_photos(alike, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
+    assert alike.searched == pytest.approx([0.5])
+
+
 def test_the_usual_diameter_is_that_of_the_known_fruit_at_the_end() -> None:
-    line = Line(FAR, lambda _, number: 0.5 if number <= 2 else 0.6, dict.fromkeys(FAR, 5.0))
-    assert search_photos(line, 1.0, np.eye(3, 4)).diameter == pytest.approx(1.2)  # type: ignore[arg-type]
+    line = Line(FAR, lambda _, number: 0.5 if number <= 1 else 0.6, dict.fromkeys(FAR, 5.0))
+    assert search_photos(line, 1.0, np.eye(3, 4)).diameter == pytest.approx(1.2, rel=0.01)  # type: ignore[arg-type]
 
 
 def test_a_place_that_moves_into_a_known_fruit_is_left_out() -> None:
@@ -131,12 +154,14 @@ def test_a_place_that_moves_into_a_known_fruit_is_left_out() -> None:
     assert len(found.places) == found.known == len(FAR)
 
 
-def test_a_place_is_measured_where_it_has_moved_to() -> None:
+def test_a_place_has_the_radius_of_where_it_has_moved_to() -> None:
     line = Line([*FAR, 53.0], lambda x, _: 0.45 if 50.5 < x < 52.5 else 0.5, {**dict.fromkeys(FAR, 5.0), 52.0: 0.0})
     line.step = -0.4
     found = search_photos(line, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
     assert found.places.centers[found.known :, 0] == pytest.approx([52.2])
-    assert found.places.radii[found.known :] == pytest.approx(held_to_usual(np.array([0.45]), np.full(6, 0.5), 0.5))
+    assert found.places.radii[found.known :] == pytest.approx(
+        held_to_usual(np.array([0.45]), np.array([SD]), np.full(6, 0.5), 0.5)
+    )
 
 
 AWAY = np.array([500.0, 0.0, 0.0])
@@ -226,7 +251,7 @@ def test_fruit_are_found_with_their_true_size_if_the_given_one_is_thirty_per_cen
     assert found.diameter == pytest.approx(2.0 * RADIUS, rel=0.05)
     assert (found.log_odds > 0.0).sum() == BALLS
     assert radii_at(balls, found) == pytest.approx(balls.radii, rel=0.07)
-    assert found.measured_shares[: found.known].min() > 0.8
+    assert found.radius_sds[: found.known].max() < 0.15
 
 
 def test_fruit_of_two_sizes_in_one_scene_keep_their_own_radii() -> None:
@@ -241,14 +266,16 @@ def test_small_fruit_that_touch_stay_two() -> None:
     pair = Places(np.array([[0.0, 0.0, 0.75 - small], [0.0, 0.0, 0.75 + small]]), np.full(2, small))
     found = search_balls(Places.join([balls, pair]), 0.18, every=1)
     assert 2.0 * small < KEPT_APART * found.diameter
-    assert radii_at(pair, found) == pytest.approx(held_to_usual(pair.radii, balls.radii, 0.09), rel=0.15)
+    assert radii_at(pair, found) == pytest.approx(
+        held_to_usual(pair.radii, np.full(2, SD), balls.radii, 0.09), rel=0.15
+    )
     assert found.known == BALLS + 2
 
 
 def test_equal_photos_give_equal_bytes() -> None:
     verifier = verifier_of(balls_of(np.full(BALLS, RADIUS)), 2.0 * RADIUS)
     one, other = (search_photos(verifier, 2.0 * RADIUS, np.eye(3, 4)) for _ in range(2))
-    for name in ("log_odds", "measured_shares"):
+    for name in ("log_odds", "radius_sds"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
     assert one.places.centers.tobytes() == other.places.centers.tobytes()
     assert one.places.radii.tobytes() == other.places.radii.tobytes()

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from balls_in_photos import balls_of, verifier_of
 
-from fruitlangs.engine.counting.photos import verifier
+from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
 from fruitlangs.engine.counting.photos.verifier import (
     FORMAT,
-    LARGEST,
-    SEEN,
     STORED,
-    Looked,
     Network,
-    look,
     read_network,
     require_trained_for,
 )
@@ -25,21 +20,33 @@ from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import halved, read_tensors, write_tensors
 
+BALLS = balls_of(np.array([0.06, 0.09, 0.08, 0.07, 0.08, 0.09]))
 
-def test_spheres_and_known_fruit_are_judged_at_a_share_of_their_radii(monkeypatch: pytest.MonkeyPatch) -> None:
-    balls, radii = balls_of(np.array([0.06, 0.09, 0.08])), []
 
-    def recorded(*given: Any) -> Looked:
-        radii.append((given[3], given[5]))
-        return look(*given)
+@pytest.mark.parametrize("error", [0.75, 1.0, 1.25])
+def test_a_sphere_grows_to_the_radius_of_its_fruit(error: float) -> None:
+    places = Places(BALLS.centers, error * BALLS.radii)
+    said = verifier_of(BALLS, 0.16).verify(places, NO_PLACES)
+    assert places.radii * np.exp(said.growths) == pytest.approx(BALLS.radii, rel=0.12)
+    assert (said.log_odds > 0.0).all()
+    assert (said.radius_sds < 0.2).all()
 
-    monkeypatch.setattr(verifier, "look", recorded)
-    odds, _ = verifier_of(balls, 0.16).verify(balls.select(np.arange(2)), balls, np.arange(2))
-    ((own, known),) = radii
-    seen = SEEN * np.array([0.06, LARGEST * 0.08, 0.08])
-    assert np.allclose(own, seen[:2], rtol=1e-12)
-    assert np.allclose(known, seen, rtol=1e-12)
-    assert (odds > 0.0).all()
+
+def test_a_ball_that_is_much_larger_than_the_fruit_is_none_and_one_that_is_smaller_may_be_one() -> None:
+    verifier = verifier_of(BALLS, 0.16)
+    usual = verifier.verify(BALLS, NO_PLACES).log_odds
+    of_small, of_large = (verifier.resized(size, 0.1).verify(BALLS, NO_PLACES).log_odds for size in (0.06, 0.4))
+    assert (usual > 0.0).all()
+    assert (of_small < usual - 3.0).all()
+    assert (of_large > 0.0).all()
+    varied = verifier.resized(0.06, 0.6).verify(BALLS, NO_PLACES).log_odds
+    assert (varied > of_small).all()
+
+
+def test_a_sphere_beside_its_fruit_moves_to_it() -> None:
+    places = Places(BALLS.centers + [0.0, 0.02, -0.02], BALLS.radii)
+    said = verifier_of(BALLS, 0.16).verify(places, NO_PLACES)
+    assert np.linalg.norm(places.centers + said.moves - BALLS.centers, axis=1).max() < 0.012
 
 
 def test_the_networks_of_the_package_belong_together() -> None:

@@ -94,7 +94,7 @@ def test_a_picture_is_seen_at_the_scales_for_fruit_of_unknown_width_unless_other
     image = _noise(30, 1200)
     assert tiny.encode_dense(image).shape[:2] == (12, 480)
     assert torch.equal(tiny.encode_dense(image), tiny.encode_dense(image, tiny.scales_of(30, 1200)))
-    assert tiny.encode_dense(image, tiny.scales_of(30, 1200, 28.0)).shape[:2] == (15, 600)
+    assert tiny.encode_dense(image, tiny.scales_of(30, 1200, 44.0)).shape[:2] == (15, 600)
 
 
 def test_answers_about_disjoint_words_sum_to_one(tiny: EmbeddedEncoder):

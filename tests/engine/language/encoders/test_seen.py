@@ -53,13 +53,29 @@ def pixels(photo: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(photo.copy()).permute(2, 0, 1).float() / 255.0
 
 
-@pytest.mark.parametrize("fruit", [14.5, 20.0, 28.0, 70.0])
-def test_fruit_of_a_known_width_are_seen_28_pixels_wide_at_one_scale(fruit: float) -> None:
+@pytest.mark.parametrize("fruit", [15.5, 20.0, 30.0, 36.0])
+def test_fruit_of_a_known_width_are_seen_30_pixels_wide_at_one_scale(fruit: float) -> None:
     (scale,) = scales_of(900, 1200, fruit)
-    assert scale * fruit == pytest.approx(28.0)
+    assert scale * fruit == pytest.approx(30.0)
 
 
-@pytest.mark.parametrize("fruit", [14.0, 13.0, 3.0])
+@pytest.mark.parametrize(
+    ("size", "fruit", "expected"), [((240, 320), 18.7, 2.0), ((240, 320), 40.0, 1.1), ((900, 1200), 70.0, 44 / 70)]
+)
+def test_photos_that_are_quickly_processed_are_seen_larger(
+    size: tuple[int, int], fruit: float, expected: float
+) -> None:
+    """In small photos fruit are seen up to 44 pixels wide, so that those that are smaller than most are seen too."""
+    assert scales_of(*size, fruit) == pytest.approx((expected,))
+
+
+def test_the_scale_changes_steadily_with_the_size_of_the_photo() -> None:
+    scales = [scales_of(3 * size, 4 * size, 20.0)[0] for size in range(60, 400)]
+    assert max(abs(np.diff(np.log(scales)))) < 0.02
+    assert scales == sorted(scales, reverse=True)
+
+
+@pytest.mark.parametrize("fruit", [15.0, 13.0, 3.0])
 def test_photos_of_small_fruit_are_enlarged_twice_and_not_more(fruit: float) -> None:
     assert scales_of(900, 1200, fruit) == (2.0,)
 
@@ -67,7 +83,7 @@ def test_photos_of_small_fruit_are_enlarged_twice_and_not_more(fruit: float) -> 
 def test_the_image_that_is_seen_has_at_most_16_million_pixels() -> None:
     (scale,) = scales_of(4000, 6000, 14.0)
     assert 4000 * 6000 * scale**2 == pytest.approx(MOST_PIXELS)
-    assert scales_of(1000, 6000, 28.0) == (1.0,)
+    assert scales_of(1000, 6000, 30.0) == (1.0,)
 
 
 @pytest.mark.parametrize(
