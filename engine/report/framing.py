@@ -32,6 +32,9 @@ RISE = 10.0
 """Degrees from above for a tree without photos."""
 _AROUND = 1.15
 """Radii of the subject within which Gaussians belong to the tree."""
+_MANY, _MOST_OF_FRUIT, _CROWN = 10, 0.9, 1.4
+"""Number of fruit that tell where the crown is, share of them around their middle, and radii of these within which
+Gaussians belong to the tree: around a whole tree the subject is mostly grass."""
 _STEEP = 0.97
 """Cosine to the upward direction beyond which a camera looks straight down, so that up does not define its roll."""
 _LEAST = 1e-3
@@ -76,6 +79,10 @@ def _held(gaussians: Gaussians, fruits: Sequence[Fruit]) -> tuple[FloatArray, Fl
     means = gaussians.means.detach().double().numpy()
     solid = gaussians.opacities.detach().numpy() >= LEAST_OPACITY
     near = means[solid & (np.linalg.norm(means - subject.center, axis=1) <= _AROUND * subject.radius)]
+    if len(centers) >= _MANY:
+        middle = np.median(centers, axis=0)
+        reach = _CROWN * float(np.quantile(np.linalg.norm(centers - middle, axis=1), _MOST_OF_FRUIT))
+        near = near[np.linalg.norm(near - middle, axis=1) <= reach]
     if not len(near):
         return np.vstack([centers, subject.center]), np.append(radii, subject.radius)
     return np.vstack([centers, near]), np.append(radii, np.zeros(len(near)))

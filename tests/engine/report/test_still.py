@@ -138,6 +138,22 @@ def test_photos_straight_down_give_a_camera_straight_down() -> None:
     assert np.isfinite(camera.world_to_camera).all()
 
 
+def test_a_tree_with_many_fruit_fills_the_picture_and_the_grass_around_it_does_not() -> None:
+    turns = 2.0 * np.pi * np.arange(12) / 12
+    crown = [ball(number, [0.3 * np.cos(turn), 0.0, 0.3 * np.sin(turn)]) for number, turn in enumerate(turns, 1)]
+    grass = solid(skin(crown), wall(0.3, half=1.5))
+    scene = scene_of([camera_at([0.0, -3.0, 0.0])])
+    heights = []
+    for fruits in (crown, crown[:9]):
+        camera = framing(scene, grass, fruits, width=400, height=300)
+        pixels, _ = camera.project(np.array([each.center for each in crown]))
+        assert (pixels >= 0.0).all()
+        assert (pixels <= [400.0, 300.0]).all()
+        heights.append(np.ptp(pixels[:, 1]) / 300.0)
+    assert heights[0] > 0.7
+    assert heights[1] < 0.5  # fewer fruit do not tell where the crown is
+
+
 @pytest.mark.parametrize("fruits", [[], FRUITS])
 def test_a_tree_without_fruit_and_fruit_without_a_tree_are_framed(fruits: list[Fruit]) -> None:
     tree = TREE if not fruits else TREE.select(torch.zeros(len(TREE), dtype=torch.bool))
