@@ -19,6 +19,9 @@ from .features import Features
 from .pairing import paired
 from .photo_features import PhotoFeatures, PhotoFeaturesRecorder, Wanted
 
+MOST_VALUES = 40_000_000
+"""Numbers of a photo's features that Gaussians gather at once: of 1600×1200 pixels there are 140 million."""
+
 
 def lift_features(
     gaussians: Gaussians,
@@ -46,11 +49,12 @@ def lift_features(
     for index, (camera, target) in enumerate(views):
         progress(index / len(cameras), f"Lifting features of view {index + 1} of {len(cameras)}")
         length = target.shape[-1] - embedded
-        drawn = accumulate(gaussians, camera, _with_count(target, length)).sums
+        drawn = _drawn(gaussians, camera, target, length)
         drawn *= cameras[index].width * cameras[index].height / (camera.width * camera.height)
         sums = drawn[:, :-1] if sums is None else sums.add_(drawn[:, :-1])
         weights += drawn[:, -1]
         said += drawn[:, :length].norm(dim=-1)
+        del target, drawn  # the next photo is encoded in their memory
     assert sums is not None  # `paired` refuses a scene without cameras
     progress(1.0, "features lifted")
     # Σ |c|·cos(c, Σ c) = |Σ c|, so one pass measures how far the contributions c of the views agree.
@@ -61,15 +65,24 @@ def lift_features(
     return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id, embedding=means)
 
 
-def _with_count(target: Tensor, length: int) -> Tensor:
-    """(H, W, C + 1) a target (H, W, C) with 1 where a pixel counts, and zeros where its feature, the first `length`
-    channels, is zero."""
+def _drawn(gaussians: Gaussians, camera: Camera, target: Tensor, length: int) -> Tensor:
+    """(N, C + 1) what each Gaussian gathers of a target (H, W, C), and of 1 where a pixel counts: not where its
+    feature, the first `length` channels, is zero. Some channels at a time, so that large photos need little memory."""
     usable = target[..., :length].any(-1)
-    drawn = torch.empty(*target.shape[:2], target.shape[2] + 1)
-    drawn[..., :-1], drawn[..., -1] = target, usable
-    if not bool(usable.all()):
-        drawn[~usable] = 0.0
-    return drawn
+    whole, channels = bool(usable.all()), target.shape[-1] + 1
+    step = max(MOST_VALUES // usable.numel(), 1)
+    sums = []
+    for start in range(0, channels, step):
+        stop = min(start + step, channels)
+        part = torch.empty(*usable.shape, stop - start)
+        own = target[..., start:stop]
+        part[..., : own.shape[-1]] = own
+        if stop == channels:
+            part[..., -1] = usable
+        if not whole:
+            part[~usable] = 0.0
+        sums.append(accumulate(gaussians, camera, part).sums)
+    return torch.cat(sums, dim=1)
 
 
 def encode_photos(
@@ -90,15 +103,19 @@ def encode_photos(
         pixels, view = photo.pixels(), None
         if (recorder is not None or embedded) and sees_fruit(encoder):
             view = encoder.encode_fruit(pixels, own)
-            features = torch.cat([view.features, view.embedding], dim=-1) if embedded else view.features
+            features, own_length = view.features, view.features.shape[-1]
+            if embedded:
+                features = torch.cat([features, view.embedding], dim=-1)
+                view = replace(view, features=features[..., :own_length], embedding=features[..., own_length:])
         else:
             features = encoder.encode_dense(pixels, own)
         if (mask := photo.mask()) is not None:
             usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
             features = features * usable[..., None]
         if recorder is not None and view is not None:
-            recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels, own)
+            recorder.keep(replace(view, features=features[..., :own_length]), pixels, own)
         yield features.contiguous()
+        del features, view  # the next photo is encoded in their memory
 
 
 def record_photos(

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.language.encoders.encoder import FruitView
+from fruitlangs.engine.language.features import lift
 from fruitlangs.engine.language.features.lift import encode_photos, lift_features
 from fruitlangs.engine.language.features.photo_features import PhotoFeaturesRecorder
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
@@ -78,6 +79,22 @@ def test_masked_pixels_count_for_nothing():
 def test_a_target_of_another_size_is_refused():
     with pytest.raises(SceneError, match="view 0 are 16×32"):
         lift_features(_gaussians(LEFT), [_camera()], [_halves()[:, :16]], encoder_id="x")
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_channels_that_are_gathered_a_few_at_a_time_give_the_same_features(
+    monkeypatch: pytest.MonkeyPatch, channels: int, masked: bool
+):
+    target = torch.rand(SIDE, SIDE, 5, generator=torch.Generator().manual_seed(0))
+    if masked:
+        target[: SIDE // 2] = 0.0
+    given = (_gaussians(LEFT, RIGHT), [_camera()], [target])
+    at_once = lift_features(*given, encoder_id="x", embedded=2)
+    monkeypatch.setattr(lift, "MOST_VALUES", channels * SIDE * SIDE)
+    gathered = lift_features(*given, encoder_id="x", embedded=2)
+    for name in ("vectors", "weights", "agreement", "embedding"):
+        assert torch.equal(getattr(gathered, name), getattr(at_once, name))
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -68,7 +68,7 @@ def test_offsets_of_a_large_ball_lead_to_its_middle_at_the_scale_for_its_width(
     large = ball.repeat(3, axis=0).repeat(3, axis=1)
     scales = encoder.scales_of(*large.shape[:2], 6.0 * RADIUS)
     offsets = encoder.encode_fruit(large, scales).offsets.permute(2, 0, 1)
-    assert offsets.shape[1:] == (62, 62)
+    assert offsets.shape[1:] == (98, 98)
     inside = (places**2).sum(axis=-1) < 0.8
     errors = np.linalg.norm(of_size(offsets, SIDE, SIDE).permute(1, 2, 0).numpy() - places, axis=-1)[inside]
     assert np.median(errors) < 0.25
