@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ..engine.config import CountConfig, SceneConfig
+from ..engine.config import CountConfig, EmbedConfig, SceneConfig
+from ..engine.counting.fruit import FruitCount
 from ..engine.counting.prompted import Searched, count_prompts
 from ..engine.errors import CountingError
 from ..engine.evaluation.metrics import count_metrics
 from ..engine.evaluation.truth import Truth, read_truth, true_labels
-from ..engine.language.encoders.embedded import EmbeddedEncoder
-from ..engine.language.features.lift import encode_photos, lift_features
+from ..engine.language.encoders.encoder import sees_fruit
+from ..engine.language.features.embedder import Embedder
 from ..engine.language.features.photo_features import PhotoFeaturesRecorder
-from ..engine.language.prompts.relevancy import relevancy
+from ..engine.language.prompts.selection import select
 from ..engine.photo_size import photo_scales
 from ..engine.progress import Progress, part, silent
-from ..engine.scene.camera import Camera
+from ..engine.scene.camera import Camera, Scene
 from ..engine.scene.read import read_scene
 from ..engine.splatting.gaussians import Gaussians
 from ..engine.splatting.ply import read_ply
-from ..engine.storage.files import replacing, write_text
-from .markdown import markdown
+from ..engine.storage.files import write_text
+from .markdown import NONE, markdown
 from .orchards import TRUTH, read_origin
+from .plots import save_plot
 
-STORED = Path(__file__).with_name("widths.csv")
+STORED = Path(__file__).with_name("widths.json")
 WIDTHS = (6.0, 8.0, 11.0, 16.0, 22.0, 30.0, 42.0, 60.0)
 """Mean widths of fruit in pixels at which a tree is counted, up to that of its own photos."""
 
@@ -37,18 +39,19 @@ WIDTHS = (6.0, 8.0, 11.0, 16.0, 22.0, 30.0, 42.0, 60.0)
 @dataclass(frozen=True, kw_only=True)
 class WidthRow:
     """One count. width: of the fruit in the photos as read, and seen: as the network sees them, both mean pixels over
-    visible fruit and photos."""
+    visible fruit and photos; failed: why there is no count, and no measure of one; diameter_bias: None if no fruit is
+    right."""
 
     species: str
     seed: int
     width: float
     seen: float
     visible: int
-    counted: int
-    precision: float
-    recall: float
-    f1: float
-    diameter_bias: float
+    failed: str = ""
+    counted: int | None = None
+    recall: float | None = None
+    f1: float | None = None
+    diameter_bias: float | None = None
 
 
 def measure_widths(folder: Path, ply: Path, progress: Progress = silent) -> Iterator[WidthRow]:
@@ -61,11 +64,25 @@ def measure_widths(folder: Path, ply: Path, progress: Progress = silent) -> Iter
     whole, gaussians = read_scene(folder, SceneConfig(max_side=0)), read_ply(ply)
     own = mean_width(truth, whole.cameras)
     side = max(max(camera.width, camera.height) for camera in whole.cameras)
-    widths = [*(width for width in WIDTHS if width < 0.9 * own), own]
+    widths, embedder = [*(width for width in WIDTHS if width < 0.9 * own), own], Embedder.open(EmbedConfig())
     for place, width in enumerate(widths):
         inner = part(progress, place / len(widths), (place + 1) / len(widths))
         inner(0.0, f"{folder.name}, fruit of {width:.0f} pixels")
-        yield _counted(folder, gaussians, truth, round(side * width / own), origin.species, origin.seed or 0)
+        scene = read_scene(folder, SceneConfig(max_side=round(side * width / own)))
+        scales = photo_scales(scene, embedder.encoder)
+        read = mean_width(truth, scene.cameras)
+        seen = read * float(np.mean([max(each) for each in scales]))
+        row = WidthRow(
+            species=origin.species, seed=origin.seed or 0, width=read, seen=seen, visible=int(truth.visible.sum())
+        )
+        try:
+            found = _counted(scene, gaussians, origin.species, embedder, scales)
+        except CountingError as error:
+            yield replace(row, failed=str(error))
+            continue
+        metrics = count_metrics(found.centers, found.diameters, truth)
+        bias = metrics.diameter_bias if metrics.matched else None
+        yield replace(row, counted=metrics.predicted, recall=metrics.recall, f1=metrics.f1, diameter_bias=bias)
 
 
 def mean_width(truth: Truth, cameras: Sequence[Camera]) -> float:
@@ -75,33 +92,22 @@ def mean_width(truth: Truth, cameras: Sequence[Camera]) -> float:
     return float(np.mean(widths))
 
 
-def _counted(folder: Path, gaussians: Gaussians, truth: Truth, side: int, species: str, seed: int) -> WidthRow:
-    scene, encoder = read_scene(folder, SceneConfig(max_side=side)), EmbeddedEncoder.open()
-    scales = photo_scales(scene, encoder)
+def _counted(
+    scene: Scene, gaussians: Gaussians, species: str, embedder: Embedder, scales: Sequence[Sequence[float]]
+) -> FruitCount:
+    """Count a species in photos as a run does, with Gaussians that are given.
+
+    Raises:
+        CountingError: see `count_fruit`.
+    """
+    encoder, config = embedder.encoder, CountConfig()
+    assert sees_fruit(encoder)
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
-    photos = encode_photos(scene, encoder, scales, recorder)
-    features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
-    searched = Searched(scene, gaussians, features, recorder.kept(), encoder, CountConfig())
-    width = mean_width(truth, scene.cameras)
-    centers, diameters = np.zeros((0, 3)), np.zeros(0)
-    try:
-        found = count_prompts(searched, [species], [], relevancy(features, encoder, [species]))
-        centers, diameters = found.centers, found.diameters
-    except CountingError:  # the fruit are too narrow to be counted: none is found
-        pass
-    metrics = count_metrics(centers, diameters, truth)
-    return WidthRow(
-        species=species,
-        seed=seed,
-        width=width,
-        seen=width * float(np.mean([max(each) for each in scales])),
-        visible=metrics.visible,
-        counted=metrics.predicted,
-        precision=metrics.precision,
-        recall=metrics.recall,
-        f1=metrics.f1,
-        diameter_bias=metrics.diameter_bias,
-    )
+    with TemporaryDirectory() as cache:
+        features = embedder.lift(gaussians, scene, Path(cache), scales=scales, recorder=recorder)
+    searched = Searched(scene, gaussians, features, recorder.kept(), encoder, config)
+    probability = select(features, encoder, [species], [], config, gaussians.means)
+    return count_prompts(searched, [species], [], probability)
 
 
 def write_widths(rows: Iterable[WidthRow], path: Path = STORED) -> None:
@@ -109,34 +115,28 @@ def write_widths(rows: Iterable[WidthRow], path: Path = STORED) -> None:
     new = list(rows)
     trees = {(row.species, row.seed) for row in new}
     kept = [row for row in read_widths(path) if (row.species, row.seed) not in trees]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([each.name for each in fields(WidthRow)])
-    for row in sorted([*kept, *new], key=lambda each: (each.species, each.seed, each.width)):
-        writer.writerow([f"{value:.4g}" if isinstance(value, float) else value for value in asdict(row).values()])
-    write_text(path, text.getvalue())
+    ordered = sorted([*kept, *new], key=lambda row: (row.species, row.seed, row.width))
+    write_text(path, json.dumps([asdict(row) for row in ordered], indent=1) + "\n")
 
 
 def read_widths(path: Path = STORED) -> list[WidthRow]:
-    """The rows of the table; none if there is no file."""
-    if not path.is_file():
-        return []
-    kinds = {"species": str, "seed": int, "visible": int, "counted": int}
-    with path.open(encoding="utf-8", newline="") as file:
-        return [
-            WidthRow(**{name: kinds.get(name, float)(cell) for name, cell in row.items()})  # type: ignore[arg-type]
-            for row in csv.DictReader(file)
-        ]
+    """The rows of the file; none if there is none."""
+    return [WidthRow(**row) for row in json.loads(path.read_text(encoding="utf-8"))] if path.is_file() else []
 
 
 def width_table(rows: Sequence[WidthRow]) -> str:
     """Markdown: F1, recall and bias of diameters by tree and width."""
     lines = [["tree", "fruit in the photos, px", "seen, px", "visible", "counted", "F1", "recall", "bias of diameters"]]
     for row in rows:
-        numbers = [f"{row.width:.0f}", f"{row.seen:.0f}", str(row.visible), str(row.counted)]
-        bias = "–" if np.isnan(row.diameter_bias) else f"{100.0 * row.diameter_bias:+.0f} %"
-        lines.append([f"{row.species} {row.seed}", *numbers, f"{row.f1:.3f}", f"{row.recall:.3f}", bias])
+        numbers = [f"{row.width:.0f}", f"{row.seen:.0f}", str(row.visible)]
+        measures = ["error" if row.failed else str(row.counted), *map(_three_places, (row.f1, row.recall))]
+        bias = NONE if row.diameter_bias is None else f"{100.0 * row.diameter_bias:+.0f} %"
+        lines.append([f"{row.species} {row.seed}", *numbers, *measures, bias])
     return markdown(lines)
+
+
+def _three_places(value: float | None) -> str:
+    return NONE if value is None else f"{value:.3f}"
 
 
 def draw_widths(rows: Sequence[WidthRow], path: Path) -> None:
@@ -147,7 +147,8 @@ def draw_widths(rows: Sequence[WidthRow], path: Path) -> None:
     axes = figure.add_subplot()
     for species, seed in dict.fromkeys((row.species, row.seed) for row in rows):
         own = [row for row in rows if (row.species, row.seed) == (species, seed)]
-        axes.plot([row.width for row in own], [row.f1 for row in own], marker="o", label=f"{species} {seed}")
+        scores = [np.nan if row.f1 is None else row.f1 for row in own]
+        axes.plot([row.width for row in own], scores, marker="o", label=f"{species} {seed}")
     axes.set_xscale("log")
     ticks = [6, 8, 11, 16, 22, 30]
     axes.set_xticks(ticks, [str(tick) for tick in ticks])
@@ -157,5 +158,4 @@ def draw_widths(rows: Sequence[WidthRow], path: Path) -> None:
     axes.set_ylabel("F1 score")
     axes.grid(alpha=0.3)
     axes.legend()
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png", metadata={"Software": None})
+    save_plot(figure, path)

@@ -11,7 +11,7 @@
     python scripts/benchmark.py --language examples/orchard_tree results/tree/gaussians.ply --clip CHECKPOINT
     python scripts/benchmark.py --widths results/apple-whole-402 results/apple/gaussians.ply
 
---widths counts a rendered tree in its photos read smaller and smaller, and keeps the rows in benchmarks/widths.csv.
+--widths counts a rendered tree in its photos read smaller and smaller, and keeps the rows in benchmarks/widths.json.
 
 Prints tables in Markdown; with --out it also writes them to benchmark.md, and plots. Close other programs first: times
 vary between runs, so compare within one.

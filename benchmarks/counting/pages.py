@@ -8,11 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...engine.evaluation.summary import summarise
-from ..markdown import markdown
+from ..markdown import NONE, markdown
 from .trials import Trial
 
-NONE = "–"
-"""Placeholder if there is nothing to measure."""
 _PER_FRUIT = ("doubles", "merges")
 
 

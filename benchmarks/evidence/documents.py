@@ -10,7 +10,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...engine.storage.files import replacing, write_text
+from ...engine.storage.files import write_text
+from ..plots import save_plot
 from .code_state import ROOT
 from .records import Record
 from .studies import STUDIES, of_study
@@ -62,5 +63,4 @@ def draw_conditions(scores: Sequence[tuple[str, float]], path: Path) -> None:
         axes.text(f1 - 0.01, place, f"{f1:.2f}", ha="right", va="center", color="white", fontsize=8)
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("F1 score (1: every visible fruit found once, nothing false); dashed: the usual tree")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png", metadata={"Software": None})
+    save_plot(figure, path)

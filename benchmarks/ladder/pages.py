@@ -11,8 +11,9 @@ from pathlib import Path
 
 from ...engine.evaluation.metrics import CountMetrics
 from ...engine.evaluation.summary import summarise
-from ...engine.storage.files import replacing, write_text
+from ...engine.storage.files import write_text
 from ..markdown import markdown
+from ..plots import save_plot
 from .ladder import StageResult
 from .rows import number_cell, rows_csv
 from .stages import COUNTING_ONLY, END_TO_END, STAGES, TRUE_MASKS, TRUE_POSES
@@ -159,8 +160,7 @@ def draw_ladder(rows: Sequence[StageResult], path: Path) -> None:
     axes.grid(alpha=0.3)
     if rows:
         axes.legend(fontsize=8)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120, metadata={"Software": None})
+    save_plot(figure, path, dpi=120)
 
 
 def write_pages(rows: Sequence[StageResult], out: Path, *, title: str) -> None:

@@ -58,13 +58,11 @@ def place_labels(
         boxes, rings = _tried(center, reach, size / 2.0, ways, unit)
         free = (boxes[:, :2] >= 0.0).all(1) & (boxes[:, 2] <= width) & (boxes[:, 3] <= height)
         free &= ~(_shared(boxes, full) > 0.0).any(1)
-        if not free.any():
-            continue
         covered = _shared(boxes, np.delete(things, index, axis=0)).sum(1) / np.prod(size)
         if crowded:
             free &= (rings == 0) & (covered == 0.0)
-            if not free.any():
-                continue
+        if not free.any():
+            continue
         costs = np.where(free, rings + covered / _OVER, np.inf)
         best = int(costs.argmin())
         full = np.vstack([full, boxes[best]])

@@ -23,7 +23,7 @@ from ...engine.counting.photos.surroundings import NUMBERS as SURROUNDINGS
 from ...engine.counting.photos.verifier import Network, Verifier, known_near, look
 from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
-from ...engine.evaluation.judgement import judge
+from ...engine.evaluation.judgement import Judgement, judge
 from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ..encoder.calibration import logistic
@@ -274,10 +274,9 @@ def calibrate(network: Network, trees: Sequence[Tree]) -> None:
         own = np.setdiff1d(np.flatnonzero(found.log_odds > UNLIKELY), judged.ignored)
         odds.append(found.log_odds[own])
         fruit.append(np.isin(own, judged.pairs.predicted))
-        paired, true = found.places.radii[judged.pairs.predicted], tree.truth.diameters[judged.pairs.true] / 2.0
-        errors.append(np.log(paired / true) / found.radius_sds[judged.pairs.predicted])
-    said, right = np.concatenate(odds), np.concatenate(fruit)
-    temperature, bias = logistic(said, right, np.ones(len(said)))
+        errors.append(radius_errors(tree, found.places, judged) / found.radius_sds[judged.pairs.predicted])
+    said, true = np.concatenate(odds), np.concatenate(fruit)
+    temperature, bias = logistic(said, true, np.ones(len(said)))
     widening = 1.48 * float(np.median(np.abs(np.concatenate(errors))))
     with torch.no_grad():
         last = network.together[-1]
@@ -285,6 +284,13 @@ def calibrate(network: Network, trees: Sequence[Tree]) -> None:
         last.weight[0] /= temperature
         last.bias[0] = last.bias[0] / temperature - bias
         last.bias[2] += np.log(widening)
+
+
+def radius_errors(tree: Tree, places: Places, judged: Judgement) -> FloatArray:
+    """(M,) the logarithm of the radii over the true ones, of the matched places in their judgement."""
+    pairs = judged.pairs
+    errors: FloatArray = np.log(2.0 * places.radii[pairs.predicted] / tree.truth.diameters[pairs.true])
+    return errors
 
 
 def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -29,7 +29,16 @@ from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import halved, write_tensors
-from fruitlangs.fitting.counting.verifying import Samples, Tree, around_truth, calibrate, fit, mined, prepared
+from fruitlangs.fitting.counting.verifying import (
+    Samples,
+    Tree,
+    around_truth,
+    calibrate,
+    fit,
+    mined,
+    prepared,
+    radius_errors,
+)
 
 tyro = import_tyro()
 
@@ -86,9 +95,9 @@ def table(trees: list[Tree], network: Network) -> str:
         found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
         on_surfaces = Places.alike(tree.surroundings.fruit, tree.diameter)
         chosen = [on_surfaces, *(found.places.select(found.log_odds > odds) for odds in ODDS)]
-        rows.append(
-            [*(f1(tree, places) for places in chosen), *radius_errors(tree, found.places.select(found.log_odds > 0.0))]
-        )
+        likely = found.places.select(found.log_odds > 0.0)
+        errors = radius_errors(tree, likely, judge(likely.centers, 2.0 * likely.radii, tree.truth))
+        rows.append([*(f1(tree, places) for places in chosen), errors.mean(), errors.std()])
         lines.append([tree.name, *(f"{value:.3f}" for value in rows[-1])])
     return markdown([*lines, ["mean", *(f"{value:.3f}" for value in np.mean(rows, axis=0))]])
 
@@ -96,13 +105,6 @@ def table(trees: list[Tree], network: Network) -> str:
 def f1(tree: Tree, places: Places) -> float:
     """F1 at half a diameter of fruit at these places."""
     return count_metrics(places.centers, 2.0 * places.radii, tree.truth).f1
-
-
-def radius_errors(tree: Tree, places: Places) -> tuple[float, float]:
-    """Mean and standard deviation of the logarithm of radii over the true ones, of the fruit that are right."""
-    pairs = judge(places.centers, 2.0 * places.radii, tree.truth, 0.5).pairs
-    errors = np.log(2.0 * places.radii[pairs.predicted] / tree.truth.diameters[pairs.true])
-    return float(errors.mean()), float(errors.std())
 
 
 if __name__ == "__main__":

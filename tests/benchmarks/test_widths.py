@@ -26,7 +26,6 @@ def row(species: str, width: float, f1: float = 0.5) -> WidthRow:
         seen=2.0 * width,
         visible=9,
         counted=8,
-        precision=1.0,
         recall=f1,
         f1=f1,
         diameter_bias=0.1,
@@ -55,7 +54,7 @@ def test_the_width_is_that_of_the_fruit_in_the_photos(tmp_path: Path) -> None:
 
 
 def test_new_rows_of_a_tree_replace_its_earlier_ones_and_keep_those_of_others(tmp_path: Path) -> None:
-    path = tmp_path / "widths.csv"
+    path = tmp_path / "widths.json"
     assert read_widths(path) == []
     write_widths([row("plum", 8.0), row("apple", 16.0), row("apple", 6.0)], path)
     write_widths([row("plum", 11.0, 0.75)], path)

@@ -130,16 +130,11 @@ def search_photos(
         progress(0.3 + 0.7 * number / ROUNDS, f"Looking for fruit in the photos, round {number + 1} of {ROUNDS}")
         known = _settled(verifier, Places.join([known, fresh.above(LIKELY).places]))
         fresh = _beyond(verifier, pool.places, known, diameter)
-    settled = _Verified.of_known(verifier, known)
+    places = Places.join([known, fresh.places])
+    said = Verdicts.join([_Verified.of_known(verifier, known).verdicts, fresh.verdicts])
     usual = _usual(known.radii, diameter)
-    places, sds = Places.join([known, fresh.places]), _joined(settled, fresh, "radius_sds")
-    held = Places(places.centers, held_to_usual(places.radii, sds, known.radii, usual / 2.0))
-    return FoundInPhotos(held, _joined(settled, fresh, "log_odds"), len(known), sds, usual)
-
-
-def _joined(first: _Verified, second: _Verified, name: str) -> FloatArray:
-    """One number of the verdicts, of all places."""
-    return np.concatenate([getattr(each.verdicts, name) for each in (first, second)])
+    held = Places(places.centers, held_to_usual(places.radii, said.radius_sds, known.radii, usual / 2.0))
+    return FoundInPhotos(held, said.log_odds, len(known), said.radius_sds, usual)
 
 
 def held_to_usual(radii: FloatArray, sds: FloatArray, known: FloatArray, usual: float) -> FloatArray:

@@ -11,6 +11,7 @@ trees.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -51,11 +52,13 @@ STIFF = 0.1
 """Weight, as an error of a pixel's square over a radius' square, that keeps a centre which no view locates."""
 FARTHEST = 1.0
 """Radii that a centre moves at most."""
+LAPLACE = math.sqrt(2.0)
+"""Standard deviation over mean absolute error, of errors as the network is trained for."""
 MOST_GROWTH = 0.3
 """Logarithm by which a radius grows or shrinks at most at once."""
-UNUSUAL_SD, UNKNOWN_SPREAD = 0.15, 0.4
-"""Standard deviation of the logarithm of sizes beyond the spread of the fruit: a ball of three usual diameters is no
-fruit, whatever its shape. The spread before any fruit are known."""
+UNUSUAL, UNUSUAL_SD, UNKNOWN_SPREAD = 2.0, 0.15, 0.4
+"""Spreads of the logarithm of sizes by which fruit may be larger than the usual one, and its standard deviation beyond:
+a ball of three usual diameters is no fruit, whatever its shape. The spread before any fruit are known."""
 AT_ONCE = 250
 """Spheres whose crops are in memory together."""
 UNSEEN = -9.0
@@ -137,6 +140,11 @@ class Verdicts:
         """Those of the places at `index` (bool mask (C,) or integer indices)."""
         return Verdicts(*(getattr(self, each.name)[index] for each in fields(self)))
 
+    @staticmethod
+    def join(parts: Sequence[Verdicts]) -> Verdicts:
+        """Those of the places of all parts, one after the other."""
+        return Verdicts(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Verdicts)))
+
 
 @dataclass(frozen=True, eq=False)
 class Verifier:
@@ -172,13 +180,13 @@ class Verifier:
             verdicts.log_odds[part] = seen - self._unusual(radii * np.exp(grown))
             verdicts.moves[part] = self._moves(centers, radii, looked.chosen, shifts, errors)
             verdicts.growths[part] = grown
-            verdicts.radius_sds[part] = math.sqrt(2.0) * size_errors.exp().double().numpy()
+            verdicts.radius_sds[part] = LAPLACE * size_errors.exp().double().numpy()
         return verdicts
 
     def _unusual(self, radii: FloatArray) -> FloatArray:
-        """(C,) log odds against fruit of radii (C,) that are larger than the usual one by more than the spread."""
+        """(C,) log odds against fruit of radii (C,) that are larger than the usual one by more than UNUSUAL spreads."""
         off = np.log(2.0 * radii / self.surroundings.diameter)
-        unusual: FloatArray = 0.5 * (np.maximum(off - 2.0 * self.spread, 0.0) / UNUSUAL_SD) ** 2
+        unusual: FloatArray = 0.5 * (np.maximum(off - UNUSUAL * self.spread, 0.0) / UNUSUAL_SD) ** 2
         return unusual
 
     def _moves(

@@ -158,8 +158,8 @@ class PhotoViews:
         index, seen = np.maximum(chosen, 0), chosen >= 0
         _, depths = self.project(centers, chosen)
         widths = 2.0 * radii[:, None] * self.lenses[index, 0] / depths * (BLUR / self.blurs[index])
-        total: FloatArray = (widths * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-        return total
+        mean: FloatArray = (widths * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        return mean
 
     def slopes(self, centers: FloatArray, chosen: IntArray) -> FloatArray:
         """(C, K, 2, 3) change of the pixel of a centre in each chosen view per scene unit."""

@@ -39,8 +39,8 @@ def scales_of(height: int, width: int, fruit: float | None = None) -> Scales:
     where large fruit fit its receptive field, unless the photo is so small that its fruit are small.
     """
     quick, largest = ((pixels / (height * width)) ** 0.5 for pixels in (FEW_PIXELS, MOST_PIXELS))
-    by_fruit = None if fruit is None else max(min(quick, CLOSE_WIDTH / fruit), BEST_WIDTH / fruit)
-    finest = min(by_fruit or SIDE / max(height, width), largest)
+    finest = SIDE / max(height, width) if fruit is None else min(max(quick, BEST_WIDTH / fruit), CLOSE_WIDTH / fruit)
+    finest = min(finest, largest)
     if finest >= MOST:
         return (MOST,)
     return (finest, finest / 2.0) if fruit is None else (finest,)

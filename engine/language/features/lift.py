@@ -54,7 +54,6 @@ def lift_features(
         sums = drawn[:, :-1] if sums is None else sums.add_(drawn[:, :-1])
         weights += drawn[:, -1]
         said += drawn[:, :length].norm(dim=-1)
-        del target, drawn  # the next photo is encoded in their memory
     assert sums is not None  # `paired` refuses a scene without cameras
     progress(1.0, "features lifted")
     # Σ |c|·cos(c, Σ c) = |Σ c|, so one pass measures how far the contributions c of the views agree.
@@ -103,19 +102,15 @@ def encode_photos(
         pixels, view = photo.pixels(), None
         if (recorder is not None or embedded) and sees_fruit(encoder):
             view = encoder.encode_fruit(pixels, own)
-            features, own_length = view.features, view.features.shape[-1]
-            if embedded:
-                features = torch.cat([features, view.embedding], dim=-1)
-                view = replace(view, features=features[..., :own_length], embedding=features[..., own_length:])
+            features = torch.cat([view.features, view.embedding], dim=-1) if embedded else view.features
         else:
             features = encoder.encode_dense(pixels, own)
         if (mask := photo.mask()) is not None:
             usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
             features = features * usable[..., None]
         if recorder is not None and view is not None:
-            recorder.keep(replace(view, features=features[..., :own_length]), pixels, own)
+            recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels, own)
         yield features.contiguous()
-        del features, view  # the next photo is encoded in their memory
 
 
 def record_photos(

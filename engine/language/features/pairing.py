@@ -43,7 +43,6 @@ def paired(
                 f"{camera.width}×{camera.height}. Make them at its size"
             )
         yield camera, view
-        del view  # the next one is made in its memory
     if not len(cameras):
         raise SceneError("The scene has no camera. Add at least one photo")
     if next(given, None) is not None:
