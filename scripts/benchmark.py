@@ -103,7 +103,8 @@ def main() -> None:
         searches = measure_cameras(Path(folder), [int(number) for number in numbers], progress=progress)
         pages.append("Finding cameras.\n\n" + camera_table(searches))
     if options.widths is not None:
-        write_widths(measure_widths(*options.widths, progress=progress))
+        tree, ply = options.widths
+        write_widths(measure_widths(tree, ply, progress))
         draw_widths(read_widths(), WIDTHS_PICTURE)
         pages.append(width_table(read_widths()))
     progress(1.0, "Done")
