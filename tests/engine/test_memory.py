@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from PIL import Image
 
 from fruitlangs.engine import memory
+from fruitlangs.engine.compiled.heap import release_freed
 from fruitlangs.engine.config import Config, CountConfig, EmbedConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.memory import (
@@ -139,3 +143,16 @@ def test_photos_whose_cameras_cannot_be_found_in_memory_are_refused_first(
     monkeypatch.setattr(memory, "available_bytes", lambda: 1 << 20)
     with pytest.raises(ConfigError, match="Finding the cameras of 3 photos"):
         count_scene(tmp_path / "tree", ["apple"], tmp_path / "out")
+
+
+@pytest.mark.skipif(sys.platform != "linux" or "glibc" not in os.confstr("CS_GNU_LIBC_VERSION"), reason="glibc")
+def test_freed_arrays_between_kept_ones_are_returned_to_the_system() -> None:
+    process = psutil.Process()
+    np.ones(30 << 17)  # once such an array was freed, glibc keeps others of its size
+    arrays = [np.ones(30 << 16) for _ in range(40)]
+    kept = arrays[::8]
+    del arrays
+    before = process.memory_info().rss
+    release_freed()
+    assert before - process.memory_info().rss > 200 << 20
+    assert all(array[-1] == 1.0 for array in kept)

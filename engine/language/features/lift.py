@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ...compiled.heap import release_freed
 from ...progress import Progress, silent
 from ...scene.camera import Camera, Scene
 from ...scene.photos.resample import shrink_mask
@@ -99,6 +100,7 @@ def encode_photos(
     distinguishes single fruit says about every pixel; embedded: with the embedding of such an encoder.
     """
     for photo, own in zip(scene.images, scales, strict=True):
+        release_freed()
         pixels, view = photo.pixels(), None
         if (recorder is not None or embedded) and sees_fruit(encoder):
             view = encoder.encode_fruit(pixels, own)
