@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from ...language.prompts.photo_probability import PhotoMap
 from ...progress import Progress, silent
@@ -18,6 +19,7 @@ from ..evidence.gate import features_of
 from ..evidence.size import FruitSize
 from ..evidence.visibility import Picture, frame_of, gather_view_evidence
 from ..geometry.sphere import weighed
+from .colours import colours_of, unlike_certain
 from .search import FoundInPhotos, search_photos
 from .surroundings import Surroundings
 from .verifier import Verifier, stored_network
@@ -25,8 +27,8 @@ from .views import PhotoViews
 
 FloatArray = NDArray[np.float64]
 
-LEAST = 0.01
-"""Probability below which a place is no candidate."""
+LEAST = -4.6
+"""Log odds below which a place is no candidate: a probability of .01."""
 HALF = 0.5
 """Fruit that are added to two expected numbers before they are compared, so that none may be 0."""
 USUAL = 0.06
@@ -63,9 +65,8 @@ def with_photos(
     surroundings = Surroundings.of(photos.gaussians, photos.probabilities, likely, diameter, threshold)
     verifier = Verifier(stored_network(), PhotoViews.of(pictures, photos.maps), surroundings)
     cameras = [picture.camera for picture in pictures]
-    together = joined(
-        found, search_photos(verifier, diameter, frame_of(cameras), progress=progress), pictures, threshold
-    )
+    in_photos = search_photos(verifier, diameter, frame_of(cameras), progress=progress)
+    together = joined(found, in_photos, photos.gaussians, pictures, threshold)
     refused = measure_dissent(float(found.probabilities.sum()), float(together.probabilities.sum()))
     return replace(together, dissent=refused, on_surfaces=likely)
 
@@ -76,12 +77,13 @@ def measure_dissent(on_surfaces: float, in_photos: float) -> float:
     return max(float(np.log((on_surfaces + HALF) / (in_photos + HALF))) - USUAL, 0.0)
 
 
-def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:
-    """The places of the photos as candidates, with the points of the surfaces that lie on them."""
-    probabilities = 1.0 / (1.0 + np.exp(-photos.log_odds))
-    order = np.argsort(-probabilities, kind="stable")
-    order = order[probabilities[order] >= LEAST]
-    places, probabilities = photos.places.select(order), probabilities[order]
+def joined(
+    found: Search, photos: FoundInPhotos, gaussians: Gaussians, pictures: Sequence[Picture], threshold: float
+) -> Search:
+    """The places of the photos as candidates, with the points of the surfaces of Gaussians that lie on them."""
+    order = np.argsort(-photos.log_odds, kind="stable")
+    order = order[photos.log_odds[order] >= LEAST]
+    places, log_odds = photos.places.select(order), photos.log_odds[order]
     centers, radii = places.centers, places.radii
     found = replace(found, size=FruitSize(photos.diameter, found.size.spread))
     radius_sds = radii * photos.radius_sds[order]
@@ -94,6 +96,8 @@ def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], th
         own, left = claims.value(index, nobody)[0], claims.value(index, owners)[0]
         free[index] = left / own if own > 0.0 else 1.0
         claims.take(index, index, owners)
+    colours = colours_of(gaussians, surface.points.gaussians, owners, len(centers))
+    probabilities = expit(log_odds - unlike_certain(colours, log_odds))
     evidence = gather_view_evidence(pictures, centers, radii, threshold)
     candidates = Candidates(spheres, evidence, support_shares(spheres), free, owners)
     features = features_of(candidates, surface, found.size, threshold)
