@@ -24,9 +24,9 @@ TILES_EACH = 6
 """Mean number of tiles per Gaussian and view: 3 to 5 were measured."""
 STEP_PLANES = 40
 """float32 planes of a photo's size that a step of training keeps: blending, gradients, the loss's scratch."""
-FEATURE_PLANES, TILE_PLANES = 225, 35
+FEATURE_PLANES, TILE_PLANES = 190, 35
 """float32 planes, at the peak of encoding and lifting a photo, of the size of its features, and of a tile of what the
-network sees; 2.84 GB were measured for photos of 1600×1200 that it sees twice as large, 1.54 GB for others."""
+network sees: 2.53 GB were measured for photos of 1600×1200 that it sees twice as large."""
 DECODED_BYTES = 12
 """Bytes per pixel of a photo while it is scaled down for the encoder."""
 LIFTED_VALUES = 270

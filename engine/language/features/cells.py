@@ -108,7 +108,7 @@ def with_masks(cameras: Sequence[Camera], views: Iterable[SegmentedView]) -> Ite
         SceneError: views and cameras do not fit, or a label has no vector.
         EncoderError: a vector is not finite.
     """
-    for index, (camera, view) in enumerate(paired(cameras, views, lambda view: view.labels.shape[1:], "masks")):
+    for index, camera, view in paired(cameras, views, lambda view: view.labels.shape[1:], "masks"):
         yield camera, usable(view, index)
 
 

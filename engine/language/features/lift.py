@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from ...compiled.heap import release_freed
 from ...progress import Progress, silent
-from ...scene.camera import Camera, Scene
+from ...scene.camera import Camera, Photo, Scene
 from ...scene.photos.resample import shrink_mask
 from ...splatting.gaussians import Gaussians
 from ...splatting.rendering.rasterize import accumulate
@@ -47,10 +47,11 @@ def lift_features(
     sums: Tensor | None = None
     weights, said = torch.zeros(len(gaussians)), torch.zeros(len(gaussians))
     views = paired(cameras, targets, lambda target: target.shape[:2], "features", smaller=True)
-    for index, (camera, target) in enumerate(views):
+    for index, camera, target in views:
         progress(index / len(cameras), f"Lifting features of view {index + 1} of {len(cameras)}")
         length = target.shape[-1] - embedded
         drawn = _drawn(gaussians, camera, target, length)
+        del target  # before the next photo is encoded
         drawn *= cameras[index].width * cameras[index].height / (camera.width * camera.height)
         sums = drawn[:, :-1] if sums is None else sums.add_(drawn[:, :-1])
         weights += drawn[:, -1]
@@ -101,18 +102,25 @@ def encode_photos(
     """
     for photo, own in zip(scene.images, scales, strict=True):
         release_freed()
-        pixels, view = photo.pixels(), None
-        if (recorder is not None or embedded) and sees_fruit(encoder):
-            view = encoder.encode_fruit(pixels, own)
-            features = torch.cat([view.features, view.embedding], dim=-1) if embedded else view.features
-        else:
-            features = encoder.encode_dense(pixels, own)
-        if (mask := photo.mask()) is not None:
-            usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
-            features = features * usable[..., None]
-        if recorder is not None and view is not None:
-            recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels, own)
-        yield features.contiguous()
+        yield _encoded(photo, encoder, own, recorder, embedded)
+
+
+def _encoded(
+    photo: Photo, encoder: DenseEncoder, scales: Sequence[float], recorder: PhotoFeaturesRecorder | None, embedded: bool
+) -> Tensor:
+    """The target of one photo, see `encode_photos`."""
+    pixels, view = photo.pixels(), None
+    if (recorder is not None or embedded) and sees_fruit(encoder):
+        view = encoder.encode_fruit(pixels, scales)
+        features = torch.cat([view.features, view.embedding], dim=-1) if embedded else view.features
+    else:
+        features = encoder.encode_dense(pixels, scales)
+    if (mask := photo.mask()) is not None:
+        usable = torch.from_numpy(shrink_mask(mask, features.shape[1], features.shape[0]))
+        features = features * usable[..., None]
+    if recorder is not None and view is not None:
+        recorder.keep(replace(view, features=features[..., : view.features.shape[-1]]), pixels, scales)
+    return features.contiguous()
 
 
 def record_photos(

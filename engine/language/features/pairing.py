@@ -19,8 +19,9 @@ def paired(
     what: str,
     *,
     smaller: bool = False,
-) -> Iterator[tuple[Camera, Given]]:
-    """Each camera with its view's `what`, for example "masks"; size_of: its height and width in pixels.
+) -> Iterator[tuple[int, Camera, Given]]:
+    """The number of each view, its camera and its `what`, for example "masks", of which none is kept here; size_of: its
+    height and width in pixels.
 
     smaller: views may be evenly scaled down; then the camera is scaled to them.
 
@@ -42,7 +43,8 @@ def paired(
                 f"The {what} of view {index} are {'×'.join(map(str, reversed(size)))} pixels, its camera has "
                 f"{camera.width}×{camera.height}. Make them at its size"
             )
-        yield camera, view
+        yield index, camera, view
+        del view
     if not len(cameras):
         raise SceneError("The scene has no camera. Add at least one photo")
     if next(given, None) is not None:
