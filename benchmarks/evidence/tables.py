@@ -140,18 +140,27 @@ def phone(records: Sequence[Record]) -> str:
 
 
 def whole(records: Sequence[Record]) -> str:
-    """Whole trees with true cameras, and from photos alone where that was measured."""
+    """Whole trees with true cameras and from photos alone, where they were measured."""
     own = of_study("whole", records)
-    lines = [["tree", "visible", "counted", "F1", "diameter bias", "counted, photos alone", "F1, photos alone"]]
+    measured = ["counted", "F1", "diameter bias"]
+    lines = [["tree", "visible", *measured, *(f"{name}, photos alone" for name in measured)]]
+    scores: dict[str, list[float]] = {TRUE_POSES: [], END_TO_END: []}
     for name in (scene.replace(":", "-") for scene in STUDIES["whole"].scenes):
-        near = _near(own.get(Trial(scene=name, stage=TRUE_POSES)))
-        if near is None:
-            continue
-        line = [name, str(near.visible), str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
-        record = own.get(Trial(scene=name, stage=END_TO_END))
-        alone = _near(record)
-        line += [str(alone.predicted), _score(alone.f1)] if alone else ["", "failed" if record else ""]
-        lines.append(line)
+        cells, visible = list[str](), ""
+        for stage, reached in scores.items():
+            record = own.get(Trial(scene=name, stage=stage))
+            near = _near(record)
+            if near is None:
+                cells += ["", "failed" if record else "", ""]
+                continue
+            reached.append(near.f1)
+            cells += [str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
+            visible = str(near.visible)
+        if any(cells):
+            lines.append([name, visible, *cells])
+    if len(lines) > 1:
+        means = [_score(mean(each)) if each else "" for each in scores.values()]
+        lines.append(["**mean**", "", "", means[0], "", "", means[1], ""])
     return markdown(lines)
 
 
