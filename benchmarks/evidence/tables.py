@@ -150,10 +150,11 @@ def whole(records: Sequence[Record]) -> str:
         for stage, reached in scores.items():
             record = own.get(Trial(scene=name, stage=stage))
             near = _near(record)
+            if record is not None:
+                reached.append(near.f1 if near else 0.0)
             if near is None:
                 cells += ["", "failed" if record else "", ""]
                 continue
-            reached.append(near.f1)
             cells += [str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
             visible = str(near.visible)
         if any(cells):

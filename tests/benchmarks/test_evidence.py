@@ -245,6 +245,19 @@ def test_a_scene_that_cannot_be_counted_from_photos_alone_has_f1_0_in_the_mean()
     assert "| apple | 2 | 0.904 | 0.452 | 0.000 | 58 of 60 | 2.1, 5.3 | 0.08, 0.14 |" in table
 
 
+def test_whole_trees_have_the_cameras_that_they_were_measured_with_and_failures_count_as_0() -> None:
+    plum = replace(RESULT, species="plum", seed=413, scene="plum-whole-413", stage=END_TO_END)
+    failed = StageResult(
+        species="cherry", seed=402, scene="cherry-whole-402", stage=END_TO_END, counted=None, failed="no cameras"
+    )
+    lines = TABLES["whole"]([record_of(plum, "voting"), record_of(failed, "voting")]).splitlines()
+    assert lines[2].startswith("| plum-whole-413 |")
+    assert "|  |  |  |" in lines[2]
+    assert "| 0.904 |" in lines[2]
+    assert "| failed |" in lines[3]
+    assert lines[4] == "| **mean** |  |  |  |  |  | 0.452 |  |"
+
+
 def test_tables_that_are_made_from_the_ladder_have_its_head() -> None:
     for name in ("photos-alone", "missed"):
         text = filled(f"<!-- table {name} -->\n<!-- end -->\nafter\n<!-- end -->", [record_of(RESULT, "voting")])
