@@ -144,25 +144,26 @@ def whole(records: Sequence[Record]) -> str:
     own = of_study("whole", records)
     measured = ["counted", "F1", "diameter bias"]
     lines = [["tree", "visible", *measured, *(f"{name}, photos alone" for name in measured)]]
-    scores: dict[str, list[float]] = {TRUE_POSES: [], END_TO_END: []}
+    known, alone = list[float](), list[float]()
     for name in (scene.replace(":", "-") for scene in STUDIES["whole"].scenes):
-        cells, visible = list[str](), ""
-        for stage, reached in scores.items():
-            record = own.get(Trial(scene=name, stage=stage))
-            near = _near(record)
-            if record is not None:
-                reached.append(near.f1 if near else 0.0)
-            if near is None:
-                cells += ["", "failed" if record else "", ""]
-                continue
-            cells += [str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
-            visible = str(near.visible)
-        if any(cells):
-            lines.append([name, visible, *cells])
+        both = [own.get(Trial(scene=name, stage=stage)) for stage in (TRUE_POSES, END_TO_END)]
+        visible = [str(near.visible) for near in map(_near, both) if near]
+        if any(both):
+            lines.append([name, *(visible[:1] or [""]), *_counted(both[0]), *_counted(both[1])])
+        for record, scores in zip(both, (known, alone), strict=True):
+            scores += [near.f1 if (near := _near(record)) else 0.0] if record else []
     if len(lines) > 1:
-        means = [_score(mean(each)) if each else "" for each in scores.values()]
+        means = [_score(mean(scores)) if scores else "" for scores in (known, alone)]
         lines.append(["**mean**", "", "", means[0], "", "", means[1], ""])
     return markdown(lines)
+
+
+def _counted(record: Record | None) -> list[str]:
+    """Number, F1 and bias of the diameters of a count; empty where it was not measured."""
+    near = _near(record)
+    if near is None:
+        return ["", "failed" if record else "", ""]
+    return [str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
 
 
 def ladder(records: Sequence[Record]) -> str:

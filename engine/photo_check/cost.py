@@ -58,8 +58,8 @@ def expected_costs(
         return []
     cores = cores or usable_cores()
     cameras = [_camera(*size, config) for size in sizes]
-    alike = 0 if _in_sections(len(cameras), config) else len(cameras)  # sections have the usual number of photos
-    config = replace(config, train=grown(config.train, cameras, alike))
+    photos = 0 if _in_sections(len(cameras), config) else len(cameras)  # a section has the usual number of photos
+    config = replace(config, train=grown(config.train, cameras, photos))
     seconds = {
         "training": _training_seconds(cameras, config),
         "computing features": FEATURE_SECONDS * sum(_seen_megapixels(camera, fruit) for camera in cameras),

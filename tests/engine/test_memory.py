@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import sys
+import platform
 from pathlib import Path
 
 import numpy as np
@@ -145,7 +144,7 @@ def test_photos_whose_cameras_cannot_be_found_in_memory_are_refused_first(
         count_scene(tmp_path / "tree", ["apple"], tmp_path / "out")
 
 
-@pytest.mark.skipif(sys.platform != "linux" or "glibc" not in os.confstr("CS_GNU_LIBC_VERSION"), reason="glibc")
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc keeps them")
 def test_freed_arrays_between_kept_ones_are_returned_to_the_system() -> None:
     process = psutil.Process()
     np.ones(30 << 17)  # once such an array was freed, glibc keeps others of its size

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import expit, logit
 
 from ...language.colours import cielab
 from ...splatting.gaussians import Gaussians
 from ..evidence.claims import members
+from ..evidence.cluster import Search
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,14 +29,21 @@ FEWEST, FEWEST_CERTAIN = 30, 10
 """Surface points that tell a colour, and certain fruit that tell which colours fruit have."""
 
 
+def doubt_unlike(found: Search, gaussians: Gaussians) -> Search:
+    """The search with less probable candidates where no certain fruit has their colour."""
+    points, owners = found.surface.points.gaussians, found.found.owners
+    log_odds = logit(found.probabilities)
+    against = unlike_certain(colours_of(gaussians, points, owners, len(log_odds)), log_odds)
+    return replace(found, probabilities=expit(log_odds - against))
+
+
 def colours_of(gaussians: Gaussians, points: IntArray, owners: IntArray, count: int) -> FloatArray:
     """(count, 2) mean a and b in CIELAB of the surface points (P,), indices of the Gaussians they came from, that each
     place owns; owners: (P,), -1 for none. NaN where they are fewer than FEWEST."""
-    found = np.full((count, 2), np.nan)
+    found, shades = np.full((count, 2), np.nan), gaussians.base_colors.detach().cpu()
     for place, own in enumerate(members(owners, count)):
         if len(own) >= FEWEST:
-            shade = gaussians.base_colors[torch.from_numpy(points[own])].detach().cpu().mean(0)
-            found[place] = cielab(shade)[1:].double().numpy()
+            found[place] = cielab(shades[torch.from_numpy(points[own])].mean(0))[1:].double().numpy()
     return found
 
 

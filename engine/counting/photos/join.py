@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from ...language.prompts.photo_probability import PhotoMap
 from ...progress import Progress, silent
@@ -19,7 +18,7 @@ from ..evidence.gate import features_of
 from ..evidence.size import FruitSize
 from ..evidence.visibility import Picture, frame_of, gather_view_evidence
 from ..geometry.sphere import weighed
-from .colours import colours_of, unlike_certain
+from .colours import doubt_unlike
 from .search import FoundInPhotos, search_photos
 from .surroundings import Surroundings
 from .verifier import Verifier, stored_network
@@ -27,8 +26,8 @@ from .views import PhotoViews
 
 FloatArray = NDArray[np.float64]
 
-LEAST = -4.6
-"""Log odds below which a place is no candidate: a probability of .01."""
+LEAST = 0.01
+"""Probability below which a place is no candidate."""
 HALF = 0.5
 """Fruit that are added to two expected numbers before they are compared, so that none may be 0."""
 USUAL = 0.06
@@ -66,7 +65,7 @@ def with_photos(
     verifier = Verifier(stored_network(), PhotoViews.of(pictures, photos.maps), surroundings)
     cameras = [picture.camera for picture in pictures]
     in_photos = search_photos(verifier, diameter, frame_of(cameras), progress=progress)
-    together = joined(found, in_photos, photos.gaussians, pictures, threshold)
+    together = doubt_unlike(joined(found, in_photos, pictures, threshold), photos.gaussians)
     refused = measure_dissent(float(found.probabilities.sum()), float(together.probabilities.sum()))
     return replace(together, dissent=refused, on_surfaces=likely)
 
@@ -77,13 +76,12 @@ def measure_dissent(on_surfaces: float, in_photos: float) -> float:
     return max(float(np.log((on_surfaces + HALF) / (in_photos + HALF))) - USUAL, 0.0)
 
 
-def joined(
-    found: Search, photos: FoundInPhotos, gaussians: Gaussians, pictures: Sequence[Picture], threshold: float
-) -> Search:
-    """The places of the photos as candidates, with the points of the surfaces of Gaussians that lie on them."""
-    order = np.argsort(-photos.log_odds, kind="stable")
-    order = order[photos.log_odds[order] >= LEAST]
-    places, log_odds = photos.places.select(order), photos.log_odds[order]
+def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:
+    """The places of the photos as candidates, with the points of the surfaces that lie on them."""
+    probabilities = 1.0 / (1.0 + np.exp(-photos.log_odds))
+    order = np.argsort(-probabilities, kind="stable")
+    order = order[probabilities[order] >= LEAST]
+    places, probabilities = photos.places.select(order), probabilities[order]
     centers, radii = places.centers, places.radii
     found = replace(found, size=FruitSize(photos.diameter, found.size.spread))
     radius_sds = radii * photos.radius_sds[order]
@@ -96,8 +94,6 @@ def joined(
         own, left = claims.value(index, nobody)[0], claims.value(index, owners)[0]
         free[index] = left / own if own > 0.0 else 1.0
         claims.take(index, index, owners)
-    colours = colours_of(gaussians, surface.points.gaussians, owners, len(centers))
-    probabilities = expit(log_odds - unlike_certain(colours, log_odds))
     evidence = gather_view_evidence(pictures, centers, radii, threshold)
     candidates = Candidates(spheres, evidence, support_shares(spheres), free, owners)
     features = features_of(candidates, surface, found.size, threshold)
