@@ -21,13 +21,31 @@ from .training import RunLog
 
 
 def open_result(folder: Path) -> Result:
-    """The result in `folder`, with its photos if they are still available; nothing is written or computed.
+    """Open the result in `folder`, with its photos if they are still available; nothing is written or computed.
 
     Fruit have no sampled points.
 
-    Raises:
-        OutputError: there is no result, or its files are not of one run.
-        FormatError: it is damaged, or of another version.
+    Parameters
+    ----------
+    folder : Path
+        What `count_scene` wrote.
+
+    Returns
+    -------
+    Result
+        As `count_scene` returned it.
+
+    Raises
+    ------
+    OutputError
+        There is no result, or its files are not of one run.
+    FormatError
+        It is damaged, or of another version.
+
+    Examples
+    --------
+    >>> fruitlangs.open_result(Path("results/tree7")).fruit_count.diameters.mean()
+    0.0731
     """
     results, log = ResultFolder(folder), RunLog()
     document = results.read()

@@ -58,24 +58,55 @@ def count_scene(
 ) -> Result:
     """Count the fruit that `prompts` name in the scene at `source` and write the result folder `out`.
 
-    Args:
-        source: a COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, a video, an
-            earlier result folder, or a `.ply` of Gaussians or coloured points, around which cameras are placed.
-        prompts: what to count; a fruit must match one of them.
-        negatives: what to exclude, in addition to built-in negatives.
-        writers: more files to write, by name; `scene.blend` comes from the caller, as the engine never imports bpy.
-        keep: a file that stays although it belongs to the earlier result, such as the open .blend.
-        imported: a `.ply` of Gaussians or coloured points in the frame of the scene's cameras; nothing is trained then.
-        given: the settings ("train.steps") that the user gave; by default those that differ from their defaults. An
-            earlier result must have been made with them.
-        watch: receives the Gaussians during training.
+    Parameters
+    ----------
+    source : Path
+        A COLMAP model with its images, a transforms.json or its folder, a folder of photos alone, a video, an earlier
+        result folder, or a `.ply` of Gaussians or colored points, around which cameras are placed.
+    prompts : sequence of str
+        What to count; a fruit must match one of them.
+    out : Path
+        Folder of the result. An earlier result in it is replaced when the new one is complete.
+    negatives : sequence of str
+        What to exclude, in addition to built-in negatives.
+    config : Config
+        The settings of all stages.
+    writers : mapping of str to callable, optional
+        More files to write, by name; `scene.blend` comes from the caller, as the engine never imports bpy.
+    keep : Path, optional
+        A file that stays although it belongs to the earlier result, such as the open .blend.
+    imported : Path, optional
+        A `.ply` of Gaussians or colored points in the frame of the scene's cameras; nothing is trained then.
+    given : collection of str, optional
+        The settings ("train.steps") that the user gave; by default those that differ from their defaults. An earlier
+        result must have been made with them.
+    watch : callable, optional
+        Receives the Gaussians during training.
+    progress : callable
+        Receives the fraction done, in [0, 1], and what is done; raises `Cancelled` to stop.
 
-    Raises:
-        OutputError: among others, another run writes to `out`, or `out` is the folder of the photos: it would look like
-            a result from then on.
-        GpuError: the graphics card that was asked for is not there.
-        FruitLangsError: an error that the user can act on; earlier results in `out` stay unchanged.
-        Cancelled: `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
+    Returns
+    -------
+    Result
+        The fruit, with everything that they were found from.
+
+    Raises
+    ------
+    OutputError
+        Among others, another run writes to `out`, or `out` is the folder of the photos: it would look like a result
+        from then on.
+    GpuError
+        The graphics card that was asked for is not there.
+    FruitLangsError
+        An error that the user can act on; earlier results in `out` stay unchanged.
+    Cancelled
+        `progress` asked for it; finished stages and the last checkpoint stay in `out/cache`.
+
+    Examples
+    --------
+    >>> result = fruitlangs.count_scene(Path("photos/tree7"), ["red apple"], Path("results/tree7"))
+    >>> result.fruit_count.count, result.fruit_count.interval
+    (118, (112, 131))
     """
     embedder = Embedder.open(config.embed)
     encoder = embedder.encoder
@@ -143,9 +174,22 @@ def reconstruct_scene(
     watch: Watch | None = None,
     progress: Progress = silent,
 ) -> tuple[Reconstruction, RunLog]:
-    """What `count_scene` makes of the scene at `source` before it uses a prompt, cached in `out`/cache.
+    """Reconstruct the scene at `source` as Gaussians with features, and keep them in `out`/cache for later prompts.
 
-    Returns it with the log of the run. Arguments and errors as of `count_scene`.
+    Parameters and errors are those of `count_scene`, which does the same before it uses a prompt.
+
+    Returns
+    -------
+    reconstruction : Reconstruction
+        Cameras, Gaussians and features.
+    log : RunLog
+        Seconds by stage, reused stages and notices.
+
+    Examples
+    --------
+    >>> reconstruction, log = fruitlangs.reconstruct_scene(Path("photos/tree7"), Path("results/tree7"))
+    >>> reconstruction.gaussians.means.shape
+    torch.Size([70000, 3])
     """
     folder = ResultFolder(out)
     embedder = Embedder.open(config.embed)

@@ -43,9 +43,36 @@ STILL, PAGE = "still.jpg", "report.html"
 class Result:
     """What a run keeps in memory in addition to its files.
 
-    probability: (N,) that a Gaussian matches the prompt; seconds: by stage; reused: stages taken from an earlier run;
-    notices: messages for the user; known: fruit that earlier counts of the scene numbered; set_id: names this set of
-    result files; files: their paths, fruits.json last.
+    Attributes
+    ----------
+    scene : Scene
+        Cameras and photos.
+    gaussians : Gaussians
+        N Gaussians, in the frame of the cameras.
+    features : Features
+        Their language features.
+    probability : Tensor, (N,)
+        Probability that each Gaussian matches the prompt.
+    fruit_count : FruitCount
+        The fruit, the count and its intervals.
+    origin : mapping
+        Provenance: source, prompts, hashes, encoder, training.
+    config : Config
+        The settings of the run.
+    seconds : mapping of str to float
+        Seconds by stage.
+    reused : sequence of str
+        Stages taken from an earlier run.
+    notices : sequence of str
+        Messages for the user.
+    out : Path
+        The result folder.
+    known : KnownFruit
+        Fruit that earlier counts of the scene numbered.
+    set_id : str
+        Name of this set of result files.
+    files : sequence of Path
+        The result files, fruits.json last.
     """
 
     scene: Scene

@@ -24,13 +24,38 @@ NO_TREE = 0
 class Fruit:
     """One counted fruit.
 
-    center: (3,) in the scene frame; diameter of the sphere of equal volume, diameter_sd: scene units; volume: cubed
-    scene units; axes: (3, 3), rows are its half axes in scene units, longest first, right-handed; probability that it
-    is a fruit of the prompt; visible_fraction: largest over views of its unoccluded share, None if not measured; views:
-    how many show at least a tenth of it; color: (3,) mean sRGB of its surface, which indicates its ripeness; kind:
-    single, small, or part of a compound cluster; members: (M,) indices of its Gaussians; fallen: whether it lies on the
-    ground, None if no ground is visible; tree: the number of its tree, from 1, None if no trees were requested or it
-    belongs to none.
+    Attributes
+    ----------
+    id : int
+        Number that later counts of the scene keep.
+    label : str
+        The prompt.
+    center : array, (3,)
+        In the frame of the scene, scene units.
+    diameter : float
+        Diameter of the sphere of equal volume, scene units.
+    diameter_sd : float
+        Its standard deviation, scene units.
+    volume : float
+        Cubed scene units.
+    axes : array, (3, 3)
+        Rows are its half axes, longest first, right-handed, scene units.
+    probability : float
+        That it is a fruit of the prompt.
+    visible_fraction : float or None
+        Largest share of it that one view shows; None if not measured.
+    views : int
+        Views that show at least a tenth of it.
+    color : array, (3,)
+        Mean sRGB of its surface, which indicates its ripeness.
+    kind : str
+        "single", "small", or "compound-part" for a part of a cluster.
+    members : array, (M,)
+        Indices of its Gaussians.
+    fallen : bool or None
+        Whether it lies on the ground; None if no ground is visible.
+    tree : int or None
+        Number of its tree, from 1; None if no trees were requested or it belongs to none.
     """
 
     id: int
