@@ -1,12 +1,17 @@
 # Every target sets up what it needs. Another Python: make PYTHON=python3.12 …
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+# Other extras, without pinned versions, with one more package: make EXTRAS=dev CONSTRAINTS= PACKAGES_TOO=bpy==4.2.* …
+EXTRAS ?= bpy,dev
+CONSTRAINTS ?= constraints.txt
+PACKAGES_TOO ?=
+TESTS ?= tests
 READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon orchard fitting benchmarks
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py scripts/checks/*.py)))
 
-.PHONY: demo test lint types kernels pytest tables stale guide extension clean
+.PHONY: demo test lint types kernels pytest tables stale guide extension wheel clean
 
 demo: $(READY)
 	$(BIN)/python scripts/count_fruit.py examples/orchard_tree --prompt apple --out results/demo
@@ -31,7 +36,7 @@ kernels: $(READY)
 		compile_ahead.all_compiled() or compile_ahead.compile_all()" > /dev/null
 
 pytest: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(TESTS)
 
 # The tables of README, docs/accuracy.md and benchmarks/RESULTS.md: many hours; goes on where it stopped.
 tables: $(READY)
@@ -51,9 +56,12 @@ guide:
 extension: $(READY)
 	$(BIN)/python scripts/developer/build_extension.py $(ZIPS)
 
+wheel: $(READY)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bpy,dev]"
+	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable ".[$(EXTRAS)]" $(PACKAGES_TOO)
 	touch $(READY)
 
 clean:
