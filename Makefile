@@ -11,7 +11,7 @@ READY := $(VENV)/.ready
 PACKAGES := engine operators fruitlangs_addon orchard fitting benchmarks
 SCRIPTS := $(basename $(notdir $(wildcard scripts/*.py scripts/developer/*.py scripts/checks/*.py)))
 
-.PHONY: demo test lint types kernels pytest tables stale guide extension wheel clean
+.PHONY: demo test lint types kernels pytest tables stale guide extension docs wheel clean
 
 demo: $(READY)
 	$(BIN)/python scripts/count_fruit.py examples/orchard_tree --prompt apple --out results/demo
@@ -55,6 +55,10 @@ guide:
 # With all Python packages inside: make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
 extension: $(READY)
 	$(BIN)/python scripts/developer/build_extension.py $(ZIPS)
+
+# The documentation site, in build/site.
+docs: $(READY)
+	$(BIN)/python scripts/developer/build_site.py
 
 wheel: $(READY)
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
