@@ -52,9 +52,10 @@ guide:
 	$(BLENDER) --python-exit-code 1 --enable-event-simulate --no-window-focus --window-geometry 0 0 1600 900 \
 		-P scripts/developer/picture_guide.py -- --pictures docs/images/guide --film docs/images/guide/day.webp
 
-# With all Python packages inside: make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
-extension: $(READY)
-	$(BIN)/python scripts/developer/build_extension.py $(ZIPS)
+# The small zip needs nothing installed. With all Python packages inside:
+# make extension ZIPS="--wheels --blender 4.5 --platform linux-x64"
+extension: $(if $(ZIPS),$(READY))
+	$(if $(ZIPS),$(BIN)/python,$(PYTHON)) scripts/developer/build_extension.py $(ZIPS)
 
 # The documentation site, in build/site.
 docs: $(READY)

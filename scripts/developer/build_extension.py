@@ -26,8 +26,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import _checkout  # noqa: F401
 
-from _wheel_check import misfits
-
 from fruitlangs.operators.packages.package_versions import CPU_INDEX, NEVER, SERIES, BlenderSeries, versions_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -156,6 +154,8 @@ def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list
         raise BuildError(f"pip cannot get all wheels for Blender {series.name} on {platform.name}. It says why above")
     wheels = [_wheel(folder, name, version) for name, version in versions.items()]
     assert not [wheel for wheel in wheels if wheel is None or _package(wheel) in NEVER]
+    from _wheel_check import misfits  # needs a package, which the small zip does not
+
     chosen = sorted(wheel for wheel in wheels if wheel is not None)
     wrong = misfits(chosen, python=series.python, numpy=series.numpy, system=platform.python, platforms=platform.tags)
     if wrong:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -59,3 +60,11 @@ def test_an_unknown_command_is_exit_2_with_those_that_there_are() -> None:
 
 def test_version_is_that_of_the_package() -> None:
     assert command("--version").stdout == f"fruitlangs {fruitlangs.__version__}\n"
+
+
+def test_python_m_fruitlangs_is_the_same_command(tmp_path: Path) -> None:
+    (tmp_path / "fruitlangs").symlink_to(ROOT)
+    line = [sys.executable, "-m", "fruitlangs", "--version"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(line, capture_output=True, text=True, check=False, cwd="/", env=environment)
+    assert done.stdout == f"fruitlangs {fruitlangs.__version__}\n", done.stderr

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import re
 import subprocess
+import sys
 import tomllib
 import zipfile
 from pathlib import Path
@@ -175,6 +176,13 @@ def test_zip_holds_every_module_of_the_package(zip_path):
     for room in ("engine", "operators", "fruitlangs_addon"):
         for file in (ROOT / room).rglob("*.py"):
             assert file.relative_to(ROOT).as_posix() in names
+
+
+def test_the_small_zip_is_built_by_a_python_without_packages(zip_path, tmp_path):
+    script = ROOT / "scripts" / "developer" / "build_extension.py"
+    subprocess.run([sys.executable, "-S", str(script), "--out", str(tmp_path)], check=True, capture_output=True)
+    (built,) = tmp_path.glob("*.zip")
+    assert built.read_bytes() == zip_path.read_bytes()
 
 
 def test_the_same_files_give_the_same_zip(zip_path, tmp_path, monkeypatch):
