@@ -30,7 +30,7 @@ def read_origin(folder: Path) -> Origin:
     """The scene's orchard.json; empty without one.
 
     Raises:
-        FormatError: it is damaged, or the scene is half-made.
+        FormatError: it is damaged, or the scene is incomplete.
     """
     path = folder / ORCHARD
     if not path.is_file():
@@ -42,7 +42,7 @@ def read_origin(folder: Path) -> Origin:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(f"{path} is damaged ({error}). Make the scene again") from error
     if not complete:
-        raise FormatError(f"{folder} is half-made. Run make_orchard.py with the same settings again, it goes on")
+        raise FormatError(f"{folder} is incomplete. Run make_orchard.py again with the same settings to resume")
     return origin
 
 

@@ -38,10 +38,10 @@ class Orchard:
     """With the configured tree's height."""
     variant: Variant
     branches: tuple[Branch, ...]
-    """Of all trees of the row."""
+    """Branches of all trees of the row."""
     leaves: Leaves
     fruits: tuple[PlacedFruit, ...]
-    """Of the row's trees, hanging and fallen, then of the neighbours; ids count from 1."""
+    """Fruit of the row's trees, hanging and fallen, then of the neighbours; ids count from 1."""
     fruit_meshes: tuple[Mesh, ...]
     """One per fruit of the row."""
     ground: Ground

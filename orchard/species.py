@@ -53,7 +53,7 @@ class Species:
     """Darkest and lightest leaf."""
     tree_height: float = 2.1
     roughness: float = 0.38
-    """Of the surface."""
+    """Roughness of the surface."""
     fuzz: float = 0.0
     """Strength of the sheen of a hairy surface."""
     lenticels: float = 0.0

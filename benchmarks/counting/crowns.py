@@ -53,7 +53,7 @@ def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
     `out` (see `climb`).
 
     Raises:
-        FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or does not say what it is.
+        FruitLangsError: the scene or its truth cannot be read, the scene is incomplete, or does not name its species.
     """
     origin = read_origin(folder)
     if not origin.species or origin.seed is None:

@@ -25,7 +25,7 @@ IntArray = NDArray[np.int64]
 
 WIDTH, HEIGHT, FOCAL = 480, 480, 560.0
 DISTANCE = 26.0
-"""Of the cameras from the trunk; all lengths are in mean fruit diameters."""
+"""Distance of the cameras from the trunk; all lengths are in mean fruit diameters."""
 CROWN = (9.0, 9.0, 7.0)
 """Half axes of the crown, in whose outer half the fruit hang."""
 LEAST_VISIBLE = 0.05

@@ -84,7 +84,7 @@ def climb(
     scene without truth or masks is counted in the stages that need none, and measured as far as the truth allows.
 
     Raises:
-        FruitLangsError: the scene or its truth cannot be read, the scene is half-made, or nothing says what to count.
+        FruitLangsError: the scene or its truth cannot be read, the scene is incomplete, or nothing says what to count.
     """
     origin = read_origin(folder)
     if not prompts and not origin.species:

@@ -172,7 +172,7 @@ class _Watch:
         return result
 
     def medians(self) -> dict[str, float]:
-        """Of the stages, and of their sums."""
+        """{stage, or sum of stages: median seconds}."""
         runs = {stage: np.array(seconds[1:] or seconds) for stage, seconds in self.seconds.items()}
         found = {stage: statistics.median(seconds) for stage, seconds in runs.items()}
         found[FORWARD_AND_BACKWARD] = float(np.median(sum(runs[stage] for stage in DRAWING)))

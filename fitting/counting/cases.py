@@ -45,7 +45,7 @@ class Case:
     """Gaussians with a probability (N,) of being fruit, the cameras, and the truth.
 
     kind: of scene; family: cases that are never judged by what was fitted to another of them; shown: (M,) the true
-    fruit of which three views show a tenth; maps: what the photos show, if fruit are searched in them too.
+    fruit of which three views show a tenth; maps: what the photos show, if the photos are searched for fruit too.
     """
 
     kind: str

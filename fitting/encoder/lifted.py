@@ -145,7 +145,7 @@ def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> Lifte
 
 
 def intersection_over_union(scenes: Sequence[LiftedScene], calibration: Calibration) -> float:
-    """Of the Gaussians with P(fruit) ≥ 0.5 and the true ones, by drawn pixels."""
+    """Intersection over union of the Gaussians with P(fruit) ≥ 0.5 and the true ones, weighted by drawn pixels."""
     both = either = 0.0
     for scene in scenes:
         chosen = scene.margins / calibration.temperature >= calibration.bias

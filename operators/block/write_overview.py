@@ -42,7 +42,7 @@ SHOWN: tuple[Role, ...] = ("block-fruit", "block-points", "block-root")
 TREE, PROBABILITIES = "fruitlangs_tree", "probability"
 """Custom property of a tree's fruit: its name; and the attribute of the probability of each vertex' fruit."""
 SUBDIVISIONS = 2
-"""Of the icosphere that stands for a fruit: 42 vertices."""
+"""Subdivisions of the icosphere that stands for a fruit: 42 vertices."""
 POINT_RADIUS = 0.004
 """Radius of a point, in widths of what is shown."""
 

@@ -23,7 +23,7 @@ def read_scene(bpy_scene: bpy.types.Scene) -> Scene:
     """The photos' cameras and the sparse points that are shown, in the scene frame, without the photos.
 
     Raises:
-        SceneError: nothing was imported, or a camera is none of perspective.
+        SceneError: nothing was imported, or a camera is not perspective.
     """
     from ...engine.scene.camera import Scene
 
@@ -50,7 +50,7 @@ def read_cameras(bpy_scene: bpy.types.Scene) -> list[Camera]:
     """The photos' cameras, at their current poses.
 
     Raises:
-        SceneError: one is none of perspective.
+        SceneError: a camera is not perspective.
     """
     frame = _frame(bpy_scene)
     return [read_camera(item, frame) for item in owned_objects(bpy_scene, "camera") if SIZE in item]
@@ -60,7 +60,7 @@ def read_camera(item: bpy.types.Object, frame: SceneFrame) -> Camera:
     """One photo's camera, at its current pose.
 
     Raises:
-        SceneError: it is none of perspective.
+        SceneError: it is not perspective.
     """
     width, height = (int(side) for side in item[SIZE])
     return _camera(item, frame, width, height, float(item[ASPECT]))
@@ -70,7 +70,7 @@ def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
     """The camera of a Blender render, at the size of the render.
 
     Raises:
-        SceneError: there is none, it is none of perspective, or nothing was imported.
+        SceneError: there is none, it is not perspective, or nothing was imported.
     """
     item, render = bpy_scene.camera, bpy_scene.render
     if item is None:

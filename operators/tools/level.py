@@ -87,7 +87,7 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
 def level(frame: SceneFrame, up: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
     """Rotate the root so that `up` (3,) points to +Z and the point `ground` (3,) of the scene is at height 0.
 
-    Of the user's placement the position on the ground, the heading and the scale stay.
+    The position on the ground, the heading and the scale that the user gave stay.
     """
     upright = upright_of(frame)
     turned = upright.to_3x3() @ Vector(up.tolist())

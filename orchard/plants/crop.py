@@ -25,7 +25,7 @@ class PlacedFruit:
     id: int
     body: Body
     diameter: float
-    """Of the sphere of equal volume, metres."""
+    """Diameter of the sphere of equal volume, metres."""
     kind: str
     """hanging, fallen or neighbour"""
     anchor: FloatArray | None

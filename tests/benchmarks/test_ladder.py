@@ -145,7 +145,7 @@ def test_a_truth_of_other_images_fails_before_anything_is_counted(scene: Path, t
 def test_a_half_made_scene_is_refused(scene: Path, tmp_path: Path) -> None:
     half = copied(scene, tmp_path / "half")
     (half / "orchard.json").write_text('{"config": {"species": "apple", "seed": 1}}')
-    with pytest.raises(FormatError, match="half-made"):
+    with pytest.raises(FormatError, match="incomplete"):
         climb(half, tmp_path / "out", config=QUICK)
 
 

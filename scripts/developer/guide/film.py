@@ -14,7 +14,7 @@ from guide.hand import Hand, Steps
 WIDTH, BAR = 1000, 36
 """Pixels: of a picture across, and of the bar below it that holds the caption."""
 SECONDS, LONGEST = 90.0, 0.6
-"""Of the whole film, and the longest that one picture is shown."""
+"""Seconds of the whole film, and the longest that one picture is shown."""
 EVERY, EVERY_AT_WORK = 0.8, 4.0
 """Seconds between two pictures, and while a job runs."""
 CHANGED = 0.02
