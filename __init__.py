@@ -7,7 +7,9 @@ time, and Blender can enable the extension while packages are missing.
 
 from __future__ import annotations
 
+import tomllib
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from .engine.pipeline import count_scene, reconstruct_scene
     from .engine.publishing import Result
 
-__version__ = "1.0.0-rc.1"
+__version__: str = tomllib.loads(Path(__file__).with_name("blender_manifest.toml").read_text("utf-8"))["version"]
 
 __all__ = ["Config", "Fruit", "FruitLangsError", "Result", "count_scene", "open_result", "reconstruct_scene"]
 

@@ -69,11 +69,11 @@ def test_manifest_agrees_with_the_package():
     import fruitlangs
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert manifest()["version"] == fruitlangs.__version__ == project["version"]
+    assert manifest()["version"] == fruitlangs.__version__
+    assert "version" in project["dynamic"]
     licences = project["license"].split(" AND ")
     assert manifest()["license"] == [f"SPDX:{licence}" for licence in licences]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\nversion: {project['version']}\n" in citation
     assert re.search(r"^license:\n((?:  - .*\n)+)", citation, re.M)[1].split()[1::2] == licences
 
 
@@ -161,6 +161,7 @@ def test_the_manifest_allows_the_folders_of_the_package_and_their_files(zip_path
     data = {
         file.relative_to(ROOT).as_posix()
         for package, patterns in tools["package-data"].items()
+        if package != "fruitlangs"
         for pattern in patterns
         for file in ROOT.joinpath(*package.split(".")[1:]).glob(pattern)
     }
