@@ -25,7 +25,7 @@ from .errors import Cancelled
 from .language.features.lift import lift_features
 from .language.prompts.photo_probability import PhotoMap
 from .progress import Progress
-from .scene.camera import ArrayPhoto, Camera, Scene, looking
+from .scene.camera import ArrayPhoto, Camera, Scene, look_along
 from .splatting.gaussians import Gaussians
 from .splatting.kernels.records import RECORD, TILE_HEIGHT, TILE_WIDTH
 from .splatting.kernels.tile import CHANNELS
@@ -182,5 +182,5 @@ def _scene() -> tuple[Gaussians, NDArray[np.float64], list[Camera]]:
     cameras = []
     for angle in np.linspace(0.0, 2.0 * np.pi, VIEWS, endpoint=False):
         place = np.array([7.0 * np.cos(angle), 7.0 * np.sin(angle), 2.0])
-        cameras.append(Camera(K, looking(place, -place, np.array([0.0, 0.0, 1.0])), WIDTH, HEIGHT))
+        cameras.append(Camera(K, look_along(place, -place, np.array([0.0, 0.0, 1.0])), WIDTH, HEIGHT))
     return gaussians, np.full(len(means), 0.9), cameras

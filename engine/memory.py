@@ -9,7 +9,7 @@ import psutil
 
 from .child_process import usable_cores
 from .config import Config
-from .counting.evidence.visibility import at_drawing_size
+from .counting.evidence.visibility import scale_to_drawing_size
 from .errors import ConfigError
 from .language.encoders.seen import MOST, MOST_PIXELS, TILE
 from .scene.camera import Camera
@@ -83,7 +83,7 @@ def features_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) ->
 
 def counting_bytes(gaussians: int, config: Config, cameras: Sequence[Camera]) -> int:
     """Approximate peak memory of counting, in bytes."""
-    drawn = sum(camera.width * camera.height for camera in at_drawing_size(cameras))
+    drawn = sum(camera.width * camera.height for camera in scale_to_drawing_size(cameras))
     points = min(config.count.sample_budget, 20 * gaussians)
     sought = 0 if config.embed.encoder == "clip" else SOUGHT_BASE + SOUGHT_BYTES * drawn
     return BASE + DRAWN_BYTES * drawn + sought + POINT_BYTES * points + 4 * COUNTED_VALUES * gaussians

@@ -161,7 +161,7 @@ def side_to_read(
 
 def needed_bytes(side: float, photos: Sequence[Photo], cameras: Sequence[Camera], config: Config) -> int:
     """Peak memory of a run with photos that are read with at most `side` pixels on their longer side."""
-    larger = [camera.scaled(factor) for camera, factor in zip(cameras, growth(photos, side), strict=True)]
+    larger = [camera.scale(factor) for camera, factor in zip(cameras, growth(photos, side), strict=True)]
     gaussians = grown(config.train, larger, len(larger)).max_gaussians
     return max(stage_bytes(gaussians, config, larger, trained=True).values())
 

@@ -222,7 +222,7 @@ def _opened(path: Path, imported: Path | None, out: Path, progress: Progress) ->
         raise OutputError(f"{out} is the folder of the scene itself. Choose another folder for the results")
     source = Source(path=path)
     if not alone and (imported is not None or not source.is_alone()):
-        source.opened(part(progress, 0.0, 0.0))
+        source.open(part(progress, 0.0, 0.0))
     return source
 
 

@@ -30,7 +30,7 @@ from .report.tables import fruits_csv
 from .report.words import headline
 from .result_folder import SOURCE, ResultFolder
 from .scene.camera import Scene
-from .scene.formats.cameras_json import with_scene_facts
+from .scene.formats.cameras_json import add_scene_facts
 from .splatting.gaussians import Gaussians
 from .storage.files import file_hash, write_text
 from .training import CAMERAS, FEATURES, GAUSSIANS, RunLog
@@ -157,7 +157,7 @@ def _write_set(folder: Path, result: Result, made: Reconstruction) -> list[str]:
     shutil.copyfile(made.files.features, folder / FEATURES)
     if made.files.photos is not None:
         shutil.copyfile(made.files.photos, folder / PHOTOS)
-    write_text(folder / CAMERAS, with_scene_facts(made.files.cameras, result.scene))
+    write_text(folder / CAMERAS, add_scene_facts(made.files.cameras, result.scene))
     csv = fruits_csv(result.fruit_count, metres_per_unit=result.scene.metres_per_unit)
     write_text(folder / "fruits.csv", csv)
     prompt = ", ".join(result.origin["prompts"])

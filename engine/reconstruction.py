@@ -30,7 +30,7 @@ from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
 from .scene.formats.cameras_json import read_cameras
 from .scene.photos.photo import FilePhoto, read_header
-from .scene.photos.spool import spooled
+from .scene.photos.spool import spool_photos
 from .scene.scale import scale_by_length
 from .scene.sfm.find_cameras import list_photos
 from .scene.source import Source
@@ -102,7 +102,9 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
                 headers = [read_header(file) for file in list_photos(photos)]
                 sizes = [(header.width, header.height) for header in headers]
                 threads = camera_search_threads(sizes, run.config.photos.max_side)
-            source = source.posed(run.cache, run.config.photos, threads=threads, progress=part(progress, 0.1, start))
+            source = source.find_poses(
+                run.cache, run.config.photos, threads=threads, progress=part(progress, 0.1, start)
+            )
         run.log.notices += source.notices
         run.log.reused += ["photos"] if source.reused else []
     progress = part(progress, start, 1.0)
@@ -110,7 +112,7 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         run = reading_larger(source, run, part(progress, 0.0, 0.01)) if imported is None else run
         scene = _read_photos(source, run, part(progress, 0.01, 0.03))
         inputs = {"source": str(path), "inputs_sha256": source.hash()}
-    with spooled(scene, run.cache / SPOOL) as decoded_once:
+    with spool_photos(scene, run.cache / SPOOL) as decoded_once:
         if imported is not None:
             made = _with_imported(imported, decoded_once, inputs, run, progress)
         else:
@@ -124,7 +126,7 @@ def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
     """The posed photos of `source`; adds a notice if some are missing, or if they are scaled down."""
     config = run.config
     scene = source.read(config.scene, progress=progress)
-    run.log.notices += source.opened().notices
+    run.log.notices += source.open().notices
     # Photos that held-out measurement cannot read must not cost a training run.
     scale_by_length(config.units, [photo.name for photo in scene.images], scene.cameras)
     headers = [photo.header for photo in scene.images if isinstance(photo, FilePhoto)]
@@ -304,9 +306,9 @@ def _with_photos(
     path = Path(origin["source"])
     if not path.exists():
         raise SceneError(f"The photos at {path} are missing")
-    source = Source(path=path).posed_before(folder.cache, cache, stored.photos)
+    source = Source(path=path).reuse_poses(folder.cache, cache, stored.photos)
     if source.hash() != origin["inputs_sha256"]:
-        missing = "".join(f" ({notice})" for notice in source.opened().notices)
+        missing = "".join(f" ({notice})" for notice in source.open().notices)
         raise SceneError(
             f"The photos at {path} have changed since they were counted{missing}. Count again from the photos"
         )

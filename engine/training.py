@@ -26,7 +26,7 @@ from .result_folder import SPOOL
 from .scene.alignment import Similarity
 from .scene.camera import Camera, Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
-from .scene.walk import SECTION_PHOTOS, Walk, cut
+from .scene.walk import SECTION_PHOTOS, Walk, cut_walk
 from .splatting.gaussians import Gaussians, concatenated, moved_gaussians
 from .splatting.gpu.adapters import Adapter
 from .splatting.ply import read_ply, write_ply
@@ -105,7 +105,7 @@ def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
     if embedder.trains:
         key = stage_key(("scene", "splatting", "language", "compiled"), key, embedder.key)
     with run.log.timed("train"):
-        walk = cut(scene, photos=SECTION_PHOTOS, sections=config.scene.sections)
+        walk = cut_walk(scene, photos=SECTION_PHOTOS, sections=config.scene.sections)
         if walk is not None and embedder.trains:
             run.log.notices.append("features are trained along, so the walk was not cut into sections")
             walk = None

@@ -10,10 +10,10 @@ from fruitlangs.engine.counting.evidence.visibility import Picture
 from fruitlangs.engine.counting.geometry.sphere import unit_directions
 from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.surroundings import Surroundings
-from fruitlangs.engine.counting.photos.verifier import Verifier, stored_network
+from fruitlangs.engine.counting.photos.verifier import Verifier, load_network
 from fruitlangs.engine.counting.photos.views import BLUR, PhotoViews
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
-from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
 FOCAL, AWAY, WALL = 260.0, 2.0, 6.0
@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 240, 240
 def camera_at(turn: float, height: float = 0.0) -> Camera:
     eye = AWAY * np.array([np.cos(turn) * np.cos(height), np.sin(turn) * np.cos(height), np.sin(height)])
     K = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
-    return Camera(width=WIDTH, height=HEIGHT, K=K, world_to_camera=looking(eye, -eye, np.array([0.0, 0.0, 1.0])))
+    return Camera(width=WIDTH, height=HEIGHT, K=K, world_to_camera=look_along(eye, -eye, np.array([0.0, 0.0, 1.0])))
 
 
 RING = [camera_at(turn, 0.5 * (-1) ** index) for index, turn in enumerate(np.arange(16) * np.pi / 8)]
@@ -67,7 +67,7 @@ def surroundings_of(balls: Places, on_surfaces: NDArray, diameter: float) -> Sur
 
 def verifier_of(balls: Places, diameter: float, *, every: int = 2) -> Verifier:
     """diameter: of the fruit that were found on surfaces: one of so many balls."""
-    return Verifier(stored_network(), views_of(balls), surroundings_of(balls, balls.centers[::every], diameter))
+    return Verifier(load_network(), views_of(balls), surroundings_of(balls, balls.centers[::every], diameter))
 
 
 def balls_of(radii: NDArray, *, gap: float = 1.25, seed: int = 0) -> Places:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fruitlangs.engine.counting.evidence.visibility import Picture
-from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -126,7 +126,7 @@ def _cameras(trees: int, ground: Terrain, frame: FloatArray) -> list[Camera]:
             here = np.array([place])
             eye = np.array([place, side, float(ground(here, np.array([side]))[0]) + TRUNK])
             aim = np.array([place, 0.0, float(ground(here, np.zeros(1))[0]) + TRUNK])
-            cameras.append(Camera(K, looking(frame @ eye, frame @ (aim - eye), frame[:, 2]), 48, 36))
+            cameras.append(Camera(K, look_along(frame @ eye, frame @ (aim - eye), frame[:, 2]), 48, 36))
     return cameras
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ...engine.compiled.jit import njit
 from ...engine.evaluation.true_surface import true_surface
 from ...engine.evaluation.truth import Truth
-from ...engine.scene.camera import ArrayPhoto, Camera, Scene, looking
+from ...engine.scene.camera import ArrayPhoto, Camera, Scene, look_along
 from ...engine.splatting.gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -227,7 +227,7 @@ def _cameras(setting: Setting) -> list[Camera]:
         turn = np.radians(setting.arc) * (view + 0.5) / setting.views
         height = DISTANCE * 0.35 * np.sin(2.0 * np.pi * 3.0 * view / setting.views)
         center = np.array([DISTANCE * np.cos(turn), DISTANCE * np.sin(turn), height])
-        cameras.append(Camera(K, looking(center, -center, np.array([0.0, 0.0, 1.0])), WIDTH, HEIGHT))
+        cameras.append(Camera(K, look_along(center, -center, np.array([0.0, 0.0, 1.0])), WIDTH, HEIGHT))
     return cameras
 
 

@@ -13,11 +13,11 @@ from ...engine.config import CountConfig
 from ...engine.counting.accounts.audit import account_for
 from ...engine.counting.accounts.describe import describe
 from ...engine.counting.accounts.ids import number
-from ...engine.counting.accounts.interval import estimate, evidence_of
+from ...engine.counting.accounts.interval import estimate, gather_evidence
 from ...engine.counting.evidence.cluster import Clusters, Search, find_fruit, search
 from ...engine.counting.evidence.surface_points import LARGEST_SCALE, sample_surface
 from ...engine.counting.evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
-from ...engine.counting.regions.ground import lying_on_ground
+from ...engine.counting.regions.ground import find_fallen
 from ...engine.counting.sizing import fruit_size, select_gaussians
 from ...engine.errors import CountingError
 from ...engine.progress import Progress, part, silent
@@ -120,10 +120,10 @@ def _tell(stack: Stack, fruit: Clusters, searched: Search, config: CountConfig, 
         describe(stack.gaussians, stack.seen, fruit, numbers, account.compound, view_evidence, "apple")
     with watch.stage("ground"):
         others = stack.gaussians.select(torch.from_numpy(np.flatnonzero(stack.probability < config.threshold)))
-        lying_on_ground(others, [picture.camera for picture in stack.pictures], centers, 2.0 * radii, UP)
+        find_fallen(others, [picture.camera for picture in stack.pictures], centers, 2.0 * radii, UP)
     with watch.stage("interval"):
         everywhere = np.ones(len(searched.found))
-        estimate(evidence_of(searched, everywhere, stack.pictures, seed=config.seed), len(centers))
+        estimate(gather_evidence(searched, everywhere, stack.pictures, seed=config.seed), len(centers))
 
 
 def _moved(picture: Picture, along: float) -> Picture:

@@ -42,7 +42,7 @@ def fruit_field(result: Result, prompts: Sequence[str], config: Config, *, seed:
         raise EncoderError("This encoder gives no masks of photos. Use the embedded one: --encoder embedded")
     masks = [torch.from_numpy(each.probability >= config.count.threshold) for each in maps]
     cameras = [
-        camera.resized(mask.shape[1], mask.shape[0]) for camera, mask in zip(result.scene.cameras, masks, strict=True)
+        camera.resize(mask.shape[1], mask.shape[0]) for camera, mask in zip(result.scene.cameras, masks, strict=True)
     ]
     return learnt(result.gaussians, cameras, masks, seed=seed)
 

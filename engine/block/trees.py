@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..counting.accounts.review import corrected_interval
+from ..counting.accounts.review import correct_interval
 from ..errors import FormatError, FruitLangsError
 from ..report.results import FRUITS_JSON, parse_results
 from ..scene.formats.cameras_json import camera_names, read_cameras
@@ -250,7 +250,7 @@ def _reviewed(before: Amount, review: Sequence[ReviewedFruit]) -> Amount:
     """The number of fruit after a review, with the interval that it leaves."""
     found = [fruit for fruit in review if fruit.standing != "added"]
     after = sum(fruit.counts for fruit in review)
-    low, high = corrected_interval(
+    low, high = correct_interval(
         before.count,
         (int(before.low), int(before.high)),
         np.array([fruit.probability for fruit in found]),

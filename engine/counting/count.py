@@ -24,7 +24,7 @@ from ..splatting.subject.viewpoints import find_subject
 from .accounts.audit import account_for
 from .accounts.describe import describe, place_fruit, point_colors
 from .accounts.ids import NO_FRUIT, KnownFruit, number
-from .accounts.interval import Estimate, estimate, evidence_of
+from .accounts.interval import Estimate, estimate, gather_evidence
 from .accounts.zero import UNKNOWN, Matching, Quality
 from .evidence.cluster import Clusters, Search, find_fruit, search
 from .evidence.fruit_colours import FruitColours
@@ -36,23 +36,23 @@ from .evidence.surface_points import SurfacePoints
 from .evidence.visibility import Picture, Visibility, draw, find_visibility, gather_view_evidence
 from .fruit import NO_TREE, AuditEntry, FruitCount
 from .geometry.sphere import Spheres
-from .photos.join import PhotoEvidence, with_photos
+from .photos.join import PhotoEvidence, add_photos
 from .published.fruitnerf import cluster_as_fruitnerf
 from .published.template import split_by_template
 from .published.template_shape import read_template
-from .regions.ground import doubt_sunken, lying_on_ground
-from .regions.region import REACH, Region, keep_inside, region_of, spaced
+from .regions.ground import doubt_sunken, find_fallen
+from .regions.region import REACH, Region, format_position, keep_inside, region_of
 from .regions.row import check_trees, trees_of_row
 from .sizing import (
     FAINT,
     LEAST_OPACITY,
     check_diameter,
+    explain_no_points,
+    explain_no_size,
     fruit_size,
     require_fine,
-    sampled,
+    sample_points,
     select_gaussians,
-    why_no_points,
-    why_no_size,
 )
 
 FloatArray = NDArray[np.float64]
@@ -101,24 +101,24 @@ def count_fruit(
             fewer fruit, or places with fruit, than trees, the diameter is larger than all that may be fruit, or no
             fruit is found because the reconstruction is poor or the diameter is not that of the scene.
     """
-    probabilities = _checked(gaussians, probability, cameras)
-    up = _mean_top(cameras) if up is None else _checked_up(up)
+    probabilities = _check_inputs(gaussians, probability, cameras)
+    up = _mean_top(cameras) if up is None else _check_up(up)
     region = region_of(config, up)
     check_trees(config, up)
-    inside = _inside(region, gaussians)
+    inside = _find_inside(region, gaussians)
     highest = float(probabilities[inside].max())
     matching = Matching.of(gaussians, probabilities, inside, cameras, label, quality, photos, config.threshold)
 
-    def nothing(reason: str, diameter: float | None = None, *, points: int = 0, visible: bool = True) -> FruitCount:
+    def count_zero(reason: str, diameter: float | None = None, *, points: int = 0, visible: bool = True) -> FruitCount:
         matching.require_answer(reason, diameter)
-        none = _none(highest, known, reason, points, diameter)
-        return _on_trees(matching.with_bounds(none, diameter, visible=visible), [], config, up, cameras)
+        none = _make_zero(highest, known, reason, points, diameter)
+        return _place_on_trees(matching.add_bounds(none, diameter, visible=visible), [], config, up, cameras)
 
     selected = select_gaussians(gaussians, probabilities, config)
     if highest < config.threshold:
-        return nothing(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
+        return count_zero(f"no Gaussian reaches {config.threshold:.2f}: the highest probability is {highest:.3f}")
     if not inside[selected].any():
-        return nothing(
+        return count_zero(
             f"all {len(matching)} Gaussians of {label} are transparent: their opacities are below {LEAST_OPACITY}"
         )
     progress(0.0, "Rendering the Gaussians in each view")
@@ -127,24 +127,24 @@ def count_fruit(
     seen = selected[visibility.weights[selected] > 0]
     own = seen[inside[seen]]
     if len(own) == 0:
-        return nothing(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}", visible=False)
+        return count_zero(f"no view shows any of the {inside[selected].sum()} Gaussians of {label}", visible=False)
     notices = check_diameter(gaussians, probabilities, visibility, own, config, part(progress, 0.3, 0.4))
     size = fruit_size(gaussians, probabilities, visibility, own, config, part(progress, 0.4, 0.5))
     pictures = draw(gaussians, probabilities, cameras, progress=part(progress, 0.5, 0.7))
     sized = size or size_from_pictures(pictures, config.threshold, region.contains)
-    if sized is None or (size is None and matching.sharp(sized.diameter)):
-        return nothing(why_no_size(gaussians, probabilities, visibility, own, config, label), points=len(own))
+    if sized is None or (size is None and matching.is_sharp(sized.diameter)):
+        return count_zero(explain_no_size(gaussians, probabilities, visibility, own, config, label), points=len(own))
     if size is None:
         notices = [
             f"no surface of {label} is round, so the size of the fruit was estimated from the widths of its regions in "
             "the rendered views. Check the sizes and the count"
         ]
-    points = sampled(gaussians, probabilities, visibility, seen, sized.diameter, config)
+    points = sample_points(gaussians, probabilities, visibility, seen, sized.diameter, config)
     points = points.select(region.contains(points.positions, REACH * sized.diameter))
     if len(points) == 0:
-        reason = why_no_points(gaussians, own, sized.diameter, label)
+        reason = explain_no_points(gaussians, own, sized.diameter, label)
         require_fine(gaussians, own, sized.diameter, config, reason, label)
-        none = nothing(reason, sized.diameter, points=len(own))
+        none = count_zero(reason, sized.diameter, points=len(own))
         return replace(none, notices=[*notices, *none.notices])
     evidence = None if photos is None else PhotoEvidence(gaussians, probabilities, photos)
     others = gaussians.select(torch.from_numpy(np.flatnonzero(probabilities < config.threshold)))
@@ -156,15 +156,17 @@ def count_fruit(
     colours = FruitColours(choice, gaussians, weights, pictures, photos, config.threshold)
     clusters = colours.keep(within)
     spheres, beyond = clusters.spheres, len(found.spheres) - len(within.spheres)
-    described = _described(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
+    described = _describe_fruit(gaussians, seen, clusters, pictures, cameras, known, config, label, beyond, highest)
     other_colors = len(within.spheres) - len(spheres)
-    counted = replace(described, notices=[*quality.notices, *notices, *_long(found)], other_colors=other_colors)
-    lying = lying_on_ground(others, cameras, counted.centers, counted.diameters, up)
-    placed = _on_trees(counted, lying, config, up, cameras)
+    counted = replace(
+        described, notices=[*quality.notices, *notices, *_note_long_fruit(found)], other_colors=other_colors
+    )
+    lying = find_fallen(others, cameras, counted.centers, counted.diameters, up)
+    placed = _place_on_trees(counted, lying, config, up, cameras)
     if searched is not None:
         candidates = searched.found.spheres
         counts = region.contains(candidates.centers) * colours.chances(candidates.centers, candidates.radii)
-        placed = _with_intervals(placed, searched, counts, found.parts, pictures, config.seed)
+        placed = _add_intervals(placed, searched, counts, found.parts, pictures, config.seed)
     if len(spheres):
         return placed
     if len(within.spheres):
@@ -181,10 +183,10 @@ def count_fruit(
     if estimated and photos is None:
         return placed
     refused = 0 if searched is None else int(region.contains(searched.on_surfaces).sum())
-    return matching.with_bounds(placed, sized.diameter, searched=estimated, refused=refused)
+    return matching.add_bounds(placed, sized.diameter, searched=estimated, refused=refused)
 
 
-def _described(
+def _describe_fruit(
     gaussians: Gaussians,
     seen: IntArray,
     clusters: Clusters,
@@ -196,7 +198,7 @@ def _described(
     beyond: int,
     highest: float,
 ) -> FruitCount:
-    """The fruit with their numbers and descriptions, and the audit.
+    """Return the fruit with their numbers and descriptions, and the audit.
 
     beyond: number of fruit outside the region; highest: probability of a Gaussian in it.
     """
@@ -218,8 +220,8 @@ def _described(
     )
 
 
-def _long(found: Clusters) -> list[str]:
-    """A message if the fruit are long."""
+def _note_long_fruit(found: Clusters) -> list[str]:
+    """Return a message if the fruit are long."""
     if found.parts is None or found.axes is None:
         return []
     lengths = np.linalg.norm(found.axes, axis=2)
@@ -236,10 +238,10 @@ def _pixel_width(spheres: Spheres, cameras: Sequence[Camera], pictures: Sequence
     return float(np.median(known)) if len(known) else None
 
 
-def _on_trees(
+def _place_on_trees(
     counted: FruitCount, lying: Sequence[bool | None], config: CountConfig, up: FloatArray, cameras: Sequence[Camera]
 ) -> FruitCount:
-    """The count with the position of each fruit, and an audit entry for trees that no fruit belongs to."""
+    """Add the position of each fruit to the count, and an audit entry for trees that no fruit belongs to."""
     row = trees_of_row(counted.centers, config, up, cameras[0].world_to_camera[0, :3])
     placed = place_fruit(counted, lying, row)
     if config.trees == 0 or row is not None:
@@ -250,7 +252,7 @@ def _on_trees(
     return replace(placed, audit=[*placed.audit, entry])
 
 
-def _with_intervals(
+def _add_intervals(
     counted: FruitCount,
     searched: Search,
     counts: FloatArray,
@@ -258,7 +260,7 @@ def _with_intervals(
     pictures: Sequence[Picture],
     seed: int,
 ) -> FruitCount:
-    """The count and its trees with intervals; a candidate belongs to the tree of its nearest fruit.
+    """Add intervals to the count and its trees; a candidate belongs to the tree of its nearest fruit.
 
     counts: (C,) probability that a candidate counts if it is a fruit; parts: of long fruit, None if they are round.
     Without fruit, trees have no interval.
@@ -269,8 +271,8 @@ def _with_intervals(
     known = counted.trees and counted.fruits
     own = numbers[cKDTree(counted.centers).query(centers)[1]] if known else np.full(len(centers), NO_TREE)
 
-    def estimated(of: FloatArray, count: int) -> Estimate:
-        return estimate(evidence_of(searched, of, pictures, shares, seed=seed), count)
+    def estimate_for(of: FloatArray, count: int) -> Estimate:
+        return estimate(gather_evidence(searched, of, pictures, shares, seed=seed), count)
 
     def intervals(of: Estimate) -> dict[str, Any]:
         return {
@@ -282,26 +284,26 @@ def _with_intervals(
 
     trees = counted.trees
     if known:
-        trees = [replace(tree, **intervals(estimated(counts * (own == tree.number), tree.count))) for tree in trees]
-    whole = estimated(counts, counted.count)
+        trees = [replace(tree, **intervals(estimate_for(counts * (own == tree.number), tree.count))) for tree in trees]
+    whole = estimate_for(counts, counted.count)
     return replace(counted, trees=trees, **intervals(whole))
 
 
-def _inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
-    """(N,) which Gaussians lie in the region; an error with the extent of the scene if none does."""
+def _find_inside(region: Region, gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Find which Gaussians (N,) lie in the region; raise an error with the extent of the scene if none does."""
     inside = region.contains(gaussians.means.detach().double().cpu().numpy())
     if not inside.any():
         subject = find_subject(gaussians)
         raise CountingError(
             f"None of the {len(inside)} Gaussians lies in the region (--count.box or --count.polygon). The scene's "
-            f"detail lies between {spaced(subject.center - subject.radius)} and "
-            f"{spaced(subject.center + subject.radius)}"
+            f"detail lies between {format_position(subject.center - subject.radius)} and "
+            f"{format_position(subject.center + subject.radius)}"
         )
     return inside
 
 
-def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
-    """The probabilities as (N,) float64, after shapes and values of all inputs were checked."""
+def _check_inputs(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras: Sequence[Camera]) -> FloatArray:
+    """Check shapes and values of all inputs and return the probabilities as (N,) float64."""
     if isinstance(probability, torch.Tensor):
         probability = probability.detach().cpu().numpy()
     probabilities = np.asarray(probability, dtype=np.float64)
@@ -328,13 +330,13 @@ def _checked(gaussians: Gaussians, probability: NDArray | torch.Tensor, cameras:
     if len(gaussians) > 1 and bool((gaussians.means == gaussians.means[0]).all()):
         raise CountingError(
             f"All {len(gaussians)} Gaussians lie at the same position, "
-            f"{spaced(gaussians.means[0].detach().cpu().numpy())}. Train the scene again"
+            f"{format_position(gaussians.means[0].detach().cpu().numpy())}. Train the scene again"
         )
     return probabilities
 
 
-def _checked_up(up: FloatArray) -> FloatArray:
-    """The direction (3,) away from the ground with length 1."""
+def _check_up(up: FloatArray) -> FloatArray:
+    """Check the direction (3,) away from the ground and return it with length 1."""
     given = np.asarray(up, np.float64)
     length = float(np.linalg.norm(given))
     if given.shape != (3,) or not 0.0 < length < np.inf:
@@ -364,7 +366,7 @@ def _find(
     alone = progress if photos is None else part(progress, 0.0, 0.3)
     found = search(points, size, pictures, config.threshold, given=given, progress=alone)
     if photos is not None:
-        found = with_photos(found, photos, pictures, config.threshold, progress=part(progress, 0.3, 1.0))
+        found = add_photos(found, photos, pictures, config.threshold, progress=part(progress, 0.3, 1.0))
     found = doubt(found)
     return find_fruit(found, lengthwise=lengthwise), found
 
@@ -382,6 +384,8 @@ def _top_to_bottom(centers: FloatArray, cameras: Sequence[Camera]) -> IntArray:
     return np.argsort(-(centers @ _mean_top(cameras)), kind="stable").astype(np.int64)
 
 
-def _none(highest: float, known: KnownFruit, reason: str, points: int = 0, diameter: float | None = None) -> FruitCount:
+def _make_zero(
+    highest: float, known: KnownFruit, reason: str, points: int = 0, diameter: float | None = None
+) -> FruitCount:
     entry = AuditEntry(0, "dropped", reason, (0.0, 0.0, 0.0), points, diameter=diameter)
     return FruitCount(fruits=[], audit=[entry], max_probability=highest, mean_diameter=None, last_id=known.last)

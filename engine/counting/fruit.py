@@ -160,14 +160,14 @@ class FruitCount:
     @property
     def hanging(self) -> int | None:
         """Fruit that do not lie on the ground; None if no ground is visible."""
-        return self._known(False)
+        return self._count_known(False)
 
     @property
     def fallen(self) -> int | None:
         """Fruit on the ground; None if no ground is visible."""
-        return self._known(True)
+        return self._count_known(True)
 
-    def _known(self, fallen: bool) -> int | None:
+    def _count_known(self, fallen: bool) -> int | None:
         known = [fruit.fallen for fruit in self.fruits if fruit.fallen is not None]
         return known.count(fallen) if known else None
 

@@ -21,7 +21,7 @@ from ..progress import Progress, part, silent
 from ..scene.camera import Scene
 from ..splatting.gaussians import Gaussians
 from .accounts.ids import NO_FRUIT, KnownFruit
-from .accounts.other_kinds import AnyKind, with_other_kinds
+from .accounts.other_kinds import AnyKind, add_other_kinds
 from .accounts.zero import UNKNOWN, Quality
 from .count import count_fruit
 from .fruit import FruitCount
@@ -67,7 +67,7 @@ def count_prompts(
     """Count the fruit that match any of `prompts` and none of `negatives`.
 
     probability: (N,) that each Gaussian does, see `select`; known: see `count_fruit`. If fruit of other kinds are at
-    least as many as these, notices say so and the intervals admit them, see `with_other_kinds`.
+    least as many as these, notices say so and the intervals admit them, see `add_other_kinds`.
 
     Raises:
         CountingError, ConfigError, FormatError: see `count_fruit`.
@@ -81,10 +81,10 @@ def count_prompts(
     again = searched if counted.trees else replace(searched, config=replace(searched.config, trees=0))
     label = _label(prompts, searched.encoder)
     try:
-        found = _any_kind(again, searched.encoder, prompts, negatives, match, part(progress, 0.8, 1.0))
+        found = _count_any_kind(again, searched.encoder, prompts, negatives, match, part(progress, 0.8, 1.0))
     except CountingError as error:  # the count of the prompt stands
         return replace(counted, notices=[*counted.notices, f"fruit of other kinds could not be counted: {error}"])
-    return counted if found is None else with_other_kinds(counted, found, label)
+    return counted if found is None else add_other_kinds(counted, found, label)
 
 
 def _match(
@@ -138,7 +138,7 @@ def _count(
     return replace(counted, notices=[*match.notices, *counted.notices])
 
 
-def _any_kind(
+def _count_any_kind(
     searched: Searched,
     encoder: KindEncoder,
     prompts: Sequence[str],
@@ -146,7 +146,7 @@ def _any_kind(
     match: _Match,
     progress: Progress,
 ) -> AnyKind | None:
-    """The fruit of any kind; None if the prompts name no kinds, or most of what looks like fruit matches them.
+    """Count the fruit of any kind; None if the prompts name no kinds, or most of what looks like fruit matches them.
 
     Raises:
         CountingError: it cannot be counted.

@@ -117,7 +117,7 @@ def _widths(gaussians: Gaussians, index: IntArray) -> FloatArray:
     return widths
 
 
-def why_no_size(
+def explain_no_size(
     gaussians: Gaussians,
     probabilities: FloatArray,
     visibility: Visibility,
@@ -125,7 +125,7 @@ def why_no_size(
     config: CountConfig,
     label: str,
 ) -> str:
-    """Why no size can be estimated from the visible Gaussians."""
+    """Say why no size can be estimated from the visible Gaussians."""
     if len(_sizing_points(gaussians, probabilities, visibility, seen, config)) == 0:
         return f"none of the {len(seen)} Gaussians of {label} {FACELESS}"
     return f"none of the {len(seen)} Gaussians of {label} lie on anything round"
@@ -150,8 +150,8 @@ def require_fine(
     raise CountingError(f"The 0 for {label} is not a count: {reason}. {advice}")
 
 
-def why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:
-    """Why the visible Gaussians give no points."""
+def explain_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: str) -> str:
+    """Say why the visible Gaussians give no points."""
     large = int((_widths(gaussians, seen) > LARGEST_SCALE * diameter).sum())
     if large == len(seen):
         return f"all {large} Gaussians of {label} are larger than the expected fruit"
@@ -159,7 +159,7 @@ def why_no_points(gaussians: Gaussians, seen: IntArray, diameter: float, label: 
     return text + (f"; {large} others are larger than the expected fruit" if large else "")
 
 
-def sampled(
+def sample_points(
     gaussians: Gaussians,
     probabilities: FloatArray,
     visibility: Visibility,
@@ -167,7 +167,7 @@ def sampled(
     diameter: float,
     config: CountConfig,
 ) -> SurfacePoints:
-    """The points to count in: on surfaces, or spread through the volume for the published methods."""
+    """Sample the points to count in: on surfaces, or spread through the volume for the published methods."""
     if config.method == "voting":
         return sample_enough(
             gaussians, probabilities, visibility, seen, diameter=diameter, most=config.sample_budget, seed=config.seed

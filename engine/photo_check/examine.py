@@ -13,7 +13,7 @@ from PIL import ExifTags, Image, ImageFilter, ImageOps
 
 from ..errors import SceneError
 from ..scene.photos.photo import DECODE_ERRORS, read_exif
-from ..scene.photos.picture_file import open_picture, rgb_picture
+from ..scene.photos.picture_file import convert_to_rgb, open_picture
 from .features import Features, find_features
 from .sharpness import sharpness
 
@@ -93,7 +93,7 @@ def _opened(path: Path, enough: int | None = None) -> tuple[Image.Image, tuple[i
             if enough is not None:
                 opened.draft("RGB", (enough, enough))  # JPEG decodes faster at a reduced size
             turned = ImageOps.exif_transpose(opened)
-            return rgb_picture(turned if turned is not None else opened), size, camera
+            return convert_to_rgb(turned if turned is not None else opened), size, camera
     except DECODE_ERRORS as error:
         raise SceneError(f"{path} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
 

@@ -12,7 +12,7 @@ from ..errors import SceneError
 from ..scene.formats.layout import find_model
 from ..scene.formats.transforms import TRANSFORMS
 from ..scene.photos.photo import FilePhoto
-from ..scene.photos.picture_file import RAW_SUFFIXES, named_like
+from ..scene.photos.picture_file import RAW_SUFFIXES, list_files
 from ..scene.sfm.find_cameras import list_photos
 from ..scene.source import Source
 
@@ -62,4 +62,4 @@ def _posed_files(source: Source) -> PhotoFiles:
 
 def _raw_files(folder: Path) -> list[Path]:
     """The RAW files directly in a folder, in name order; [] if the folder does not exist."""
-    return named_like(folder, RAW_SUFFIXES)
+    return list_files(folder, RAW_SUFFIXES)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..counting.fruit import Fruit
-from ..scene.camera import Camera, Scene, looking
+from ..scene.camera import Camera, Scene, look_along
 from ..splatting.gaussians import Gaussians
 from ..splatting.subject.viewpoints import LEAST_OPACITY, find_subject
 from .ellipses import HIDDEN_BELOW, shown
@@ -64,7 +64,7 @@ def framing(
     factor = min(TRIED_WIDTH / width, 1.0)
     scores = []
     for camera in framed:
-        shares = shown(gaussians, fruits, camera.scaled(factor))
+        shares = shown(gaussians, fruits, camera.scale(factor))
         scores.append((int((shares >= HIDDEN_BELOW).sum()), float(shares.sum())))
     return framed[max(range(len(framed)), key=scores.__getitem__)]
 
@@ -137,7 +137,7 @@ def _at_photo(photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatAr
 def _turned(direction: FloatArray, up: FloatArray) -> FloatArray:
     """(3, 3) rotation from the scene into a level camera that looks in `direction`."""
     level = up if abs(float(direction @ up)) < _STEEP else np.eye(3)[np.argmin(np.abs(direction))]
-    return looking(np.zeros(3), direction, level)[:3, :3]
+    return look_along(np.zeros(3), direction, level)[:3, :3]
 
 
 def _filled(

@@ -40,16 +40,16 @@ class Camera:
         """(3,) unit viewing direction in the world."""
         return self.world_to_camera[2, :3]
 
-    def resized(self, width: int, height: int) -> Camera:
-        """The same camera with a picture of this size, in pixels."""
+    def resize(self, width: int, height: int) -> Camera:
+        """Return the same camera with a picture of this size, in pixels."""
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, K=K, width=width, height=height)
 
-    def scaled(self, factor: float) -> Camera:
-        """The same camera with its picture `factor` times as wide and high, in whole pixels, at least one."""
+    def scale(self, factor: float) -> Camera:
+        """Return the same camera with its picture `factor` times as wide and high, in whole pixels, at least one."""
         if factor == 1.0:
             return self
-        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+        return self.resize(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(…, 2) pixels and (…,) depths along the axis, in scene units, of (…, 3) points in the world.
@@ -61,8 +61,9 @@ class Camera:
             u, v = self.K[0, 0] * x / z + self.K[0, 2], self.K[1, 1] * y / z + self.K[1, 2]
         return np.stack([u, v], axis=-1), z
 
-    def framed(self, points: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
-        """(N,) which points (N, 3) lie in the picture, whatever hides them, with pixels and depths as of `project`."""
+    def find_in_frame(self, points: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+        """Find which points (N, 3) lie in the picture (N,), whatever hides them, with pixels and depths as of
+        `project`."""
         pixels, depths = self.project(points)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0.0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
@@ -80,8 +81,8 @@ class Camera:
         return (rays * depths[..., None]) @ self.world_to_camera[:3, :3] + self.center
 
 
-def looking(place: FloatArray, along: FloatArray, up: FloatArray) -> FloatArray:
-    """(4, 4) world_to_camera of a level camera at `place` (3,) that looks along (3,), of any length; up (3,)."""
+def look_along(place: FloatArray, along: FloatArray, up: FloatArray) -> FloatArray:
+    """Return (4, 4) world_to_camera of a level camera at `place` (3,) that looks along (3,), of any length; up (3,)."""
     forward = along / np.linalg.norm(along)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -142,7 +143,7 @@ class Scene:
         points = np.asarray(self.points, np.float64)
         seen = np.zeros(len(points), bool)
         for camera in cameras:
-            seen |= camera.framed(points)[0]
+            seen |= camera.find_in_frame(points)[0]
         images = [self.images[view] for view in views]
         return replace(self, cameras=cameras, images=images, points=self.points[seen], colors=self.colors[seen])
 

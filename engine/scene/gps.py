@@ -151,7 +151,7 @@ def scale_by_gps(cameras: Sequence[Camera], photos: Sequence[Photo]) -> GpsScale
 
     cameras and photos: one each per view, in the order of capture.
     """
-    tagged = _tagged(cameras, photos)
+    tagged = _collect_tags(cameras, photos)
     if not tagged.tags:
         return GpsScale(notices=tagged.notices)
     refusal = f"the GPS tags of {len(tagged.tags)} photos tell no scale"
@@ -178,8 +178,8 @@ class _Tagged:
     notices: Sequence[str]
 
 
-def _tagged(cameras: Sequence[Camera], photos: Sequence[Photo]) -> _Tagged:
-    """One entry per file: the faces of a panorama are one measurement."""
+def _collect_tags(cameras: Sequence[Camera], photos: Sequence[Photo]) -> _Tagged:
+    """Collect one entry per file: the faces of a panorama are one measurement."""
     centers: dict[Path, FloatArray] = {}
     tags: dict[Path, GpsTag] = {}
     senseless = []

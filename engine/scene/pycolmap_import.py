@@ -21,7 +21,7 @@ def colmap_library() -> Any:
     it.
     """
     before = signal.getsignal(signal.SIGTERM)
-    with with_another_gflags():
+    with allow_another_gflags():
         import pycolmap
 
     try:
@@ -32,14 +32,14 @@ def colmap_library() -> Any:
 
 
 @contextmanager
-def with_another_gflags() -> Iterator[None]:
+def allow_another_gflags() -> Iterator[None]:
     """Allow the import of pycolmap if the program has loaded the system's gflags, as a distribution's Blender may have.
 
     gflags ends the whole program if a second copy of it declares the same flags. The function that ends it is a
     variable of the library: while pycolmap's copy declares its flags, the function does nothing, and the output of
     gflags is dropped. These flags are never read.
     """
-    loaded = loaded_library("libgflags.so")
+    loaded = find_loaded_library("libgflags.so")
     if loaded is None:
         yield
         return
@@ -57,9 +57,9 @@ def with_another_gflags() -> Iterator[None]:
         end.value = before
 
 
-def loaded_library(name: str, maps: Path = Path("/proc/self/maps")) -> Path | None:
-    """The file of a shared library that this process has loaded, by the start of its name; None if it has not, or if
-    the system does not say (only Linux has this conflict)."""
+def find_loaded_library(name: str, maps: Path = Path("/proc/self/maps")) -> Path | None:
+    """Find the file of a shared library that this process has loaded, by the start of its name; None if it has not, or
+    if the system does not say (only Linux has this conflict)."""
     try:
         lines = maps.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -19,7 +19,7 @@ from ..storage.keys import stage_key
 from .camera import Scene
 from .formats.layout import find_model
 from .formats.transforms import TRANSFORMS
-from .photos.picture_file import RAW_SUFFIXES, named_like, raw_is_refused
+from .photos.picture_file import RAW_SUFFIXES, explain_raw_refusal, list_files
 from .read import SceneFiles, open_scene, read_scene
 from .sfm.find_cameras import find_poses, list_photos
 from .video.frames import VIDEO_SUFFIXES
@@ -50,10 +50,10 @@ class Source:
 
     def read(self, config: SceneConfig, progress: Progress = silent) -> Scene:
         """The scene with the headers of its photos; errors as of `read_scene`."""
-        return read_scene(self.path, config, opened=self.opened(progress), progress=progress)
+        return read_scene(self.path, config, opened=self.open(progress), progress=progress)
 
-    def opened(self, progress: Progress = silent) -> SceneFiles:
-        """The model or transforms.json, checked; errors as of `open_scene`."""
+    def open(self, progress: Progress = silent) -> SceneFiles:
+        """Open and check the model or transforms.json; errors as of `open_scene`."""
         if self._opened is None:
             self._opened = open_scene(self.path, images=self.images, masks=self.masks, progress=progress)
         return self._opened
@@ -70,7 +70,7 @@ class Source:
         groups: dict[Path, list[Path]] = {self.path if self.path.is_dir() else self.path.parent: []}
         groups |= {folder: [] for folder in apart}
         root = next(iter(groups))
-        for file in self.opened().files():
+        for file in self.open().files():
             groups[next((folder for folder in apart if file.is_relative_to(folder)), root)].append(file)
         parts = [self._hash(files, folder) for folder, files in groups.items()]
         return text_hash(*parts) if apart else parts[0]
@@ -120,7 +120,7 @@ class Source:
             raise SceneError(f"{path} has {len(videos)} videos, first {videos[0].name}. Give one of them as the scene")
         raw = [*_files_of(path / "images", RAW_SUFFIXES), *_files_of(path, RAW_SUFFIXES)]
         if raw and not videos:
-            raise SceneError(raw_is_refused(raw[0]))
+            raise SceneError(explain_raw_refusal(raw[0]))
         return videos[0] if videos else None
 
     def stills(self, cache: Path, *, progress: Progress = silent) -> Source:
@@ -140,11 +140,12 @@ class Source:
         key = stage_key(("scene", "compiled"), self._file_hash(video), _version("av"))
         return cache / f"video-{key}"
 
-    def posed(
+    def find_poses(
         self, cache: Path, config: PhotosConfig, *, threads: int | None = None, progress: Progress = silent
     ) -> Source:
-        """The source itself if its photos have cameras; else its photos, or the stills of its video, with cameras that
-        are estimated (`find_poses`), or taken from `cache`, where they are stored by the content of the photos.
+        """Return the source itself if its photos have cameras; else its photos, or the stills of its video, with
+        cameras that are estimated (`find_poses`), or taken from `cache`, where they are stored by the content of the
+        photos.
 
         Masks are in `masks` next to the photos' folder or inside it; threads: as of `find_poses`.
 
@@ -168,9 +169,9 @@ class Source:
         photos = self.photos_alone()
         return photos is not None and self._model(photos, cache, config).path.is_dir()
 
-    def posed_before(self, earlier: Path, cache: Path, config: PhotosConfig) -> Source:
-        """As `posed`, with the cameras of an earlier run in the cache `earlier`; they are copied to `cache`, as are the
-        stills of a video, which are chosen again if they were deleted.
+    def reuse_poses(self, earlier: Path, cache: Path, config: PhotosConfig) -> Source:
+        """Do as `find_poses`, with the cameras of an earlier run in the cache `earlier`; they are copied to `cache`, as
+        are the stills of a video, which are chosen again if they were deleted.
 
         Raises:
             SceneError: they are not there, or the photos have changed.
@@ -198,7 +199,7 @@ class Source:
 
 def _files_of(folder: Path, suffixes: Collection[str]) -> list[Path]:
     """The files with these suffixes directly in a folder, in name order; [] if the folder does not exist."""
-    return [file for file in named_like(folder, suffixes) if file.is_file()]
+    return [file for file in list_files(folder, suffixes) if file.is_file()]
 
 
 def _raw_notices(photos: Path) -> list[str]:
@@ -210,7 +211,7 @@ def _raw_notices(photos: Path) -> list[str]:
     raw, stems = _files_of(photos, RAW_SUFFIXES), {photo.stem for photo in list_photos(photos)}
     lone = next((file for file in raw if file.stem not in stems), None)
     if lone is not None:
-        raise SceneError(raw_is_refused(lone))
+        raise SceneError(explain_raw_refusal(lone))
     if len(raw) == 1:
         return ["1 RAW file was left out, because a photo of the same name is there"]
     return [f"{len(raw)} RAW files were left out, because photos of the same names are there"] if raw else []

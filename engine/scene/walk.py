@@ -63,8 +63,8 @@ class Walk:
         return np.searchsorted(borders, places, side="right").astype(np.int64)
 
 
-def cut(scene: Scene, *, photos: int, sections: int = 0) -> Walk | None:
-    """The walk along which photos were taken, in sections of equally many photos; None if it is not to be cut.
+def cut_walk(scene: Scene, *, photos: int, sections: int = 0) -> Walk | None:
+    """Cut the walk along which photos were taken into sections of equally many photos; None if it is not to be cut.
 
     A cell is at least as long as a photo is wide, so photos around one tree are never cut: all of them show its cell.
     Borders lie where there is least, such as between two trees.
@@ -108,7 +108,7 @@ def _distance(cameras: Sequence[Camera], points: FloatArray) -> float | None:
     """How far away what the photos show is, scene units; None without points in them."""
     depths = []
     for camera in cameras:
-        inside, _, depth = camera.framed(points)
+        inside, _, depth = camera.find_in_frame(points)
         if inside.any():
             depths.append(float(np.percentile(depth[inside], NEAR)))
     return float(np.median(depths)) if depths else None
@@ -143,11 +143,11 @@ def _borders(looks: FloatArray, places: FloatArray, count: int, step: float) -> 
         near = np.searchsorted(ordered, [tried - step, tried + step])
         crowd = near[1] - near[0]
         borders.append(float(tried[np.lexsort((np.abs(tried - border), crowd))[0]]))
-    return _apart(borders, looks)
+    return _keep_apart(borders, looks)
 
 
-def _apart(borders: Sequence[float], looks: FloatArray) -> list[float]:
-    """The borders without those between which too few photos look, as where many were taken at one place."""
+def _keep_apart(borders: Sequence[float], looks: FloatArray) -> list[float]:
+    """Return the borders without those between which too few photos look, as where many were taken at one place."""
     kept, ordered, used = list[float](), np.sort(looks), 0
     for border in borders:
         before = int(np.searchsorted(ordered, border))

@@ -20,7 +20,7 @@ from ...benchmarks.orchards import TRUTH, read_origin
 from ...engine.config import CountConfig, SceneConfig
 from ...engine.counting.evidence.cluster import Search, search
 from ...engine.counting.evidence.visibility import Picture, draw
-from ...engine.counting.photos.join import PhotoEvidence, with_photos
+from ...engine.counting.photos.join import PhotoEvidence, add_photos
 from ...engine.errors import ConfigError
 from ...engine.evaluation.renders import read_depths, read_instances
 from ...engine.evaluation.true_surface import true_surface
@@ -162,4 +162,4 @@ def searched(case: Case) -> tuple[Search, list[Picture]] | None:
     if case.maps is None:
         return found, pictures
     evidence = PhotoEvidence(case.gaussians, case.probability.double().numpy(), case.maps)
-    return with_photos(found, evidence, pictures, threshold), pictures
+    return add_photos(found, evidence, pictures, threshold), pictures

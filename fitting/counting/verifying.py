@@ -17,10 +17,10 @@ from ...engine.config import CountConfig
 from ...engine.counting.evidence.cluster import LIKELY
 from ...engine.counting.evidence.visibility import frame_of
 from ...engine.counting.photos.places import Places
-from ...engine.counting.photos.search import UNLIKELY, likely_places, search_photos
+from ...engine.counting.photos.search import UNLIKELY, find_likely_places, search_photos
 from ...engine.counting.photos.surroundings import FARTHEST, Surroundings
 from ...engine.counting.photos.surroundings import NUMBERS as SURROUNDINGS
-from ...engine.counting.photos.verifier import Network, Verifier, known_near, look
+from ...engine.counting.photos.verifier import Network, Verifier, find_known_near, look
 from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
 from ...engine.evaluation.judgement import Judgement, judge
@@ -125,7 +125,7 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     """Places behind pixels that show fruit, around true fruit and on fruit that were found, each about as large as the
     nearest true fruit and with most of the other true fruit known."""
     truth, diameter = tree.truth, tree.truth.mean_diameter
-    places = likely_places(tree.views, tree.surroundings.fruit, diameter, tree.frame)
+    places = find_likely_places(tree.views, tree.surroundings.fruit, diameter, tree.frame)
     rest = rng.permutation(places[BEST:])[:OTHERS]
     visible, true_radii = truth.centers[truth.visible], truth.diameters[truth.visible] / 2.0
     jittered = [visible + rng.normal(size=visible.shape) * diameter * sd for sd in JITTERS]
@@ -135,7 +135,7 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     known = Places(
         visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD, mismeasured(true_radii, KNOWN_RADIUS_SD, rng)
     )
-    near = known_near(centers, known, np.where(free, nearest, -1))
+    near = find_known_near(centers, known, np.where(free, nearest, -1))
     some = rng.random(near.shape) < KNOWN_SHARE
     some &= (rng.random(len(centers)) >= NOTHING_KNOWN)[:, None]
     near = _packed(np.where(some, near, -1))
@@ -167,7 +167,7 @@ def mined(tree: Tree, network: Network, rng: np.random.Generator) -> Samples:
     parts = []
     for sd, radius_sd in ((0.0, 0.0), (MINED_SD, KNOWN_RADIUS_SD)):
         centers = places.centers + rng.normal(size=places.centers.shape) * found.diameter * sd
-        near, radii = known_near(centers, known, own), mismeasured(places.radii, radius_sd, rng)
+        near, radii = find_known_near(centers, known, own), mismeasured(places.radii, radius_sd, rng)
         parts.append(_samples(tree, Places(centers, radii), known, near, explained))
     return Samples.join(parts)
 

@@ -84,13 +84,13 @@ def _rows(bpy_scene: bpy.types.Scene) -> Iterator[Any]:
 def keep_decisions(bpy_scene: bpy.types.Scene, fruit_count: FruitCount, prompts: Sequence[str]) -> list[str]:
     """Apply the log to the fruit objects of a new count of these prompts; returns what could not be applied, as
     texts."""
-    from ...engine.counting.accounts.review import about, replay
+    from ...engine.counting.accounts.review import replay, split_by_label
 
     bpy_scene[LAST_ID] = max(int(bpy_scene.get(LAST_ID, 0)), fruit_count.last_id)
     if owned_object(bpy_scene, "root") is None:
         return []
     frame = scene_frame(bpy_scene)
-    log, others = about(read_log(bpy_scene), _labels(fruit_count, prompts))
+    log, others = split_by_label(read_log(bpy_scene), _labels(fruit_count, prompts))
     items = owned_objects(bpy_scene, "fruit")
     found = replay(log, [spot_of(item, frame) for item in items], bpy_scene[LAST_ID])
     kept = {source for source in found.sources if source >= 0}
@@ -164,7 +164,7 @@ def is_reviewed(bpy_scene: bpy.types.Scene) -> bool:
 
 def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
     """90 % interval of the visible fruit, narrowed by the review; None if the count has none."""
-    from ...engine.counting.accounts.review import corrected_interval
+    from ...engine.counting.accounts.review import correct_interval
 
     shown = bpy_scene.fruitlangs.result
     if shown.high < 0:
@@ -174,7 +174,7 @@ def reviewed_interval(bpy_scene: bpy.types.Scene) -> tuple[int, int] | None:
     reviewed = np.array([REVIEW in item for item in own], bool)
     rejected = sum(item.get(REVIEW) == REJECTED for item in own)
     after = len(standing(bpy_scene))
-    return corrected_interval(shown.count, (shown.low, shown.high), probabilities, reviewed, rejected, after)
+    return correct_interval(shown.count, (shown.low, shown.high), probabilities, reviewed, rejected, after)
 
 
 def review_line(bpy_scene: bpy.types.Scene) -> str:

@@ -13,7 +13,7 @@ import sys
 from contextlib import nullcontext, suppress
 from importlib.machinery import PathFinder
 
-from ...engine.scene.pycolmap_import import with_another_gflags
+from ...engine.scene.pycolmap_import import allow_another_gflags
 
 LARGE = {"torch": "_C", "pycolmap": "_core", "llvmlite": "binding/libllvmlite"}
 """{package: its library, without suffix} of those that take a quarter of a second or more."""
@@ -26,7 +26,7 @@ def preload_libraries() -> None:
         return
     for name, library in LARGE.items():
         if name not in sys.modules:
-            with with_another_gflags() if name == "pycolmap" else nullcontext():
+            with allow_another_gflags() if name == "pycolmap" else nullcontext():
                 _preload(name, library)
 
 

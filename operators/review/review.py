@@ -177,11 +177,11 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
     needs = 2
 
     def decide(self, context: bpy.types.Context) -> None:
-        from ...engine.counting.accounts.review import merged
+        from ...engine.counting.accounts.review import merge
 
         items = chosen(context)
         before = _spots(context, items)
-        whole = merged(before, next_ids(context.scene, 1)[0], usual_diameter(context.scene))
+        whole = merge(before, next_ids(context.scene, 1)[0], usual_diameter(context.scene))
         own = np.concatenate([members(context.scene, item)[0] for item in items])
         give_members(context.scene, own, whole.id)
         made = make_fruit(context.scene, whole, items[0])

@@ -133,9 +133,9 @@ def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> Pos
     source, folder = Source(path=path), ResultFolder(out)
     if source.is_alone():
         with folder.locked():
-            source = source.posed(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
+            source = source.find_poses(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
         progress = part(progress, 0.9, 1.0)
-    return PosedScene(source.read(config.scene, progress), [*source.notices, *source.opened().notices])
+    return PosedScene(source.read(config.scene, progress), [*source.notices, *source.open().notices])
 
 
 def menu_entry(self: Any, context: bpy.types.Context) -> None:

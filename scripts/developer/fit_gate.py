@@ -31,7 +31,7 @@ from _terminal import import_tyro, run
 from fruitlangs.benchmarks.counting.simulated import SETTINGS
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
-from fruitlangs.engine.counting.evidence.gate import STORED, WEIGHED, Gate, weighed
+from fruitlangs.engine.counting.evidence.gate import STORED, WEIGHED, Gate, stack_features
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.storage.files import write_text
 from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched, surface_cases
@@ -94,7 +94,7 @@ def example(case: Case) -> Iterator[Example]:
     own = np.setdiff1d(np.arange(len(found.probabilities)), judged.ignored)  # on fruit that does not count
     fruit, surest = np.isin(own, judged.pairs.predicted), found.features["surest"][own]
     visible = int(case.truth.visible.sum())
-    yield Example(case.kind, case.family, weighed(found.features)[own], fruit, surest, visible)
+    yield Example(case.kind, case.family, stack_features(found.features)[own], fruit, surest, visible)
 
 
 def fit(examples: Sequence[Example]) -> Gate:

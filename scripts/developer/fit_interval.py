@@ -40,7 +40,7 @@ from fruitlangs.engine.counting.accounts.interval import (
     TRAINED,
     WITH_PHOTOS,
     Ratio,
-    evidence_of,
+    gather_evidence,
 )
 from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.errors import ConfigError
@@ -149,7 +149,7 @@ def example(case: Case) -> list[Example]:
     spheres = found.found.spheres
     kept = found.probabilities > LIKELY
     measured = count_metrics(spheres.centers[kept], 2.0 * spheres.radii[kept], replace(case.truth, visible=case.shown))
-    evidence = evidence_of(found, np.ones(len(spheres)), pictures, seed=0)
+    evidence = gather_evidence(found, np.ones(len(spheres)), pictures, seed=0)
     visible = int(case.shown.sum()) + measured.ignored
     return [Example(case.kind, case.family, evidence, visible, case.truth.total)] if evidence.expected > 0 else []
 

@@ -40,7 +40,7 @@ def engine(monkeypatch, counted, result_of):
                 raise calls.error
             return counted.scene
 
-        def opened(self):
+        def open(self):
             return types.SimpleNamespace(notices=calls.notices)
 
     def count_scene(source, prompts, out, **options):

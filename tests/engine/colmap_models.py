@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
-from fruitlangs.engine.scene.camera import looking
+from fruitlangs.engine.scene.camera import look_along
 
 
 def ring_of_poses(count: int, *, radius: float = 3.0, height: float = 0.5) -> list[np.ndarray]:
@@ -17,7 +17,7 @@ def ring_of_poses(count: int, *, radius: float = 3.0, height: float = 0.5) -> li
     for index in range(count):
         angle = 2.0 * np.pi * index / count
         center = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
-        poses.append(looking(center, -center, np.array([0.0, 0.0, 1.0])))
+        poses.append(look_along(center, -center, np.array([0.0, 0.0, 1.0])))
     return poses
 
 

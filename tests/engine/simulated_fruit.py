@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.counting.evidence.visibility import Visibility, frame_of
 from fruitlangs.engine.evaluation.truth import Truth
-from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -123,7 +123,7 @@ def quats_along_z(axes: FloatArray) -> FloatArray:
 def look_at(eye: FloatArray, target: FloatArray, width: int = 360, height: int = 270, focal: float = 300.0) -> Camera:
     """A camera at `eye` looking at `target`, z up."""
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return Camera(K, looking(eye, target - eye, np.array([0.0, 0.0, 1.0])), width, height)
+    return Camera(K, look_along(eye, target - eye, np.array([0.0, 0.0, 1.0])), width, height)
 
 
 def _ring(views: int, distance: float) -> list[Camera]:

@@ -13,8 +13,8 @@ import torch
 from fruitlangs.engine.config import Config, UnitsConfig
 from fruitlangs.engine.errors import ConfigError, SceneError
 from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
-from fruitlangs.engine.scene.camera import Camera, looking
-from fruitlangs.engine.scene.formats.cameras_json import camera_names, read_cameras, with_scene_facts
+from fruitlangs.engine.scene.camera import Camera, look_along
+from fruitlangs.engine.scene.formats.cameras_json import add_scene_facts, camera_names, read_cameras
 from fruitlangs.engine.scene.scale import scale_by_length
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
 from fruitlangs.engine.splatting.subject.extent import longest_side
@@ -26,7 +26,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def cameras(times: float = 1.0) -> list[Camera]:
     """Three cameras along x, 1 and 3 units from the first."""
     places = [np.array([x, 0.0, 0.0]) * times for x in (0.0, 1.0, 3.0)]
-    return [Camera(np.eye(3), looking(place, np.array([0.0, 1.0, 0.0]), UP), 8, 8) for place in places]
+    return [Camera(np.eye(3), look_along(place, np.array([0.0, 1.0, 0.0]), UP), 8, 8) for place in places]
 
 
 NAMES = ["a.jpg", "row/b.jpg", "pano.jpg@front"]
@@ -182,9 +182,9 @@ def test_a_cameras_file_with_another_scale_and_up_differs_in_nothing_else(tmp_pa
     scene = Scene(cameras(), photos, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), UP)
     path = tmp_path / "cameras.json"
     write_text(path, dump_cameras(scene))
-    assert with_scene_facts(path, scene) == path.read_text()
+    assert add_scene_facts(path, scene) == path.read_text()
     other = dataclasses.replace(scene, metres_per_unit=0.1 + 0.2, up=np.array([0.0, 0.0, 1.0]))
-    write_text(path, with_scene_facts(path, other))
+    write_text(path, add_scene_facts(path, other))
     assert path.read_text() == dump_cameras(other)
     assert read_cameras(path).metres_per_unit == 0.1 + 0.2
     assert camera_names(path) == NAMES

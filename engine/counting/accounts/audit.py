@@ -38,38 +38,41 @@ def account_for(clusters: Clusters, numbers: IntArray, *, beyond: int = 0) -> Ac
     points, spheres = members(clusters.components, len(sizes)), members(homes, len(sizes))
     kept = (sizes >= DUST) | (np.bincount(homes[homes >= 0], minlength=len(sizes)) > 0)
     entries = [
-        _entry(clusters, component, points[component], spheres[component], numbers)
+        _make_entry(clusters, component, points[component], spheres[component], numbers)
         for component in np.argsort(-sizes, kind="stable").tolist()
         if kept[component]
     ]
     entries += [
-        _of_photos(clusters, len(sizes) + place, index, numbers) for place, index in enumerate(pointless.tolist())
+        _make_photo_entry(clusters, len(sizes) + place, index, numbers)
+        for place, index in enumerate(pointless.tolist())
     ]
     dust = sizes[~kept]
     if len(dust):
         reason = f"{len(dust)} clusters of fewer than {DUST} points each are too small to be fruit"
-        entries.append(_of_many(len(sizes) + len(pointless), reason, int(dust.sum())))
+        entries.append(_make_dropped_entry(len(sizes) + len(pointless), reason, int(dust.sum())))
     if beyond:
         reason = f"{beyond} fruit near the region's border have their centres outside and are not counted"
-        entries.append(_of_many(len(sizes) + len(pointless) + 1, reason, 0))
+        entries.append(_make_dropped_entry(len(sizes) + len(pointless) + 1, reason, 0))
     return Account(entries, np.array([home >= 0 and len(spheres[home]) > 1 for home in homes], bool))
 
 
-def _of_photos(clusters: Clusters, cluster: int, sphere: int, numbers: IntArray) -> AuditEntry:
-    """The entry of a fruit that photos show and no surface of Gaussians."""
+def _make_photo_entry(clusters: Clusters, cluster: int, sphere: int, numbers: IntArray) -> AuditEntry:
+    """Make the entry of a fruit that photos show and no surface of Gaussians."""
     x, y, z = clusters.spheres.centers[sphere].tolist()
     reason = "seen in the photos only: no surface of the Gaussians is on it"
     diameter = float(2.0 * clusters.spheres.radii[sphere])
     return AuditEntry(cluster, "kept", reason, (x, y, z), 0, (int(numbers[sphere]),), diameter)
 
 
-def _of_many(cluster: int, reason: str, points: int) -> AuditEntry:
-    """The entry for points that were dropped without a cluster of their own."""
+def _make_dropped_entry(cluster: int, reason: str, points: int) -> AuditEntry:
+    """Make the entry for points that were dropped without a cluster of their own."""
     return AuditEntry(cluster=cluster, verdict="dropped", reason=reason, center=(0.0, 0.0, 0.0), points=points)
 
 
-def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArray, numbers: IntArray) -> AuditEntry:
-    """What one cluster became; inside: its points; spheres: those that own most of their points in it."""
+def _make_entry(
+    clusters: Clusters, component: int, inside: IntArray, spheres: IntArray, numbers: IntArray
+) -> AuditEntry:
+    """Say what one cluster became; inside: its points; spheres: those that own most of their points in it."""
     x, y, z = clusters.points.positions[inside].mean(axis=0).tolist()
     center, size = (x, y, z), len(inside)
     ids = tuple(sorted(int(number) for number in numbers[spheres]))
@@ -77,7 +80,7 @@ def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArr
     explained = float((owners >= 0).mean())
     if len(spheres) == 0 and explained > 0.5:
         others = tuple(sorted({int(numbers[owner]) for owner in owners if owner >= 0}))
-        reason = f"{explained:.0%} of its points belong to fruit {_listed(others)} of a neighbouring cluster"
+        reason = f"{explained:.0%} of its points belong to fruit {_join_numbers(others)} of a neighbouring cluster"
         return AuditEntry(component, "merged", reason, center, size, others)
     if len(spheres) == 0:
         return AuditEntry(component, "dropped", clusters.refusal(component), center, size)
@@ -95,5 +98,5 @@ def _entry(clusters: Clusters, component: int, inside: IntArray, spheres: IntArr
     return AuditEntry(component, verdict, f"{len(spheres)} touching spheres, {text}", center, size, ids, diameter)
 
 
-def _listed(numbers: tuple[int, ...]) -> str:
+def _join_numbers(numbers: tuple[int, ...]) -> str:
     return ", ".join(str(number) for number in numbers)

@@ -48,7 +48,7 @@ def describe(
     own = members(clusters.owners, len(spheres))
     shades = [colors[each] for each in own]
     for index in (index for index, each in enumerate(own) if len(each) == 0):
-        around = _around(near[index], means, spheres.centers[index])
+        around = _select_around(near[index], means, spheres.centers[index])
         shades[index] = colors_of(gaussians, seen[around])
     fruits = []
     for index in np.argsort(numbers):
@@ -74,8 +74,8 @@ def describe(
     return fruits
 
 
-def _around(near: IntArray, means: FloatArray, center: FloatArray) -> IntArray:
-    """The Gaussians of a fruit, `near` (M,) among means (N, 3); the one nearest to its centre if it has none."""
+def _select_around(near: IntArray, means: FloatArray, center: FloatArray) -> IntArray:
+    """Select the Gaussians of a fruit, `near` (M,) among means (N, 3); the one nearest to its centre if it has none."""
     return near if len(near) else np.linalg.norm(means - center, axis=1).argmin(keepdims=True)
 
 

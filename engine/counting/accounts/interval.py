@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..evidence.cluster import LIKELY, Search
 from ..evidence.visibility import Picture
-from ..regions.crown import hidden_share
+from ..regions.crown import estimate_hidden_share
 
 FloatArray = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
     That of visible fruit contains the count. That of all fruit starts and ends no lower; it may start above the count.
     `likely` and `total` lie in their intervals.
     """
-    of_visible, of_all = stored_ratios(evidence.photos)
+    of_visible, of_all = load_ratios(evidence.photos)
     low, high = of_visible.interval(evidence)
     # The visible fruit are part of all fruit, so the interval of all fruit is not the narrower one.
     least, most = of_all.interval(evidence, of_visible.deviation(evidence))
@@ -127,10 +127,10 @@ def estimate(evidence: Evidence, count: int) -> Estimate:
     return Estimate((low, high), round(likely, 1), round(total, 1), bounds)
 
 
-def evidence_of(
+def gather_evidence(
     found: Search, counts: FloatArray, pictures: Sequence[Picture], shares: FloatArray | None = None, *, seed: int
 ) -> Evidence:
-    """What the candidates and the views show about a count.
+    """Gather what the candidates and the views show about a count.
 
     counts: (C,) probability that each counts if it is a fruit; shares: (C,) how much of a fruit each is if fruit are
     long, whose parts are right or wrong together.
@@ -144,13 +144,13 @@ def evidence_of(
     variance = float((parts * (1.0 - probabilities)).sum())
     faint = 1.0 - float(parts @ found.features["mean"]) / expected
     centers = found.found.spheres.centers[probabilities > LIKELY]
-    hidden = hidden_share(centers, pictures, found.size.diameter / 2.0, seed=seed)
+    hidden = estimate_hidden_share(centers, pictures, found.size.diameter / 2.0, seed=seed)
     covariates = np.array([variance / expected, faint, -np.log(1.0 - hidden)])
     return Evidence(expected, variance, covariates, found.photos, dissent)
 
 
 @cache
-def stored_ratios(photos: bool) -> tuple[Ratio, Ratio]:
-    """The ratios for visible fruit and for all fruit that come with the package; photos: as in `Evidence`."""
+def load_ratios(photos: bool) -> tuple[Ratio, Ratio]:
+    """Load the ratios for visible fruit and for all fruit that come with the package; photos: as in `Evidence`."""
     document = json.loads(STORED.read_text(encoding="utf-8"))[WITH_PHOTOS if photos else ALONE]
     return Ratio.read(document["visible"]), Ratio.read(document["total"])

@@ -42,17 +42,18 @@ class AnyKind:
         ]
 
 
-def with_other_kinds(counted: FruitCount, found: AnyKind, label: str) -> FruitCount:
-    """The count, or if other kinds have at least as many fruit, with a notice and with intervals that admit these.
+def add_other_kinds(counted: FruitCount, found: AnyKind, label: str) -> FruitCount:
+    """Return the count, or if other kinds have at least as many fruit, with a notice and with intervals that admit
+    these.
 
     The same holds for each tree of a row. label: of the counted fruit.
     """
     others = found.besides(counted.fruits)
-    trees = _trees_with_others(counted, found, others)
-    if _outnumbered(counted.count, len(others)):
+    trees = _add_to_trees(counted, found, others)
+    if _is_outnumbered(counted.count, len(others)):
         kinds = [found.kinds[index] for index in others]
-        wide = replace(counted, **_admitting(counted, found.counted), other_fruit=len(others), trees=trees)
-        return _with_notices(wide, [_notice(label, counted.count, kinds, found.prompt)])
+        wide = replace(counted, **_widen_intervals(counted, found.counted), other_fruit=len(others), trees=trees)
+        return _add_notices(wide, [_notice(label, counted.count, kinds, found.prompt)])
     doubtful = [tree for tree in trees if tree.other_fruit]
     if doubtful:
         notices = [
@@ -60,39 +61,39 @@ def with_other_kinds(counted: FruitCount, found: AnyKind, label: str) -> FruitCo
             f"{label}, count with the prompt {found.prompt}"
             for tree in doubtful
         ]
-        return _with_notices(replace(counted, **_admitting(counted, found.counted), trees=trees), notices)
-    return counted if counted.count else _with_findings(counted, found.counted)
+        return _add_notices(replace(counted, **_widen_intervals(counted, found.counted), trees=trees), notices)
+    return counted if counted.count else _add_findings(counted, found.counted)
 
 
-def _with_findings(counted: FruitCount, found: FruitCount) -> FruitCount:
-    """A count of 0 with what is known about the 0 of any kind: what photos show, or fruit of other colours."""
+def _add_findings(counted: FruitCount, found: FruitCount) -> FruitCount:
+    """Add to a count of 0 what is known about the 0 of any kind: what photos show, or fruit of other colours."""
     high, other_colors = (found.interval or (0, 0))[1], max(counted.other_colors, found.other_colors)
     if high <= (counted.interval or (0, 0))[1] and other_colors == counted.other_colors:
         return counted
     said = [notice for notice in found.notices if notice not in counted.notices]
-    return _with_notices(replace(counted, **_admitting(counted, found), other_colors=other_colors), said)
+    return _add_notices(replace(counted, **_widen_intervals(counted, found), other_colors=other_colors), said)
 
 
-def _outnumbered(count: int, others: int) -> bool:
+def _is_outnumbered(count: int, others: int) -> bool:
     """Whether a count may be wrong because of that many fruit of other kinds."""
     return others > 0 and others >= count
 
 
-def _trees_with_others(counted: FruitCount, found: AnyKind, others: Sequence[int]) -> list[Tree]:
-    """The trees of the row, those that other kinds outnumber with these and with intervals that admit them."""
+def _add_to_trees(counted: FruitCount, found: AnyKind, others: Sequence[int]) -> list[Tree]:
+    """Return the trees of the row, those that other kinds outnumber with these and with intervals that admit them."""
     if len(counted.trees) != len(found.counted.trees):
         return list(counted.trees)
     on_tree = Counter(found.counted.fruits[index].tree for index in others)
     trees = []
     for tree, same in zip(counted.trees, found.counted.trees, strict=True):
         number = on_tree[same.number]
-        doubtful = _outnumbered(tree.count, number)
-        trees.append(replace(tree, **_admitting(tree, same), other_fruit=number) if doubtful else tree)
+        doubtful = _is_outnumbered(tree.count, number)
+        trees.append(replace(tree, **_widen_intervals(tree, same), other_fruit=number) if doubtful else tree)
     return trees
 
 
-def _admitting(counted: FruitCount | Tree, found: FruitCount | Tree) -> dict[str, Any]:
-    """The intervals of a count, with the upper ends of another one if these are higher."""
+def _widen_intervals(counted: FruitCount | Tree, found: FruitCount | Tree) -> dict[str, Any]:
+    """Return the intervals of a count, with the upper ends of another one if these are higher."""
     low, high = counted.interval or (counted.count, counted.count)
     least, most = counted.total_interval or (low, high)
     high = max(high, found.count, *(found.interval or ()))
@@ -104,13 +105,13 @@ def _admitting(counted: FruitCount | Tree, found: FruitCount | Tree) -> dict[str
 def _notice(label: str, count: int, kinds: Sequence[str], prompt: str) -> str:
     found = "no fruit was counted" if count == 0 else f"only {count} fruit were counted"
     return (
-        f"{found} for {label}, but {len(kinds)} fruit of other kinds were found{_looks(kinds)}. If these are {label}, "
-        f"count with the prompt {prompt}"
+        f"{found} for {label}, but {len(kinds)} fruit of other kinds were found{_describe_kinds(kinds)}. If these are "
+        f"{label}, count with the prompt {prompt}"
     )
 
 
-def _looks(kinds: Sequence[str]) -> str:
-    """', most of which look like lemon (25) and orange (9)'; empty if no kind is known."""
+def _describe_kinds(kinds: Sequence[str]) -> str:
+    """Return ', most of which look like lemon (25) and orange (9)'; empty if no kind is known."""
     common = Counter(filter(None, kinds)).most_common(MOST_NAMED)
     if not common:
         return ""
@@ -118,5 +119,5 @@ def _looks(kinds: Sequence[str]) -> str:
     return f", most of which look like {' and '.join(filter(None, [', '.join(first), last]))}"
 
 
-def _with_notices(counted: FruitCount, notices: Sequence[str]) -> FruitCount:
+def _add_notices(counted: FruitCount, notices: Sequence[str]) -> FruitCount:
     return replace(counted, notices=[*counted.notices, *notices])

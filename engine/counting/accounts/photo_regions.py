@@ -72,7 +72,7 @@ class PhotoRegions:
         """
         framed, shown, sizes = (np.zeros(len(positions)) for _ in range(3))
         for camera, labels, widths in zip(self.cameras, self.labels, self.widths, strict=True):
-            inside, pixels, depths = camera.framed(positions)
+            inside, pixels, depths = camera.find_in_frame(positions)
             columns, rows = (pixels[inside] * labels.shape[::-1] / (camera.width, camera.height)).astype(np.int64).T
             numbers = labels[rows, columns]
             framed += inside

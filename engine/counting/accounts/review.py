@@ -78,8 +78,8 @@ class Reviewed:
     renumbered: dict[int, int]
 
 
-def about(decisions: Sequence[Decision], labels: Collection[str]) -> tuple[list[Decision], list[Decision]]:
-    """The decisions about fruit of these labels, and those about others, in order.
+def split_by_label(decisions: Sequence[Decision], labels: Collection[str]) -> tuple[list[Decision], list[Decision]]:
+    """Split the decisions into those about fruit of these labels and those about others, in order.
 
     A fruit that was moved from one of the labels to another still belongs to them; an added fruit belongs to its label.
     """
@@ -130,7 +130,7 @@ def _apply(state: Reviewed, decision: Decision) -> bool:
     """Apply one decision; False if its fruit are not found."""
     if decision.action in {"merge", "split", "add"}:
         return _make(state, decision)
-    found = _found(state, decision.before)
+    found = _find_fruit(state, decision.before)
     if decision.action == "relabel":
         for index in found:
             state.spots[index] = replace(state.spots[index], label=decision.after[0].label)
@@ -141,7 +141,7 @@ def _apply(state: Reviewed, decision: Decision) -> bool:
 
 def _make(state: Reviewed, decision: Decision) -> bool:
     """Replace fruit by what the user made, or confirm them if the count found the same."""
-    before, after = _found(state, decision.before), _found(state, decision.after)
+    before, after = _find_fruit(state, decision.before), _find_fruit(state, decision.after)
     still_apart = decision.action == "merge" and len(before) > 1
     if len(after) == len(decision.after) and not still_apart:
         _stand(state, after, "confirmed")
@@ -155,8 +155,8 @@ def _make(state: Reviewed, decision: Decision) -> bool:
     return True
 
 
-def _found(state: Reviewed, spots: Sequence[Spot]) -> list[int]:
-    """Indices of the fruit at these spots, one to one, nearest first."""
+def _find_fruit(state: Reviewed, spots: Sequence[Spot]) -> list[int]:
+    """Find the indices of the fruit at these spots, one to one, nearest first."""
     if not state.spots:
         return []
     centers = np.stack([spot.center for spot in state.spots])
@@ -197,7 +197,7 @@ def _add(state: Reviewed, spot: Spot, origins: frozenset[int]) -> None:
     state.origins.append(origins)
 
 
-def corrected_interval(
+def correct_interval(
     count: int,
     interval: tuple[int, int],
     probabilities: FloatArray,
@@ -205,7 +205,7 @@ def corrected_interval(
     rejected: int,
     after: int,
 ) -> tuple[int, int]:
-    """90 % interval of the visible fruit after a review.
+    """Return the 90 % interval of the visible fruit after a review.
 
     The count had `count` fruit with `probabilities` (F,) and an interval. The user reviewed `reviewed` (F,) of them,
     rejected some, and ends with `after` fruit. Below the count, only fruit that were not reviewed may be false: the
@@ -220,9 +220,9 @@ def corrected_interval(
     return max(int(np.ceil(after - below - 0.5)), 0), after + above
 
 
-def merged(spots: Sequence[Spot], number: int, usual: float = 0.0) -> Spot:
-    """One fruit for several: the solid ellipsoid with their common centre and second moments. usual: the usual diameter
-    of fruit, scene units; 0 if unknown.
+def merge(spots: Sequence[Spot], number: int, usual: float = 0.0) -> Spot:
+    """Merge several fruit into one: the solid ellipsoid with their common centre and second moments. usual: the usual
+    diameter of fruit, scene units; 0 if unknown.
 
     Raises:
         CountingError: none of them has a size, or they are too far apart to be one fruit.

@@ -23,7 +23,7 @@ from ..evidence.cluster import LINKS
 from ..evidence.pixel_width import focal_length
 from ..evidence.surface_points import SURFACE
 from ..fruit import FruitCount
-from ..geometry.cells import Cells, linked, separated
+from ..geometry.cells import Cells, keep_apart, link_points
 from .photo_regions import PhotoRegions
 
 FloatArray = NDArray[np.float64]
@@ -151,12 +151,12 @@ class Matching:
                 "Read the photos larger (--scene.max-side, --scene.downscale), or take them closer to the tree"
             )
 
-    def sharp(self, diameter: float) -> bool:
+    def is_sharp(self, diameter: float) -> bool:
         """Whether fruit of this diameter would have a shape: Gaussians that have none are then not fruit."""
         known = self.quality.ssim is not None and not self.quality.blurred
         return known and (self.pixels(diameter) or 0.0) >= ENOUGH_PIXELS
 
-    def with_bounds(
+    def add_bounds(
         self,
         counted: FruitCount,
         diameter: float | None = None,
@@ -165,34 +165,34 @@ class Matching:
         searched: bool = False,
         refused: int = 0,
     ) -> FruitCount:
-        """A count of 0 with intervals up to the fruit that may be there, and a notice that says so.
+        """Give a count of 0 intervals up to the fruit that may be there, and a notice that says so.
 
         visible: whether these fruit would be visible; searched: the count has intervals from candidates in the photos,
         which the photos can only narrow; refused: number of fruit on surfaces of the Gaussians that no photo shows.
         Without photos, an unchanged count if no Gaussian matches.
         """
         if self.maps is not None and visible:
-            return self._bounded_by_photos(counted, diameter, searched=searched, refused=refused)
+            return self._add_photo_bounds(counted, diameter, searched=searched, refused=refused)
         if len(self) == 0:
             return counted
-        most = max(self.most(diameter), counted.interval[1] if counted.interval else 0)
+        most = max(self.count_possible(diameter), counted.interval[1] if counted.interval else 0)
         may = f"up to {most} {'' if visible else 'hidden '}fruit may be there. The audit has the reason"
         total = max(most, counted.total_interval[1] if counted.total_interval else 0)
-        bounded = _up_to(counted, most if visible else 0, total)
-        return _with_notice(bounded, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}")
+        bounded = _bound_intervals(counted, most if visible else 0, total)
+        return _add_notice(bounded, f"no fruit was counted, but {len(self)} Gaussians match {self.label}: {may}")
 
-    def _bounded_by_photos(
+    def _add_photo_bounds(
         self, counted: FruitCount, diameter: float | None, *, searched: bool, refused: int
     ) -> FruitCount:
-        """A count of 0 with intervals up to what the photos show, or up to what they refuse if that is more, and a
+        """Give a count of 0 intervals up to what the photos show, or up to what they refuse if that is more, and a
         notice if that is anything."""
-        shown = self.shown(diameter)
+        shown = self.count_shown(diameter)
         high, highest = shown, shown
         if searched and counted.interval and counted.total_interval:
             high, highest = min(shown, counted.interval[1]), min(shown, counted.total_interval[1])
-        bounded = _up_to(counted, max(high, refused), max(highest, refused))
+        bounded = _bound_intervals(counted, max(high, refused), max(highest, refused))
         if refused > shown:
-            return _with_notice(
+            return _add_notice(
                 bounded,
                 f"no fruit was counted: surfaces of the Gaussians look like {self.label} in {refused} places, but "
                 f"photos show {shown or 'none'}. Check that photos, masks and cameras belong together",
@@ -200,14 +200,15 @@ class Matching:
         if shown == 0:
             return bounded
         places = "1 place that matches" if shown == 1 else f"{shown} places that match"
-        return _with_notice(
+        return _add_notice(
             bounded,
             f"no fruit was counted, but photos show {places} {self.label} (probability about "
             f"{self._regions.probability:.2f}, about {self._regions.width:.0f} pixels wide). The audit has the reason",
         )
 
-    def shown(self, diameter: float | None) -> int:
-        """How many fruit the photos may show: places that several of them show, or regions that one shows at once."""
+    def count_shown(self, diameter: float | None) -> int:
+        """Count how many fruit the photos may show: places that several of them show, or regions that one shows at
+        once."""
         places = self._regions.count_places(self.weak_positions, diameter)
         return max(places, self._regions.at_once) if self.whole else places
 
@@ -216,12 +217,12 @@ class Matching:
         assert self.maps is not None
         return PhotoRegions.of(self.maps, self.cameras, self.threshold)
 
-    def most(self, diameter: float | None) -> int:
-        """How many fruit these Gaussians may be: the number of places a diameter apart; without a diameter, the number
-        of their groups that do not touch."""
+    def count_possible(self, diameter: float | None) -> int:
+        """Count how many fruit these Gaussians may be: the number of places a diameter apart; without a diameter, the
+        number of their groups that do not touch."""
         if diameter is None:
-            return separate_groups(self.positions, self.outline)
-        return most_fruit(self.positions, diameter)
+            return count_groups(self.positions, self.outline)
+        return count_apart(self.positions, diameter)
 
     def pixels(self, diameter: float) -> float | None:
         """The width in pixels of a fruit in the middle of these Gaussians, the median over the cameras; None without
@@ -235,25 +236,25 @@ class Matching:
         return float(np.median(diameter * focal[front] / depths[front])) if front.any() else None
 
 
-def _up_to(counted: FruitCount, high: int, highest: int) -> FruitCount:
-    """A count of 0 with intervals from 0 up to the number of visible fruit and of all fruit."""
+def _bound_intervals(counted: FruitCount, high: int, highest: int) -> FruitCount:
+    """Give a count of 0 intervals from 0 up to the number of visible fruit and of all fruit."""
     likely = None if counted.likely is None else min(counted.likely, float(high))
     total = min(counted.total or 0.0, float(highest))
     return replace(counted, likely=likely, interval=(0, high), total=total, total_interval=(0, highest))
 
 
-def _with_notice(counted: FruitCount, notice: str) -> FruitCount:
+def _add_notice(counted: FruitCount, notice: str) -> FruitCount:
     return replace(counted, notices=[*counted.notices, notice])
 
 
-def most_fruit(positions: FloatArray, diameter: float) -> int:
-    """The number of positions (M, 3), taken in their order, that are at least a diameter from those taken before: about
-    one for each fruit of that size."""
-    return len(separated(positions, np.arange(len(positions)), diameter))
+def count_apart(positions: FloatArray, diameter: float) -> int:
+    """Count the positions (M, 3), taken in their order, that are at least a diameter from those taken before: about one
+    for each fruit of that size."""
+    return len(keep_apart(positions, np.arange(len(positions)), diameter))
 
 
-def separate_groups(positions: FloatArray, link: float) -> int:
-    """Number of groups of positions (M, 3) that are linked by distances below `link`, scene units."""
+def count_groups(positions: FloatArray, link: float) -> int:
+    """Count the groups of positions (M, 3) that are linked by distances below `link`, scene units."""
     if link <= 0.0 or len(positions) == 0:
         return len(positions)
-    return len(np.unique(linked(Cells.of(positions, link).table, link, link / LINKS)))
+    return len(np.unique(link_points(Cells.of(positions, link).table, link, link / LINKS)))

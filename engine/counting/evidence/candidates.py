@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.cells import Cells, apart
+from ..geometry.cells import Cells, choose_apart
 from ..geometry.overlaps import Overlaps
 from ..geometry.sphere import REACH, Spheres, fit_spheres
 from .claims import claim
 from .size import FruitSize
 from .surface_points import SurfacePoints
 from .visibility import Picture, ViewEvidence, gather_view_evidence
-from .vote_kernels import middles, turn_normals
+from .vote_kernels import average_points, turn_normals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -125,9 +125,9 @@ def vote(surface: SurfaceIndex, radius: float, least_share: float = LEAST_VOTE_S
     density = cells.numbers(cells.positions, np.full(len(surface.points), 0.25 * radius))
     least = max(LEAST_VOTES, least_share * float(np.quantile(density, 0.9)))
     order = np.lexsort((cells.turns, -density))
-    peaks = apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
+    peaks = choose_apart(cells.table, np.full(len(order), radius), order[density[order] >= least], 0.35)
     centers = np.empty((len(peaks), 3))
-    middles(cells.table, cells.positions[peaks], 0.3 * radius, centers)
+    average_points(cells.table, cells.positions[peaks], 0.3 * radius, centers)
     return centers
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, njit, prange
-from ..geometry.cells import Cells, Table, gather, room
+from ..geometry.cells import Cells, Table, buffer_size, gather
 from ..geometry.sphere import CORE, FACING, MOST_POINTS, SHELL
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +57,7 @@ def commonest(numbers: IntArray) -> int:
 
 def claim(cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray) -> Claims:
     """The points that each of C spheres, centers (C, 3) and radii (C,), claims."""
-    numbers = np.minimum(cells.numbers(centers, REACH * radii), room(MOST_POINTS))
+    numbers = np.minimum(cells.numbers(centers, REACH * radii), buffer_size(MOST_POINTS))
     bounds = np.concatenate([np.zeros(1, np.int64), np.cumsum(numbers)])
     points, worths = np.empty(bounds[-1], np.int64), np.full(bounds[-1], OFF)
     _claim(cells.table, normals, centers, radii, bounds, points, worths)

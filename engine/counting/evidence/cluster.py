@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...progress import Progress, silent
-from ..geometry.cells import Cells, linked
+from ..geometry.cells import Cells, link_points
 from ..geometry.ellipsoid import fit_ellipsoids
 from ..geometry.sphere import REACH, Spheres, fit_spheres
 from .candidates import Candidates, SurfaceIndex, find_candidates
 from .claims import commonest, members
-from .gate import Features, features_of, stored_gate
-from .long_fruit import Parts, bodies, joined
+from .gate import Features, features_of, load_gate
+from .long_fruit import Parts, find_bodies, join_bodies
 from .size import FruitSize
 from .surface_points import SurfacePoints
 from .visibility import Picture, distance_of
@@ -78,8 +78,8 @@ class Clusters:
     axes: FloatArray | None = None
     parts: Parts | None = None
 
-    def keeping(self, kept: NDArray[np.bool_], shown: NDArray[np.bool_], reason: str) -> Clusters:
-        """Only the fruit that are `kept` (F,), and the points that are `shown` (P,); reason: for leaving out the
+    def keep(self, kept: NDArray[np.bool_], shown: NDArray[np.bool_], reason: str) -> Clusters:
+        """Keep only the fruit that are `kept` (F,), and the points that are `shown` (P,); reason: for leaving out the
         others."""
         numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
         lost = np.append(~kept, False)[self.owners]
@@ -96,7 +96,7 @@ class Clusters:
             findings={new: self.findings[old] for new, old in enumerate(names.tolist()) if old in self.findings},
             small=frozenset(int(numbers[index]) for index in self.small if kept[index]),
             axes=None if self.axes is None else self.axes[kept],
-            parts=None if self.parts is None else self.parts.keeping(numbers[:-1]),
+            parts=None if self.parts is None else self.parts.keep(numbers[:-1]),
         )
 
     def refusal(self, component: int) -> str:
@@ -137,24 +137,24 @@ def search(
     progress(0.0, "finding normals")
     if not given:
         unit = distance_of([picture.camera for picture in pictures])
-        size = rounded(size, unit)
-        surface = SurfaceIndex.of(points.thinned(1.0 / COARSE), size.diameter)
+        size = round_size(size, unit)
+        surface = SurfaceIndex.of(points.thin(1.0 / COARSE), size.diameter)
         for step in range(ROUNDS):
             progress(0.1 + 0.1 * step, f"Searching fruit of diameter {size.diameter:.3g}")
-            coarse = _searched(surface, size, pictures, threshold)
-            loose = _refitted(coarse, coarse.found.spheres, LOOSE, FAR)
-            before, size = size, rounded(refine(size, coarse.found.spheres, coarse.probabilities, loose), unit)
+            coarse = _search_surface(surface, size, pictures, threshold)
+            loose = _refit(coarse, coarse.found.spheres, LOOSE, FAR)
+            before, size = size, round_size(refine(size, coarse.found.spheres, coarse.probabilities, loose), unit)
             change = np.log([size.diameter / before.diameter, size.spread / before.spread])
             if (np.abs(change) < SETTLED).all():
                 break
     progress(0.5, f"Searching all fruit of diameter {size.diameter:.3g}")
-    return _searched(SurfaceIndex.of(points, size.diameter), size, pictures, threshold)
+    return _search_surface(SurfaceIndex.of(points, size.diameter), size, pictures, threshold)
 
 
-def _searched(surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
+def _search_surface(surface: SurfaceIndex, size: FruitSize, pictures: Sequence[Picture], threshold: float) -> Search:
     found = find_candidates(surface, size, pictures, threshold)
     features = features_of(found, surface, size, threshold)
-    return Search(surface, size, found, features, stored_gate().probabilities(features))
+    return Search(surface, size, found, features, load_gate().probabilities(features))
 
 
 def find_fruit(result: Search, *, lengthwise: bool = True) -> Clusters:
@@ -164,33 +164,33 @@ def find_fruit(result: Search, *, lengthwise: bool = True) -> Clusters:
     Centres and radii that photos tell are kept: those of Gaussians, which are blurred, are worse.
     """
     found, probabilities = result.found, result.probabilities
-    components = connected(result.surface.points, LINK * result.size.diameter)
+    components = find_components(result.surface.points, LINK * result.size.diameter)
     kept = probabilities > LIKELY
     owners = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[found.owners]
     likely = found.spheres.select(kept)
-    settled = likely if result.photos else _refitted(result, likely, result.size.spread, STEADY)
+    settled = likely if result.photos else _refit(result, likely, result.size.spread, STEADY)
     fitted = fit_ellipsoids(result.surface.cells, result.surface.normals, owners, settled)
     found_fruit = Clusters(
         result.surface.points,
-        settled if result.photos else _with_untold(fitted.spheres, result.size.spread),
+        settled if result.photos else _add_untold_spread(fitted.spheres, result.size.spread),
         owners,
         components,
         probabilities[kept],
         _refusals(result, kept, components),
         axes=fitted.axes,
     )
-    numbers = bodies(result.surface.points.positions, settled) if lengthwise else None
-    return found_fruit if numbers is None else _lengthwise(found_fruit, settled, numbers)
+    numbers = find_bodies(result.surface.points.positions, settled) if lengthwise else None
+    return found_fruit if numbers is None else _join_lengthwise(found_fruit, settled, numbers)
 
 
-def _with_untold(spheres: Spheres, spread: float) -> Spheres:
-    """Spheres fitted to points, with the deviation of their radii that fits do not tell."""
+def _add_untold_spread(spheres: Spheres, spread: float) -> Spheres:
+    """Add to spheres fitted to points the deviation of their radii that fits do not tell."""
     return replace(spheres, radius_sds=np.hypot(spheres.radius_sds, UNTOLD * spread * spheres.radii))
 
 
-def _lengthwise(clusters: Clusters, spheres: Spheres, numbers: IntArray) -> Clusters:
-    """Long fruit instead of the spheres along them. numbers: (F,) the body of each sphere."""
-    together, axes, parts = joined(spheres, numbers)
+def _join_lengthwise(clusters: Clusters, spheres: Spheres, numbers: IntArray) -> Clusters:
+    """Replace the spheres along long fruit by these. numbers: (F,) the body of each sphere."""
+    together, axes, parts = join_bodies(spheres, numbers)
     chances = 1.0 - clusters.probabilities
     unlikely = np.ones(len(together))
     np.multiply.at(unlikely, numbers, chances)
@@ -198,9 +198,9 @@ def _lengthwise(clusters: Clusters, spheres: Spheres, numbers: IntArray) -> Clus
     return replace(clusters, spheres=together, owners=owners, probabilities=1.0 - unlikely, axes=axes, parts=parts)
 
 
-def _refitted(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
-    """The spheres, each fitted again from its own position and held to the size by a deviation `spread` of log radius;
-    one that moves by `farthest` of its radius or more stays unchanged."""
+def _refit(result: Search, spheres: Spheres, spread: float, farthest: float) -> Spheres:
+    """Fit each of the spheres again from its own position, held to the size by a deviation `spread` of log radius; one
+    that moves by `farthest` of its radius or more stays unchanged."""
     fitted = fit_spheres(
         result.surface.cells, result.surface.normals, spheres.centers, REACH * spheres.radii, spheres.radii,
         prior=result.size.diameter / 2.0, prior_sd=spread,
@@ -230,7 +230,7 @@ def refine(size: FruitSize, spheres: Spheres, probabilities: FloatArray, loose: 
     return FruitSize(float(np.exp(mean)), float(np.clip(np.sqrt(variance), *SPREADS)))
 
 
-def rounded(size: FruitSize, unit: float) -> FruitSize:
+def round_size(size: FruitSize, unit: float) -> FruitSize:
     """Round the size to steps of log diameter and spread, so that sizes that differ by less than the error of an
     estimate give the same fruit. unit: a length that scales with the scene."""
     diameter = unit * np.exp(DIAMETER_STEP * np.round(np.log(size.diameter / unit) / DIAMETER_STEP))
@@ -244,20 +244,20 @@ def _moments(spheres: Spheres, weights: FloatArray) -> tuple[float, float]:
     return mean, float((weights * (logs - mean) ** 2).sum() / weights.sum())
 
 
-def connected(points: SurfacePoints, link: float) -> IntArray:
-    """(P,) index of the connected cluster of each point; points nearer than `link` are linked.
+def find_components(points: SurfacePoints, link: float) -> IntArray:
+    """Find the index (P,) of the connected cluster of each point; points nearer than `link` are linked.
 
     In a dense surface, points LINKS times as close represent each other.
     """
     cells = Cells.of(points.positions, link)
     numbers = np.empty(len(points), np.int64)
-    numbers[cells.index] = np.unique(linked(cells.table, link, link / LINKS), return_inverse=True)[1]
+    numbers[cells.index] = np.unique(link_points(cells.table, link, link / LINKS), return_inverse=True)[1]
     return numbers
 
 
 def _refusals(result: Search, kept: NDArray[np.bool_], components: IntArray) -> dict[int, str]:
     """By cluster, why the most probable of its rejected candidates was refused."""
-    gate, reasons, own = stored_gate(), dict[int, str](), members(result.found.owners, len(kept))
+    gate, reasons, own = load_gate(), dict[int, str](), members(result.found.owners, len(kept))
     for index in np.argsort(-result.probabilities, kind="stable"):
         if not kept[index] and len(own[index]):
             home = commonest(components[own[index]])

@@ -54,7 +54,7 @@ class FruitColours:
     def keep(self, clusters: Clusters) -> Clusters:
         """The clusters without fruit of other colours."""
         chosen = self.chances(clusters.spheres.centers, clusters.spheres.radii) > 0.5
-        return clusters if chosen.all() else clusters.keeping(chosen, np.ones(len(clusters.points), bool), self.refusal)
+        return clusters if chosen.all() else clusters.keep(chosen, np.ones(len(clusters.points), bool), self.refusal)
 
     def chances(self, centers: FloatArray, radii: FloatArray) -> FloatArray:
         """(F,) probability that fruit at centers (F, 3) with radii (F,), scene units, have a colour that is asked for.

@@ -86,7 +86,7 @@ class Gate:
 
     def probabilities(self, features: Features) -> FloatArray:
         """(C,) probability of a fruit; 0 if not even the most probable tenth of the points comes near the threshold."""
-        return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-self.score(weighed(features)))), 0.0)
+        return np.where(features["surest"] > SUREST, 1.0 / (1.0 + np.exp(-self.score(stack_features(features)))), 0.0)
 
     def reason(self, features: Features, index: int) -> str:
         """What counts most against a candidate compared with a fully visible fruit, in words."""
@@ -94,7 +94,7 @@ class Gate:
             return (
                 f"its most probable points come no nearer than {features['surest'][index] / HALF:.0%} to the threshold"
             )
-        own = weighed(features)[index]
+        own = stack_features(features)[index]
         instead = np.repeat(own[None], len(_TEXTS), axis=0)
         for row, (name, (usual, _)) in enumerate(_TEXTS.items()):
             instead[row, WEIGHED.index(name)] = usual
@@ -107,8 +107,8 @@ class Gate:
         return ", ".join(reasons) or "of an unlikely form"
 
 
-def weighed(features: Features) -> FloatArray:
-    """(C, n) features in the order of WEIGHED."""
+def stack_features(features: Features) -> FloatArray:
+    """Stack the features, (C, n), in the order of WEIGHED."""
     return np.stack([features[name] for name in WEIGHED], axis=1)
 
 
@@ -187,6 +187,6 @@ def _relative(values: FloatArray, well: NDArray[np.bool_]) -> FloatArray:
 
 
 @cache
-def stored_gate() -> Gate:
-    """The classifier that comes with the package."""
+def load_gate() -> Gate:
+    """Load the classifier that comes with the package."""
     return Gate.read(STORED)

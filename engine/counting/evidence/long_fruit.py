@@ -49,8 +49,8 @@ class Parts:
     radii: FloatArray
     owners: IntArray
 
-    def keeping(self, numbers: IntArray) -> Parts:
-        """The parts of fruit that stay; numbers: (F,) their new index, -1 for those that do not."""
+    def keep(self, numbers: IntArray) -> Parts:
+        """Keep the parts of fruit that stay; numbers: (F,) their new index, -1 for those that do not."""
         own = numbers[self.owners]
         return Parts(self.centers[own >= 0], self.radii[own >= 0], own[own >= 0])
 
@@ -74,22 +74,22 @@ class Link:
     wide: float
 
 
-def bodies(points: FloatArray, spheres: Spheres) -> IntArray | None:
-    """(F,) the number of the body that each sphere is part of; None if the fruit are not long. points: (P, 3) of their
-    surfaces."""
+def find_bodies(points: FloatArray, spheres: Spheres) -> IntArray | None:
+    """Find the number (F,) of the body that each sphere is part of; None if the fruit are not long. points: (P, 3) of
+    their surfaces."""
     centers, radii = spheres.centers, spheres.radii
     if len(centers) < ENOUGH:
         return None
     diameter = float(2.0 * radii.mean())
-    links = _links(points, centers, radii, FARTHER * diameter)
+    links = _find_links(points, centers, radii, FARTHER * diameter)
     first = [
         link for link in links if link.length <= NEAREST * diameter and link.full >= FULL[0] and link.wide >= WIDE[0]
     ]
-    kept = _straight(centers, first)
+    kept = _select_straight(centers, first)
     linked = len({end for link in kept for end in (link.one, link.other)})
     if linked < len(centers) * (MOSTLY if len(centers) >= MANY else NEARLY_ALL):
         return None
-    numbers = _connected(len(centers), kept)
+    numbers = _find_components(len(centers), kept)
     lengths = np.array([_extent(centers[numbers == number])[0] for number in range(numbers.max() + 1)])
     longest = LONGEST * float(np.percentile(lengths[lengths > 0.0], TYPICAL))
     later = [link for link in links if link.full >= FULL[1] and link.wide >= WIDE[1]]
@@ -103,8 +103,9 @@ def bodies(points: FloatArray, spheres: Spheres) -> IntArray | None:
     return joined
 
 
-def joined(spheres: Spheres, numbers: IntArray) -> tuple[Spheres, FloatArray, Parts]:
-    """The bodies as spheres of equal volume, their half axes (B, 3, 3) in radii, rows longest first, and their parts.
+def join_bodies(spheres: Spheres, numbers: IntArray) -> tuple[Spheres, FloatArray, Parts]:
+    """Return the bodies as spheres of equal volume, their half axes (B, 3, 3) in radii, rows longest first, and their
+    parts.
 
     numbers: (F,) the body of each sphere. A body is a cylinder with round ends; its other qualities are the means of
     its spheres.
@@ -126,8 +127,8 @@ def joined(spheres: Spheres, numbers: IntArray) -> tuple[Spheres, FloatArray, Pa
 _QUALITIES = ("radius_sds", "shell", "coverage", "thinness", "residual", "agreement")
 
 
-def _links(points: FloatArray, centers: FloatArray, radii: FloatArray, reach: float) -> list[Link]:
-    """All pairs of spheres within reach of each other that have points between them."""
+def _find_links(points: FloatArray, centers: FloatArray, radii: FloatArray, reach: float) -> list[Link]:
+    """Find all pairs of spheres within reach of each other that have points between them."""
     tree, links = cKDTree(points), list[Link]()
     for one, other in sorted(cKDTree(centers).query_pairs(reach)):
         step = centers[other] - centers[one]
@@ -145,8 +146,8 @@ def _links(points: FloatArray, centers: FloatArray, radii: FloatArray, reach: fl
     return links
 
 
-def _straight(centers: FloatArray, links: Sequence[Link]) -> list[Link]:
-    """The links, shortest first, so that all links of a sphere lie on one line."""
+def _select_straight(centers: FloatArray, links: Sequence[Link]) -> list[Link]:
+    """Select links, shortest first, so that all links of a sphere lie on one line."""
     kept, ends = list[Link](), dict[int, list[int]]()
     for link in sorted(links, key=lambda link: link.length):
         pairs = ((link.one, link.other), (link.other, link.one))
@@ -161,7 +162,7 @@ def _straight(centers: FloatArray, links: Sequence[Link]) -> list[Link]:
     return kept
 
 
-def _connected(count: int, links: Sequence[Link]) -> IntArray:
+def _find_components(count: int, links: Sequence[Link]) -> IntArray:
     rows, columns = ([getattr(link, name) for link in links] for name in ("one", "other"))
     graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     numbers: IntArray = connected_components(graph, directed=False)[1].astype(np.int64)

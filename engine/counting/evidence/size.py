@@ -73,7 +73,7 @@ def estimate_diameter(points: SurfacePoints, smallest: float, *, progress: Progr
             prior=radius, prior_sd=0.6, rounds=8, limit=NEIGHBORS,
         )  # fmt: skip
         if np.median(cells.numbers(starts, reaches)) > CROWDED:
-            part = part.thinned(0.5)
+            part = part.thin(0.5)
         kept_radius = (spheres.radii > 0.6 * radius) & (spheres.radii < 1.6 * radius) & (spheres.support >= 8)
         round_enough = kept_radius & (spheres.thinness > LEAST_THINNESS)
         logs.append(np.log(spheres.radii))

@@ -54,8 +54,8 @@ class SurfacePoints:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def thinned(self, share: float) -> SurfacePoints:
-        """An even sample of the points, which does not depend on how the scene was moved."""
+    def thin(self, share: float) -> SurfacePoints:
+        """Take an even sample of the points, which does not depend on how the scene was moved."""
         part = self.select(self.turns < share)
         return replace(part, turns=part.turns / share)
 
@@ -139,7 +139,7 @@ def _surface_of(chosen: _Chosen, streams: RandomStreams, owner: IntArray, number
     faced = np.einsum("pi,pi->p", normals, chosen.directions[owner]) > FACING
     owner, normals, turns = owner[faced], normals[faced], turns[faced]
     positions = chosen.means[owner] + SURFACE * np.einsum("pij,pj->pi", axes[faced], (own * scales)[faced])
-    free = ~covered(positions, chosen)
+    free = ~find_covered(positions, chosen)
     return chosen.points(positions[free], normals[free], owner[free], turns[free])
 
 
@@ -168,7 +168,7 @@ def sample_enough(
 def density(points: SurfacePoints, diameter: float) -> float:
     """Median over the points of the number of points within a quarter of a diameter, itself included."""
     cells = Cells.of(points.positions, 0.3 * diameter)
-    asked = points.thinned(min(1.0, SURVEYED / len(points))).positions
+    asked = points.thin(min(1.0, SURVEYED / len(points))).positions
     return float(np.median(cells.numbers(asked, np.full(len(asked), 0.25 * diameter))))
 
 
@@ -219,8 +219,8 @@ class _Chosen:
         return SurfacePoints(positions, normals, self.index[owner], probabilities, directions, turns)
 
 
-def covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:
-    """(P,) whether one of the Gaussians alone is more than half opaque at each position."""
+def find_covered(positions: FloatArray, chosen: _Chosen) -> NDArray[np.bool_]:
+    """Find whether one of the Gaussians alone is more than half opaque at each position (P,)."""
     inside = np.zeros(len(positions), bool)
     if len(positions) == 0:
         return inside

@@ -91,7 +91,7 @@ def find_visibility(gaussians: Gaussians, cameras: Sequence[Camera], *, progress
     means = gaussians.means.detach().double().cpu().numpy()
     weights, views = np.zeros(len(means)), np.zeros(len(means), np.int64)
     directions = np.zeros((len(means), 3))
-    for index, (own, camera) in enumerate(zip(cameras, at_drawing_size(cameras), strict=True)):
+    for index, (own, camera) in enumerate(zip(cameras, scale_to_drawing_size(cameras), strict=True)):
         progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         nothing = torch.zeros(camera.height, camera.width, 0)
         drawn = accumulate(gaussians, camera, nothing).weights.double().numpy()
@@ -126,7 +126,7 @@ def draw(
     """Depth and blended probability (N,) in every view."""
     probabilities = torch.from_numpy(probability).float()[:, None]
     pictures = []
-    for index, camera in enumerate(at_drawing_size(cameras)):
+    for index, camera in enumerate(scale_to_drawing_size(cameras)):
         progress(index / len(cameras), f"Rendering view {index + 1} of {len(cameras)}")
         drawn = draw_surface(gaussians, camera, probabilities)
         pictures.append(Picture(camera, drawn.depth, np.ascontiguousarray(drawn.features[:, :, 0])))
@@ -149,9 +149,9 @@ def gather_view_evidence(
     )
 
 
-def open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
-    """(C,) views in which at least LEAST_SHARE of the disc of each of C spheres, which need not exist, has no occluder:
-    how many would show a fruit at that position."""
+def count_open_views(pictures: Sequence[Picture], centers: FloatArray, radii: FloatArray) -> NDArray[np.int64]:
+    """Count the views (C,) in which at least LEAST_SHARE of the disc of each of C spheres, which need not exist, has no
+    occluder: how many would show a fruit at that position."""
     _, sums = _measure_discs(pictures, centers, radii, tolerance=0.0, stop=float(NOTHING), shown=-1.0)
     return sums[:, 3].astype(np.int64)
 
@@ -186,10 +186,10 @@ def spiral(count: int) -> FloatArray:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
-def at_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
-    """The cameras, all scaled down by one factor if their pixels together are too many to keep, but none below
-    LEAST_VIEW pixels."""
+def scale_to_drawing_size(cameras: Sequence[Camera]) -> list[Camera]:
+    """Scale all cameras down by one factor if their pixels together are too many to keep, but none below LEAST_VIEW
+    pixels."""
     pixels = [camera.width * camera.height for camera in cameras]
     share = MOST_PIXELS / max(sum(pixels), 1)
     factors = [min(1.0, max(share, LEAST_VIEW / own) ** 0.5) for own in pixels]
-    return [camera.scaled(factor) for camera, factor in zip(cameras, factors, strict=True)]
+    return [camera.scale(factor) for camera, factor in zip(cameras, factors, strict=True)]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, prange
-from ..geometry.cells import Table, gather, room
+from ..geometry.cells import Table, buffer_size, gather
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -26,7 +26,7 @@ def turn_normals(
     """See `candidates.SurfaceIndex`: fills turned (P, 3) from normals (P, 3) and directions (P, 3) to the cameras."""
     positions = table[0]
     for p in prange(len(positions)):
-        near = np.empty(room(limit), np.int64)
+        near = np.empty(buffer_size(limit), np.int64)
         found = gather(table, positions[p], reach, limit, near)
         turned[p] = normals[p]
         if found < LEAST_FLAT:
@@ -57,11 +57,11 @@ def turn_normals(
 
 # Strict arithmetic: with reordered sums, the process that compiled it and one that loads it from the cache differed.
 @kernel(fastmath=False)
-def middles(table: Table, centers: FloatArray, reach: float, found: FloatArray) -> None:
-    """The mean (C, 3) of the points within `reach` of each center (C, 3); each has at least one."""
+def average_points(table: Table, centers: FloatArray, reach: float, found: FloatArray) -> None:
+    """Fill found with the mean (C, 3) of the points within `reach` of each center (C, 3); each has at least one."""
     positions = table[0]
     for c in prange(len(centers)):
-        near = np.empty(room(MOST_VOTES), np.int64)
+        near = np.empty(buffer_size(MOST_VOTES), np.int64)
         count = gather(table, centers[c], reach, MOST_VOTES, near)
         for axis in range(3):
             total = 0.0

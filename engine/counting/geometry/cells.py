@@ -66,31 +66,32 @@ class Cells:
         return found
 
 
-def separated(positions: FloatArray, order: IntArray, reach: float) -> IntArray:
-    """Which of positions (P, 3) to keep, in this order (K,), so that none lies within `reach` of one kept before."""
+def keep_apart(positions: FloatArray, order: IntArray, reach: float) -> IntArray:
+    """Choose which of positions (P, 3) to keep, in this order (K,), so that none lies within `reach` of one kept
+    before."""
     cells = Cells.of(positions, reach)
     places = np.argsort(cells.index, kind="stable")
-    chosen: IntArray = cells.index[apart(cells.table, np.full(len(positions), reach), places[order], 1.0)]
+    chosen: IntArray = cells.index[choose_apart(cells.table, np.full(len(positions), reach), places[order], 1.0)]
     return chosen
 
 
-def least_near(cells: Cells, numbers: IntArray, centers: FloatArray, reach: float, most: int) -> IntArray:
-    """(C,) the least of the numbers (P,), from 0, in the order of the cells, of the points within `reach` of each
+def find_least_near(cells: Cells, numbers: IntArray, centers: FloatArray, reach: float, most: int) -> IntArray:
+    """Find the least (C,) of the numbers (P,), from 0, in the order of the cells, of the points within `reach` of each
     center (C, 3), if there are fewer than `most` of them; -1 if there is none."""
     found = np.full(len(centers), -1, np.int64)
-    _least_near(cells.table, numbers, np.ascontiguousarray(centers), reach, most, found)
+    _find_least_near(cells.table, numbers, np.ascontiguousarray(centers), reach, most, found)
     return found
 
 
 @njit
-def place(table: Table, along: float, axis: int) -> int:
-    """The cell along an axis that holds a coordinate; the outermost for what lies outside."""
+def find_cell(table: Table, along: float, axis: int) -> int:
+    """Find the cell along an axis that holds a coordinate; the outermost for what lies outside."""
     _, _, _, corner, size, shape, _ = table
     return int(min(max(np.floor((along - corner[axis]) / size), 0.0), shape[axis] - 1.0))
 
 
 @njit
-def room(limit: int) -> int:
+def buffer_size(limit: int) -> int:
     """Size of `near` so that about `limit` points fit, whatever their turns."""
     return int(limit + 4.0 * np.sqrt(limit))
 
@@ -117,9 +118,9 @@ def walk(table: Table, center: FloatArray, reach: float, share: float, near: Int
     """Write the points whose turn is below `share` as `gather` does; count them all if `near` is empty."""
     positions, keys, starts, _, _, shape, turns = table
     space, written = len(near), 0
-    z0, z1 = place(table, center[2] - reach, 2), place(table, center[2] + reach, 2)
-    for x in range(place(table, center[0] - reach, 0), place(table, center[0] + reach, 0) + 1):
-        for y in range(place(table, center[1] - reach, 1), place(table, center[1] + reach, 1) + 1):
+    z0, z1 = find_cell(table, center[2] - reach, 2), find_cell(table, center[2] + reach, 2)
+    for x in range(find_cell(table, center[0] - reach, 0), find_cell(table, center[0] + reach, 0) + 1):
+        for y in range(find_cell(table, center[1] - reach, 1), find_cell(table, center[1] + reach, 1) + 1):
             row = (x * shape[1] + y) * shape[2]
             first = np.searchsorted(keys, row + z0)
             last = first
@@ -140,7 +141,7 @@ def walk(table: Table, center: FloatArray, reach: float, share: float, near: Int
 
 
 @njit
-def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> IntArray:
+def choose_apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> IntArray:
     """Choose, in this order, the spheres that differ by `share` of their radius or more, in centre or radius, from all
     chosen before; table: of the centres, radii: (C,) in the order of the cells."""
     centers = table[0]
@@ -159,8 +160,8 @@ def apart(table: Table, radii: FloatArray, order: IntArray, share: float) -> Int
 
 
 @njit
-def linked(table: Table, reach: float, near: float) -> IntArray:
-    """(P,) the first point of the cluster of each point.
+def link_points(table: Table, reach: float, near: float) -> IntArray:
+    """Find the first point of the cluster of each point (P,).
 
     Points within `reach` of each other are linked; one within `near` of a point that searched for neighbours does not
     search itself.
@@ -171,9 +172,9 @@ def linked(table: Table, reach: float, near: float) -> IntArray:
         if answered[p]:
             continue
         px, py, pz, root = positions[p, 0], positions[p, 1], positions[p, 2], _root(parents, p)
-        z0, z1 = place(table, pz - reach, 2), place(table, pz + reach, 2)
-        for x in range(place(table, px - reach, 0), place(table, px + reach, 0) + 1):
-            for y in range(place(table, py - reach, 1), place(table, py + reach, 1) + 1):
+        z0, z1 = find_cell(table, pz - reach, 2), find_cell(table, pz + reach, 2)
+        for x in range(find_cell(table, px - reach, 0), find_cell(table, px + reach, 0) + 1):
+            for y in range(find_cell(table, py - reach, 1), find_cell(table, py + reach, 1) + 1):
                 row = (x * shape[1] + y) * shape[2]
                 cell = np.searchsorted(keys, row + z0)
                 while cell < len(keys) and keys[cell] <= row + z1:
@@ -213,7 +214,9 @@ def _numbers(table: Table, centers: FloatArray, reaches: FloatArray, found: IntA
 
 
 @kernel
-def _least_near(table: Table, numbers: IntArray, centers: FloatArray, reach: float, most: int, found: IntArray) -> None:
+def _find_least_near(
+    table: Table, numbers: IntArray, centers: FloatArray, reach: float, most: int, found: IntArray
+) -> None:
     for c in prange(len(centers)):
         near = np.empty(most, np.int64)
         number = walk(table, centers[c], reach, 1.0, near)

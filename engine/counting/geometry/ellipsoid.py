@@ -53,10 +53,10 @@ def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres:
         return Ellipsoids(spheres, np.zeros((0, 3, 3)))
     asked, typical = np.arange(0, count, -(-count // ASKED)), TYPICAL
     for _ in range(ROUNDS):
-        shapes, covariances = _fitted(cells, normals, owners, spheres, asked, typical)
+        shapes, covariances = _fit(cells, normals, owners, spheres, asked, typical)
         spread = np.einsum("ki,ij,kj->k", shapes, _UNEVEN, shapes) + np.einsum("kij,ji->k", covariances, _UNEVEN)
         typical = float(np.sqrt((spread.sum() + 5 * KNOWN * TYPICAL**2) / (5 * (len(asked) + KNOWN))))
-    shapes, _ = _fitted(cells, normals, owners, spheres, np.arange(count), typical)
+    shapes, _ = _fit(cells, normals, owners, spheres, np.arange(count), typical)
     values, vectors = np.linalg.eigh(np.eye(3) + _matrices(shapes[:, 3:]))
     lengths = 1.0 / np.maximum(values, 0.1)  # descending: the values ascend
     growth = np.cbrt(lengths.prod(axis=1))
@@ -71,10 +71,10 @@ def fit_ellipsoids(cells: Cells, normals: FloatArray, owners: IntArray, spheres:
     return Ellipsoids(refined, axes)
 
 
-def _fitted(
+def _fit(
     cells: Cells, normals: FloatArray, owners: IntArray, spheres: Spheres, chosen: IntArray, typical: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Shapes (K, 9) and their covariances of the chosen spheres; see `ellipsoid_kernels.fit_all`."""
+    """Fit the chosen spheres and return shapes (K, 9) and their covariances; see `ellipsoid_kernels.fit_all`."""
     hold = np.zeros((9, 9))
     hold[:3, :3] = np.eye(3) / SHIFT**2
     hold += _UNEVEN / typical**2 + _EVEN / GROWTH**2

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, njit, prange
-from .cells import Table, count, room, walk
+from .cells import Table, buffer_size, count, walk
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -53,7 +53,7 @@ def fit_all(
             if owners[p] == f or owners[p] < 0:
                 near[own] = p
                 own += 1
-        offsets, faces = np.empty((room(limit), 3)), np.empty((room(limit), 3))
+        offsets, faces = np.empty((buffer_size(limit), 3)), np.empty((buffer_size(limit), 3))
         total = 0
         for p in near[:own]:
             if turns[p] * own < limit and total < len(offsets):

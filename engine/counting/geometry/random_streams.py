@@ -33,8 +33,8 @@ class RandomStreams:
         cells = np.floor((places * FINENESS).clip(-FARTHEST, FARTHEST)).astype(np.int64).view(np.uint64)
         keys = np.full(len(places), seed, np.uint64)
         for axis in range(3):
-            keys = _mixed(keys + cells[:, axis])
-        drawn = [_mixed(keys + np.uint64(number)) >> np.uint64(11) for number in (1, 2, 3)]
+            keys = _mix(keys + cells[:, axis])
+        drawn = [_mix(keys + np.uint64(number)) >> np.uint64(11) for number in (1, 2, 3)]
         return cls(np.stack(drawn, axis=1) * 2.0**-53, keys)
 
     def number(self, owner: IntArray) -> IntArray:
@@ -67,8 +67,8 @@ def even_turns(count: int) -> FloatArray:
     return turns
 
 
-def _mixed(state: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Numbers that look random, from numbers that need not (the finaliser of SplitMix64, Steele et al. 2014)."""
+def _mix(state: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Mix numbers that need not look random into numbers that do (the finaliser of SplitMix64, Steele et al. 2014)."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
     state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from .cells import Cells, apart
+from .cells import Cells, choose_apart
 from .sphere_kernels import fit_all, weigh_all
 
 FloatArray = NDArray[np.float64]
@@ -92,22 +92,22 @@ def fit_spheres(
     starts, reaches, radii = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, reaches, radii))
     fit_all(cells.table, normals, starts, reaches, radii, prior, prior_sd, rounds, limit, centers, fitted, sds)
     if same > 0.0 and count:
-        kept = _distinct(centers, fitted, same)
+        kept = _find_distinct(centers, fitted, same)
         centers, fitted, sds = centers[kept], fitted[kept], sds[kept]
-    return weighed(cells, normals, centers, fitted, sds)
+    return weigh_spheres(cells, normals, centers, fitted, sds)
 
 
-def _distinct(centers: FloatArray, radii: FloatArray, same: float) -> IntArray:
-    """Which of C spheres differ by `same` radii or more, in centre or radius, from those kept before."""
+def _find_distinct(centers: FloatArray, radii: FloatArray, same: float) -> IntArray:
+    """Find which of C spheres differ by `same` radii or more, in centre or radius, from those kept before."""
     places = Cells.of(centers, same * float(np.median(radii)))
     order = np.argsort(places.index, kind="stable")
-    return np.sort(places.index[apart(places.table, radii[places.index], order, same)])
+    return np.sort(places.index[choose_apart(places.table, radii[places.index], order, same)])
 
 
-def weighed(
+def weigh_spheres(
     cells: Cells, normals: FloatArray, centers: FloatArray, radii: FloatArray, radius_sds: FloatArray
 ) -> Spheres:
-    """The quality of each of C spheres, measured on the points."""
+    """Measure the quality of each of C spheres on the points."""
     found = np.empty((len(radii), 6))
     reaches = (1.0 + SHELL) * radii
     directions = unit_directions(BINS)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compiled.jit import kernel, njit, prange
-from .cells import Table, gather, room
+from .cells import Table, buffer_size, gather
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,7 +32,7 @@ def fit_all(
 ) -> None:
     """Refine spheres from starts (C, 3) on the points within reaches (C,); see `sphere.fit_spheres`."""
     for c in prange(len(starts)):
-        near = np.empty(room(limit), np.int64)
+        near = np.empty(buffer_size(limit), np.int64)
         found = gather(table, starts[c], reaches[c], limit, near)
         points, sphere = np.empty((6, found)), np.empty(4)
         for k in range(found):
@@ -110,7 +110,7 @@ def weigh_all(
 ) -> None:
     """Fill evidence (C, 6): support, points inside, coverage, thinness, residual, agreement; see `sphere.Spheres`."""
     for c in prange(len(centers)):
-        near = np.empty(room(limit), np.int64)
+        near = np.empty(buffer_size(limit), np.int64)
         found = gather(table, centers[c], reaches[c], limit, near)
         weigh(
             table[0], table[6], normals, near[:found], centers[c], radii[c],

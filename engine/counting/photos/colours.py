@@ -33,7 +33,7 @@ def doubt_unlike(found: Search, gaussians: Gaussians) -> Search:
     """The search with less probable candidates where no certain fruit has their colour."""
     points, owners = found.surface.points.gaussians, found.found.owners
     log_odds = logit(found.probabilities)
-    against = unlike_certain(colours_of(gaussians, points, owners, len(log_odds)), log_odds)
+    against = measure_unlikeness(colours_of(gaussians, points, owners, len(log_odds)), log_odds)
     return replace(found, probabilities=expit(log_odds - against))
 
 
@@ -47,9 +47,9 @@ def colours_of(gaussians: Gaussians, points: IntArray, owners: IntArray, count: 
     return found
 
 
-def unlike_certain(colours: FloatArray, log_odds: FloatArray) -> FloatArray:
-    """(C,) log odds against the places (C,) whose colours (C, 2) lie far from those of ALIKE certain ones; 0 where a
-    colour is not known, and without enough certain fruit."""
+def measure_unlikeness(colours: FloatArray, log_odds: FloatArray) -> FloatArray:
+    """Measure the log odds (C,) against the places (C,) whose colours (C, 2) lie far from those of ALIKE certain ones;
+    0 where a colour is not known, and without enough certain fruit."""
     known = np.isfinite(colours).all(axis=1)
     against, certain = np.zeros(len(colours)), known & (log_odds >= CERTAIN)
     if certain.sum() < FEWEST_CERTAIN:

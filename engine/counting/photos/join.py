@@ -17,11 +17,11 @@ from ..evidence.cluster import LIKELY, Search
 from ..evidence.gate import features_of
 from ..evidence.size import FruitSize
 from ..evidence.visibility import Picture, frame_of, gather_view_evidence
-from ..geometry.sphere import weighed
+from ..geometry.sphere import weigh_spheres
 from .colours import doubt_unlike
 from .search import FoundInPhotos, search_photos
 from .surroundings import Surroundings
-from .verifier import Verifier, stored_network
+from .verifier import Verifier, load_network
 from .views import PhotoViews
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +47,7 @@ class PhotoEvidence:
     maps: Sequence[PhotoMap]
 
 
-def with_photos(
+def add_photos(
     found: Search,
     photos: PhotoEvidence,
     pictures: Sequence[Picture],
@@ -55,17 +55,17 @@ def with_photos(
     *,
     progress: Progress = silent,
 ) -> Search:
-    """The search with the fruit that photos show, its dissent, and the likely fruit that it had without them.
+    """Add to the search the fruit that photos show, its dissent, and the likely fruit that it had without them.
 
     found: on surfaces of the Gaussians; pictures: their views, one for each map; threshold: of the probabilities.
     """
     centers, diameter = found.found.spheres.centers, found.size.diameter
     likely = centers[found.probabilities > LIKELY]
     surroundings = Surroundings.of(photos.gaussians, photos.probabilities, likely, diameter, threshold)
-    verifier = Verifier(stored_network(), PhotoViews.of(pictures, photos.maps), surroundings)
+    verifier = Verifier(load_network(), PhotoViews.of(pictures, photos.maps), surroundings)
     cameras = [picture.camera for picture in pictures]
     in_photos = search_photos(verifier, diameter, frame_of(cameras), progress=progress)
-    together = doubt_unlike(joined(found, in_photos, pictures, threshold), photos.gaussians)
+    together = doubt_unlike(join_places(found, in_photos, pictures, threshold), photos.gaussians)
     refused = measure_dissent(float(found.probabilities.sum()), float(together.probabilities.sum()))
     return replace(together, dissent=refused, on_surfaces=likely)
 
@@ -76,8 +76,8 @@ def measure_dissent(on_surfaces: float, in_photos: float) -> float:
     return max(float(np.log((on_surfaces + HALF) / (in_photos + HALF))) - USUAL, 0.0)
 
 
-def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:
-    """The places of the photos as candidates, with the points of the surfaces that lie on them."""
+def join_places(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], threshold: float) -> Search:
+    """Make the places of the photos candidates, with the points of the surfaces that lie on them."""
     probabilities = 1.0 / (1.0 + np.exp(-photos.log_odds))
     order = np.argsort(-probabilities, kind="stable")
     order = order[probabilities[order] >= LEAST]
@@ -86,7 +86,7 @@ def joined(found: Search, photos: FoundInPhotos, pictures: Sequence[Picture], th
     found = replace(found, size=FruitSize(photos.diameter, found.size.spread))
     radius_sds = radii * photos.radius_sds[order]
     surface = found.surface
-    spheres = weighed(surface.cells, surface.normals, centers, radii, radius_sds)
+    spheres = weigh_spheres(surface.cells, surface.normals, centers, radii, radius_sds)
     claims = claim(surface.cells, surface.normals, centers, radii)
     owners, free = np.full(len(surface.points), -1, np.int64), np.ones(len(centers))
     nobody = owners.copy()

@@ -47,9 +47,9 @@ class Places:
 NO_PLACES = Places(np.zeros((0, 3)), np.zeros(0))
 
 
-def apart(places: Places, strengths: FloatArray, share: float) -> IntArray:
-    """Which places to keep, the strongest (C,) first, so that the centres of no two are nearer than `share` of the sum
-    of their radii."""
+def keep_strongest(places: Places, strengths: FloatArray, share: float) -> IntArray:
+    """Choose which places to keep, the strongest (C,) first, so that the centres of no two are nearer than `share` of
+    the sum of their radii."""
     overlaps, kept = Overlaps.of(places.centers, places.radii, share), list[int]()
     for index in np.argsort(-strengths, kind="stable").tolist():
         if not overlaps.any_chosen(index):
@@ -58,8 +58,8 @@ def apart(places: Places, strengths: FloatArray, share: float) -> IntArray:
     return np.array(kept, np.int64)
 
 
-def clear_of(places: Places, others: Places, share: float) -> NDArray[np.bool_]:
-    """(C,) which places keep `share` of the sum of both radii from all others."""
+def find_clear(places: Places, others: Places, share: float) -> NDArray[np.bool_]:
+    """Find which places (C,) keep `share` of the sum of both radii from all others."""
     overlaps = Overlaps.of(others.centers, others.radii, share)
     overlaps.chosen[:] = True
     return np.array([not overlaps.any_near(*each) for each in zip(places.centers, places.radii, strict=True)], bool)

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from ...progress import Progress, silent
 from ..evidence.camera_parts import split_by_cameras
-from ..geometry.cells import separated
-from .places import NO_PLACES, Places, apart, clear_of
+from ..geometry.cells import keep_apart
+from .places import NO_PLACES, Places, find_clear, keep_strongest
 from .verifier import VIEWS, Verdicts, Verifier
 from .views import FEW, PhotoViews, cubes
 
@@ -102,18 +102,18 @@ class _Verified:
         """The places at `index` (bool mask (C,) or integer indices)."""
         return _Verified(self.places.select(index), self.verdicts.select(index))
 
-    def above(self, least: float) -> _Verified:
-        """The places with higher log odds than `least`."""
+    def keep_above(self, least: float) -> _Verified:
+        """Keep the places with higher log odds than `least`."""
         return self.select(self.odds > least)
 
-    def moved(self, share: float = 1.0) -> Places:
-        """The places after this share of their moves and of the growth of their radii."""
+    def move(self, share: float = 1.0) -> Places:
+        """Return the places after this share of their moves and of the growth of their radii."""
         said = self.verdicts
         return Places(self.places.centers + share * said.moves, self.places.radii * np.exp(share * said.growths))
 
-    def apart(self) -> Places:
-        """The likeliest places, KEPT_APART from each other."""
-        return self.places.select(apart(self.places, self.odds, KEPT_APART))
+    def keep_apart(self) -> Places:
+        """Keep the likeliest places, KEPT_APART from each other."""
+        return self.places.select(keep_strongest(self.places, self.odds, KEPT_APART))
 
 
 def search_photos(
@@ -121,24 +121,24 @@ def search_photos(
 ) -> FoundInPhotos:
     """Look for fruit. diameter: about that of the fruit, scene units; frame: (3, 4) of the cameras, see
     `visibility.frame_of`."""
-    pool, diameter = _first_places(verifier, diameter, frame)
-    verifier = verifier.resized(diameter, spread_of(pool.above(LIKELY).places.radii, diameter / 2.0))
+    pool, diameter = _find_first_places(verifier, diameter, frame)
+    verifier = verifier.with_size(diameter, spread_of(pool.keep_above(LIKELY).places.radii, diameter / 2.0))
     progress(0.3, "Looking for fruit in the photos")
-    known = _follow(verifier, pool, NO_PLACES, diameter).above(LIKELY).apart()
+    known = _follow(verifier, pool, NO_PLACES, diameter).keep_above(LIKELY).keep_apart()
     fresh = pool.select(np.zeros(0, np.int64))
     for number in range(ROUNDS):
         progress(0.3 + 0.7 * number / ROUNDS, f"Looking for fruit in the photos, round {number + 1} of {ROUNDS}")
-        known = _settled(verifier, Places.join([known, fresh.above(LIKELY).places]))
-        fresh = _beyond(verifier, pool.places, known, diameter)
+        known = _settle(verifier, Places.join([known, fresh.keep_above(LIKELY).places]))
+        fresh = _find_beyond(verifier, pool.places, known, diameter)
     places = Places.join([known, fresh.places])
     said = Verdicts.join([_Verified.of_known(verifier, known).verdicts, fresh.verdicts])
     usual = _usual(known.radii, diameter)
-    held = Places(places.centers, held_to_usual(places.radii, said.radius_sds, known.radii, usual / 2.0))
+    held = Places(places.centers, shrink_to_usual(places.radii, said.radius_sds, known.radii, usual / 2.0))
     return FoundInPhotos(held, said.log_odds, len(known), said.radius_sds, usual)
 
 
-def held_to_usual(radii: FloatArray, sds: FloatArray, known: FloatArray, usual: float) -> FloatArray:
-    """(C,) radii, their logarithms, which have standard deviations (C,), moved towards the usual one by the share of
+def shrink_to_usual(radii: FloatArray, sds: FloatArray, known: FloatArray, usual: float) -> FloatArray:
+    """Move the logarithms of radii (C,), which have standard deviations (C,), towards the usual one by the share of
     their variance that is an error of measurement: the spread of the known fruit (F,) says how much they truly vary."""
     shares = 1.0 / (1.0 + (sds / spread_of(known, usual)) ** 2)
     held: FloatArray = usual * (radii / usual) ** shares
@@ -153,28 +153,28 @@ def spread_of(known: FloatArray, usual: float) -> float:
     return max(float(1.48 * np.median(np.abs(np.log(known / usual)))), LEAST_SPREAD)
 
 
-def _first_places(verifier: Verifier, diameter: float, frame: FloatArray) -> tuple[_Verified, float]:
-    """Places that are not given up, and the diameter of the likely ones: places are searched again with it if it
+def _find_first_places(verifier: Verifier, diameter: float, frame: FloatArray) -> tuple[_Verified, float]:
+    """Find places that are not given up, and the diameter of the likely ones: places are searched again with it if it
     differs, and then with a smaller one too if their sizes vary."""
     for _ in range(RESIZED):
-        starts = _starts(verifier, diameter, frame)
-        pool = _Verified.of(verifier.resized(diameter), starts, NO_PLACES)
-        before, likely = diameter, pool.above(LIKELY).places.radii
+        starts = _find_starts(verifier, diameter, frame)
+        pool = _Verified.of(verifier.with_size(diameter), starts, NO_PLACES)
+        before, likely = diameter, pool.keep_above(LIKELY).places.radii
         diameter = _usual(likely, before)
         if abs(np.log(diameter / before)) < SAME_SIZE:
             break
     if spread_of(likely, diameter / 2.0) > VARIED:
-        starts = Places.join([starts, _starts(verifier, SMALLER * diameter, frame)])
-        pool = _Verified.of(verifier.resized(diameter), starts, NO_PLACES)
-        diameter = _usual(pool.above(LIKELY).places.radii, diameter)
-    return pool.above(GIVEN_UP), diameter
+        starts = Places.join([starts, _find_starts(verifier, SMALLER * diameter, frame)])
+        pool = _Verified.of(verifier.with_size(diameter), starts, NO_PLACES)
+        diameter = _usual(pool.keep_above(LIKELY).places.radii, diameter)
+    return pool.keep_above(GIVEN_UP), diameter
 
 
-def _starts(verifier: Verifier, diameter: float, frame: FloatArray) -> Places:
-    """Places of fruit of a diameter, each with the radius that is measured there."""
+def _find_starts(verifier: Verifier, diameter: float, frame: FloatArray) -> Places:
+    """Find places of fruit of a diameter, each with the radius that is measured there."""
     on_surfaces = verifier.surroundings.fruit
-    centers = np.concatenate([likely_places(verifier.views, on_surfaces, diameter, frame), on_surfaces])
-    return sized(verifier.views, Places.alike(centers, diameter), diameter)
+    centers = np.concatenate([find_likely_places(verifier.views, on_surfaces, diameter, frame), on_surfaces])
+    return size_places(verifier.views, Places.alike(centers, diameter), diameter)
 
 
 def _usual(radii: FloatArray, diameter: float) -> float:
@@ -185,47 +185,47 @@ def _usual(radii: FloatArray, diameter: float) -> float:
 def _follow(verifier: Verifier, found: _Verified, known: Places, diameter: float) -> _Verified:
     """Places after all their moves, clear of stronger ones and of known fruit."""
     for _ in range(MOVES):
-        places = found.moved()
-        places = places.select(strongest(places.centers, found.odds, SAME * diameter))
-        places = places.select(clear_of(places, known, KEPT_APART))
+        places = found.move()
+        places = places.select(non_maximum_suppression(places.centers, found.odds, SAME * diameter))
+        places = places.select(find_clear(places, known, KEPT_APART))
         found = _Verified.of(verifier, places, known)
     return found
 
 
-def sized(views: PhotoViews, places: Places, diameter: float) -> Places:
-    """The places with the radii that the photos show; the fewer pixels tell one, the nearer it stays to that of the
+def size_places(views: PhotoViews, places: Places, diameter: float) -> Places:
+    """Give the places the radii that the photos show; the fewer pixels tell one, the nearer it stays to that of the
     scene, half of `diameter`."""
     usual = diameter / 2.0
     for _ in range(MEASURES):
-        radii, shares = _measured(views, places)
+        radii, shares = _measure_radii(views, places)
         off = np.clip(np.log(np.where(shares > 0.0, radii, usual) / usual), -FARTHEST_SIZE, FARTHEST_SIZE)
         places = Places(places.centers, usual * np.exp(shares * off))
     return places
 
 
-def _measured(views: PhotoViews, places: Places) -> tuple[FloatArray, FloatArray]:
-    """The radii (C,) that pixels around places tell, and the share (C,) of each in `sized`."""
+def _measure_radii(views: PhotoViews, places: Places) -> tuple[FloatArray, FloatArray]:
+    """Measure the radii (C,) that pixels around places tell, and the share (C,) of each in `size_places`."""
     chosen, _ = views.choose(places.centers, places.radii, VIEWS)
     radii, pixels = views.measured(places.centers, places.radii, chosen)
     return radii, pixels / (pixels + TELLING)
 
 
-def likely_places(views: PhotoViews, fruit: FloatArray, diameter: float, frame: FloatArray) -> FloatArray:
-    """(S, 3) places where photos may show fruit of a diameter: of each group the best, first the FIRST of every cube,
-    each the likeliest first. fruit: (F, 3) on surfaces; frame: as of `search_photos`.
+def find_likely_places(views: PhotoViews, fruit: FloatArray, diameter: float, frame: FloatArray) -> FloatArray:
+    """Find the places (S, 3) where photos may show fruit of a diameter: of each group the best, first the FIRST of
+    every cube, each the likeliest first. fruit: (F, 3) on surfaces; frame: as of `search_photos`.
 
     Places compete in the group of the nearest fruit, so well-covered trees take nothing from others.
     """
     groups = group_fruit(views, fruit, diameter)
     most = np.maximum(PEAKS, PEAKS_OF_FRUIT * np.bincount(groups, minlength=1))
     places = views.places(diameter / 2.0, [push * diameter for push in PUSHES], STEP * diameter, frame)
-    own = _nearest(places, fruit, groups)
-    places = places[_best(views.score(places, diameter / 2.0, FEW), own)]
-    places = places[strongest(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
-    later = _earlier(cubes(places, diameter, frame)) >= FIRST
+    own = _find_nearest_group(places, fruit, groups)
+    places = places[_find_best(views.score(places, diameter / 2.0, FEW), own)]
+    places = places[non_maximum_suppression(places, views.score(places, diameter / 2.0), PEAK * diameter, LEAST_SCORE)]
+    later = _count_earlier(cubes(places, diameter, frame)) >= FIRST
     places = places[np.argsort(later, kind="stable")]
-    own = _nearest(places, fruit, groups)
-    return places[_earlier(own) < most[own]]
+    own = _find_nearest_group(places, fruit, groups)
+    return places[_count_earlier(own) < most[own]]
 
 
 def group_fruit(views: PhotoViews, fruit: FloatArray, diameter: float) -> IntArray:
@@ -245,16 +245,16 @@ def group_fruit(views: PhotoViews, fruit: FloatArray, diameter: float) -> IntArr
     return groups
 
 
-def _nearest(places: FloatArray, fruit: FloatArray, groups: IntArray) -> IntArray:
-    """(S,) the group of the fruit (F, 3) nearest to each place (S, 3)."""
+def _find_nearest_group(places: FloatArray, fruit: FloatArray, groups: IntArray) -> IntArray:
+    """Find the group (S,) of the fruit (F, 3) nearest to each place (S, 3)."""
     if groups.max(initial=0) == 0 or len(places) == 0:
         return np.zeros(len(places), np.int64)
     own: IntArray = groups[cKDTree(fruit).query(places)[1]]
     return own
 
 
-def _best(guesses: FloatArray, groups: IntArray) -> NDArray[np.bool_]:
-    """(S,) which guesses (S,) are among the best of their group (S,)."""
+def _find_best(guesses: FloatArray, groups: IntArray) -> NDArray[np.bool_]:
+    """Find which guesses (S,) are among the best of their group (S,)."""
     least = [
         np.quantile(guesses[groups == group], 1.0 - PROMISING) if (groups == group).any() else np.inf
         for group in range(groups.max(initial=-1) + 1)
@@ -262,8 +262,8 @@ def _best(guesses: FloatArray, groups: IntArray) -> NDArray[np.bool_]:
     return guesses >= np.array(least)[groups]
 
 
-def _earlier(owners: IntArray) -> IntArray:
-    """(S,) how many before each have the same owner."""
+def _count_earlier(owners: IntArray) -> IntArray:
+    """Count how many before each (S,) have the same owner."""
     order = np.argsort(owners, kind="stable")
     starts = np.searchsorted(owners[order], owners[order])
     earlier = np.empty(len(owners), np.int64)
@@ -271,21 +271,23 @@ def _earlier(owners: IntArray) -> IntArray:
     return earlier
 
 
-def _settled(verifier: Verifier, known: Places) -> Places:
-    """Known fruit, moved to where the others leave them; those that are unlikely then are left out."""
+def _settle(verifier: Verifier, known: Places) -> Places:
+    """Move known fruit to where the others leave them; those that are unlikely then are left out."""
     for _ in range(MOVES):
-        known = _Verified.of_known(verifier, known).moved(STEADY)
-    return _Verified.of_known(verifier, known).above(LIKELY - 1.0).apart()
+        known = _Verified.of_known(verifier, known).move(STEADY)
+    return _Verified.of_known(verifier, known).keep_above(LIKELY - 1.0).keep_apart()
 
 
-def _beyond(verifier: Verifier, pool: Places, known: Places, diameter: float) -> _Verified:
-    """The places of the pool, moved, that may be fruit besides the known ones."""
-    fresh = _Verified.of(verifier, pool.select(clear_of(pool, known, KEPT_APART)), known).above(UNLIKELY)
+def _find_beyond(verifier: Verifier, pool: Places, known: Places, diameter: float) -> _Verified:
+    """Find the places of the pool, moved, that may be fruit besides the known ones."""
+    fresh = _Verified.of(verifier, pool.select(find_clear(pool, known, KEPT_APART)), known).keep_above(UNLIKELY)
     found = _follow(verifier, fresh, known, diameter)
-    return found.select(apart(found.places, found.odds, APART))
+    return found.select(keep_strongest(found.places, found.odds, APART))
 
 
-def strongest(places: FloatArray, strengths: FloatArray, reach: float, least: float = -np.inf) -> IntArray:
-    """Which places (S, 3) to keep, strongest first, so that none lies within `reach` of a stronger one."""
+def non_maximum_suppression(
+    places: FloatArray, strengths: FloatArray, reach: float, least: float = -np.inf
+) -> IntArray:
+    """Choose which places (S, 3) to keep, strongest first, so that none lies within `reach` of a stronger one."""
     order = np.argsort(-strengths, kind="stable")
-    return separated(places, order[strengths[order] > least], reach)
+    return keep_apart(places, order[strengths[order] > least], reach)

@@ -156,8 +156,8 @@ class Verifier:
     surroundings: Surroundings
     spread: float = UNKNOWN_SPREAD
 
-    def resized(self, diameter: float, spread: float = UNKNOWN_SPREAD) -> Verifier:
-        """The same for fruit of another usual diameter, scene units, and spread."""
+    def with_size(self, diameter: float, spread: float = UNKNOWN_SPREAD) -> Verifier:
+        """Return the same for fruit of another usual diameter, scene units, and spread."""
         return replace(self, surroundings=replace(self.surroundings, diameter=diameter), spread=spread)
 
     @torch.inference_mode()
@@ -166,7 +166,7 @@ class Verifier:
         which of the others each place is itself, -1 for none."""
         count = len(places)
         verdicts = Verdicts(np.full(count, UNSEEN), np.zeros((count, 3)), np.zeros(count), np.ones(count))
-        near = known_near(places.centers, others, own)
+        near = find_known_near(places.centers, others, own)
         for start in range(0, count, AT_ONCE):
             part = slice(start, start + AT_ONCE)
             centers, radii = places.centers[part], places.radii[part]
@@ -177,14 +177,15 @@ class Verifier:
             )
             grown = growths.clamp(-MOST_GROWTH, MOST_GROWTH).double().numpy()
             seen = torch.where(exists.sum(1) >= FEWEST_VIEWS, odds, UNSEEN).double().numpy()
-            verdicts.log_odds[part] = seen - self._unusual(radii * np.exp(grown))
+            verdicts.log_odds[part] = seen - self._doubt_unusual(radii * np.exp(grown))
             verdicts.moves[part] = self._moves(centers, radii, looked.chosen, shifts, errors)
             verdicts.growths[part] = grown
             verdicts.radius_sds[part] = LAPLACE * size_errors.exp().double().numpy()
         return verdicts
 
-    def _unusual(self, radii: FloatArray) -> FloatArray:
-        """(C,) log odds against fruit of radii (C,) that are larger than the usual one by more than UNUSUAL spreads."""
+    def _doubt_unusual(self, radii: FloatArray) -> FloatArray:
+        """Return the log odds (C,) against fruit of radii (C,) that are larger than the usual one by more than UNUSUAL
+        spreads."""
         off = np.log(2.0 * radii / self.surroundings.diameter)
         unusual: FloatArray = 0.5 * (np.maximum(off - UNUSUAL * self.spread, 0.0) / UNUSUAL_SD) ** 2
         return unusual
@@ -205,9 +206,9 @@ class Verifier:
         return moves * np.minimum(1.0, FARTHEST * radii[:, None] / np.maximum(lengths, 1e-12))
 
 
-def known_near(centers: FloatArray, others: Places, own: IntArray | None = None) -> IntArray:
-    """(C, KNOWN) the nearest of the others within KNOWN_REACH of each centre (C, 3), without its own (C,), -1 after the
-    last."""
+def find_known_near(centers: FloatArray, others: Places, own: IntArray | None = None) -> IntArray:
+    """Find the nearest (C, KNOWN) of the others within KNOWN_REACH of each centre (C, 3), without its own (C,), -1
+    after the last."""
     near = np.full((len(centers), KNOWN), -1, np.int64)
     if len(others) == 0:
         return near
@@ -232,8 +233,8 @@ def read_network(path: Path) -> Network:
 
 
 @cache
-def stored_network() -> Network:
-    """The network that comes with the package."""
+def load_network() -> Network:
+    """Load the network that comes with the package."""
     return read_network(STORED)
 
 

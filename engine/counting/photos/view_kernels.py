@@ -52,8 +52,8 @@ sphere's centre the centre of the pixel's fruit is, in FARTHEST_OFF radii, times
 
 
 @njit
-def place(pose: FloatArray, lens: FloatArray, center: FloatArray) -> tuple[float, float, float]:
-    """Pixel and depth of a place; the pixel is meaningless behind the camera."""
+def project(pose: FloatArray, lens: FloatArray, center: FloatArray) -> tuple[float, float, float]:
+    """Project a place to its pixel and depth; the pixel is meaningless behind the camera."""
     x, y, z = pose[0, 3], pose[1, 3], pose[2, 3]
     for axis in range(3):
         x += pose[0, axis] * center[axis]
@@ -64,8 +64,8 @@ def place(pose: FloatArray, lens: FloatArray, center: FloatArray) -> tuple[float
 
 
 @njit
-def between(values: NDArray[np.float32], start: int, height: int, width: int, u: float, v: float) -> float:
-    """The value at a place between pixel centres, -1 outside of them."""
+def sample_bilinear(values: NDArray[np.float32], start: int, height: int, width: int, u: float, v: float) -> float:
+    """Interpolate the value at a place between pixel centres; -1 outside of them."""
     x, y = u - 0.5, v - 0.5
     column, row = math.floor(x), math.floor(y)
     if column < 0 or row < 0 or column + 1 >= width or row + 1 >= height:
@@ -95,7 +95,7 @@ def look(
     framed, fruit, own, through = 0.0, 0.0, 0.0, 0.0
     for s in range(len(disc)):
         x, y = u + across * disc[s, 0], v + along * disc[s, 1]
-        shown = between(probabilities, start, height, width, x, y)
+        shown = sample_bilinear(probabilities, start, height, width, x, y)
         if shown < 0.0:
             continue
         framed += 1.0
@@ -113,9 +113,9 @@ def look(
 
 
 @njit
-def visible_from(views: Views, view: int, center: FloatArray, radius: float) -> tuple[float, float, float]:
-    """Pixel and depth of a sphere's centre; depth 0 if the view does not show it."""
-    u, v, z = place(views[5][view], views[6][view], center)
+def project_visible(views: Views, view: int, center: FloatArray, radius: float) -> tuple[float, float, float]:
+    """Project a sphere's centre to its pixel and depth; depth 0 if the view does not show it."""
+    u, v, z = project(views[5][view], views[6][view], center)
     if z <= NEAREST * radius:
         return u, v, 0.0
     beside, below = BEYOND * radius * views[6][view, 0] / z, BEYOND * radius * views[6][view, 1] / z
@@ -137,7 +137,7 @@ def score_spheres(
     for c in prange(len(centers)):
         total = 0.0
         for view in range(len(views[3])):
-            u, v, z = visible_from(views, view, centers[c], radius)
+            u, v, z = project_visible(views, view, centers[c], radius)
             if z <= 0.0:
                 continue
             _, fruit, own, through = look(views, view, u, v, z, radius, disc)
@@ -160,7 +160,7 @@ def choose_views(
     for c in prange(len(centers)):
         ranks, ranked, number = np.empty(len(views[3])), np.empty(len(views[3]), np.int64), 0
         for view in range(len(views[3])):
-            u, v, z = visible_from(views, view, centers[c], radii[c])
+            u, v, z = project_visible(views, view, centers[c], radii[c])
             if z <= 0.0:
                 continue
             framed, fruit, own, through = look(views, view, u, v, z, radii[c], disc)
@@ -201,7 +201,7 @@ def measure_radii(
             view = chosen[c, k]
             if view < 0:
                 break
-            u, v, z = place(poses[view], lenses[view], centers[c])
+            u, v, z = project(poses[view], lenses[view], centers[c])
             start, height, width = starts[view], sizes[view, 0], sizes[view, 1]
             across, along = lenses[view, 0] * radii[c] / z, lenses[view, 1] * radii[c] / z
             top, bottom = max(int(v - MEASURED * along), 0), min(int(v + MEASURED * along) + 1, height)
@@ -249,7 +249,7 @@ def _fill(
                 y = v + (2.0 * (row + (i + 0.5) / steps) / cells - 1.0) * span * along
                 for j in range(steps):
                     x = u + (2.0 * (column + (j + 0.5) / steps) / cells - 1.0) * span * across
-                    shown = between(probabilities, start, height, width, x, y)
+                    shown = sample_bilinear(probabilities, start, height, width, x, y)
                     if shown < 0.0:
                         continue
                     at = start + int(y) * width + int(x)
@@ -286,7 +286,7 @@ def _disc(
 ) -> bool:  # fmt: skip
     """Fill disc (4,) with a known fruit as a crop shows it: middle and radius, in radii of the sphere, and 1 in front
     of the sphere's centre, -1 behind it; False if it is too close to the camera."""
-    x, y, depth = place(views[5][view], views[6][view], other)
+    x, y, depth = project(views[5][view], views[6][view], other)
     across, along = views[6][view, 0] * radius / z, views[6][view, 1] * radius / z
     disc[0], disc[1], disc[2] = (x - u) / across, (y - v) / along, other_radius * z / (max(depth, 1e-12) * radius)
     disc[3] = 1.0 if depth < z else -1.0
@@ -325,7 +325,7 @@ def cut_crops(
             view = chosen[c, k]
             if view < 0:
                 break
-            u, v, z = place(views[5][view], views[6][view], centers[c])
+            u, v, z = project(views[5][view], views[6][view], centers[c])
             known = 0
             for m in range(near.shape[1]):
                 other = near[c, m]

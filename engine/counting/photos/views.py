@@ -64,7 +64,9 @@ class PhotoViews:
         shown = (of_size(torch.from_numpy(m.probability)[None], *size) for m, size in zip(maps, sizes, strict=True))
         return cls(
             np.concatenate([each.numpy().reshape(-1) for each in shown]),
-            np.concatenate([_picked(m.offsets, size).reshape(-1, 2) for m, size in zip(maps, sizes, strict=True)]),
+            np.concatenate(
+                [_pick_nearest(m.offsets, size).reshape(-1, 2) for m, size in zip(maps, sizes, strict=True)]
+            ),
             np.concatenate([picture.depth.reshape(-1) for picture in pictures]),
             np.cumsum([0, *lengths[:-1]]),
             np.array(sizes, np.int64),
@@ -98,7 +100,7 @@ class PhotoViews:
             rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
             middle = near + radius * np.sqrt(np.maximum(1.0 - (off**2).sum(axis=1), 0.0))
             behind = ((rays * (middle + push)[:, None] - pose[:, 3]) @ pose[:, :3] for push in pushes)
-            found += [occupied(places, step, frame) for places in behind]
+            found += [find_occupied_cubes(places, step, frame) for places in behind]
         return cube_centers(np.unique(np.concatenate(found)), step, frame)
 
     def score(self, centers: FloatArray, radius: float, disc: FloatArray = DISC) -> FloatArray:
@@ -172,11 +174,11 @@ class PhotoViews:
         )
 
 
-def occupied(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
-    """The numbers of the cubes of side `step` that places (S, 3) lie in, see `cubes`, each once, in order; those at
-    FARTHEST cubes from the origin of the frame or more are left out."""
+def find_occupied_cubes(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
+    """Find the numbers of the cubes of side `step` that places (S, 3) lie in, see `cubes`, each once, in order; those
+    at FARTHEST cubes from the origin of the frame or more are left out."""
     steps = _steps(places, step, frame)
-    return np.unique(_numbered(steps[(np.abs(steps) < FARTHEST).all(axis=1)]))
+    return np.unique(_number_cubes(steps[(np.abs(steps) < FARTHEST).all(axis=1)]))
 
 
 def cube_centers(numbers: IntArray, step: float, frame: FloatArray) -> FloatArray:
@@ -190,7 +192,7 @@ def cube_centers(numbers: IntArray, step: float, frame: FloatArray) -> FloatArra
 def cubes(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
     """(S,) the number of the cube of side `step`, scene units, that each place (S, 3) lies in, cut along the axes of
     `frame` (3, 4)."""
-    return _numbered(_steps(places, step, frame))
+    return _number_cubes(_steps(places, step, frame))
 
 
 def _steps(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
@@ -199,12 +201,12 @@ def _steps(places: FloatArray, step: float, frame: FloatArray) -> IntArray:
     return np.floor((places @ frame[:, :3].T + frame[:, 3]) / side).astype(np.int64)
 
 
-def _numbered(steps: IntArray) -> IntArray:
-    """(S,) one number for each cube (S, 3): numbers are sorted five times as fast as rows."""
+def _number_cubes(steps: IntArray) -> IntArray:
+    """Give each cube (S, 3) one number (S,): numbers are sorted five times as fast as rows."""
     return np.ravel_multi_index(tuple(steps.T + FARTHEST), SIDES, mode="clip").astype(np.int64)
 
 
-def _picked(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:
-    """(H, W, 2) → (*size, 2), the nearest of each."""
+def _pick_nearest(values: NDArray[np.float32], size: tuple[int, ...]) -> NDArray[np.float32]:
+    """Resample (H, W, 2) to (*size, 2) by the nearest of each."""
     rows, columns = ((np.arange(new) + 0.5) * old / new for new, old in zip(size, values.shape, strict=False))
     return np.ascontiguousarray(values[rows.astype(int)[:, None], columns.astype(int)])

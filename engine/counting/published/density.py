@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..evidence.claims import members
-from ..geometry.cells import Cells, least_near, linked
+from ..geometry.cells import Cells, find_least_near, link_points
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -55,10 +55,10 @@ def dbscan(positions: FloatArray, reach: float, least: int) -> IntArray:
     is_core[cells.index] = cells.numbers(cells.positions, np.full(len(positions), reach)) >= least
     core, others = np.flatnonzero(is_core), np.flatnonzero(~is_core)
     cells = Cells.of(positions[core], reach)
-    clusters = linked(cells.table, reach, 0.0)
+    clusters = link_points(cells.table, reach, 0.0)
     first = np.full(len(core), len(core))
     np.minimum.at(first, clusters, cells.index)
     numbers = np.unique(first[clusters], return_inverse=True)[1]
     labels[core[cells.index]] = numbers
-    labels[others] = least_near(cells, numbers, positions[others], reach, least)
+    labels[others] = find_least_near(cells, numbers, positions[others], reach, least)
     return labels

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..evidence.candidates import SurfaceIndex
 from ..evidence.cluster import Clusters
-from ..geometry.sphere import weighed
+from ..geometry.sphere import weigh_spheres
 from .parts import Part, hausdorff
 
 IntArray = NDArray[np.int64]
@@ -28,8 +28,8 @@ class Finding:
     reason: str
 
     @classmethod
-    def kept(cls, index: IntArray, volume: float, parts: Sequence[Part]) -> Finding:
-        """A cluster of this many template volumes that consists of these fruit."""
+    def keep(cls, index: IntArray, volume: float, parts: Sequence[Part]) -> Finding:
+        """Keep a cluster of this many template volumes that consists of these fruit."""
         kind = "a compound" if len(parts) > 1 else "a small fruit" if parts[0].small else "a single fruit"
         return cls(
             index,
@@ -40,8 +40,8 @@ class Finding:
         )
 
     @classmethod
-    def dropped(cls, index: IntArray, reason: str) -> Finding:
-        """A cluster without fruit."""
+    def drop(cls, index: IntArray, reason: str) -> Finding:
+        """Drop a cluster without fruit."""
         return cls(index, [], f"{reason}, γ = 0")
 
 
@@ -60,7 +60,7 @@ def clusters_of(surface: SurfaceIndex, diameter: float, findings: Sequence[Findi
     radii = np.full(len(parts), diameter / 2.0)
     return Clusters(
         points=surface.points,
-        spheres=weighed(surface.cells, surface.normals, centers, radii, RADIUS_SD * radii),
+        spheres=weigh_spheres(surface.cells, surface.normals, centers, radii, RADIUS_SD * radii),
         owners=owners,
         components=components,
         probabilities=np.array([surface.points.probabilities[part.index].mean() for part in parts]),

@@ -52,59 +52,59 @@ def cluster_as_fruitnerf(
     points: SurfacePoints, diameter: float, template: Template | None = None, *, progress: Progress = silent
 ) -> Clusters:
     """Cluster the points, of fruit of `diameter` scene units; template: the fruit's shape, a ball without one."""
-    surface = SurfaceIndex.of(_one_a_voxel(points, VOXEL * diameter), diameter)
+    surface = SurfaceIndex.of(_thin_to_voxels(points, VOXEL * diameter), diameter)
     positions = surface.points.positions / diameter
     cloud = Cloud(positions, positions, template or ball())
-    clusters = _merged(cloud, _clustered(positions))
+    clusters = _merge_small(cloud, _cluster(positions))
     findings = []
     for number, index in enumerate(clusters):
         progress(number / len(clusters), f"comparing cluster {number + 1} of {len(clusters)} with the template")
-        findings.append(_judged(cloud, index))
+        findings.append(_judge(cloud, index))
     return clusters_of(surface, diameter, findings)
 
 
-def _judged(cloud: Cloud, index: IntArray) -> Finding:
+def _judge(cloud: Cloud, index: IntArray) -> Finding:
     volume = cloud.volume(index)
     if volume < LEAST_VOLUME:
-        return Finding.dropped(index, f"its alpha shape has {volume:.2f} template volumes ({LEAST_VOLUME} is asked)")
+        return Finding.drop(index, f"its alpha shape has {volume:.2f} template volumes ({LEAST_VOLUME} is asked)")
     parts = best_split(cloud, index, MOST_PARTS) if volume > SPLIT_VOLUME else [cloud.part(index)]
-    return Finding.kept(index, volume, parts)
+    return Finding.keep(index, volume, parts)
 
 
-def _one_a_voxel(points: SurfacePoints, side: float) -> SurfacePoints:
-    """The first point in each voxel of `side` scene units."""
+def _thin_to_voxels(points: SurfacePoints, side: float) -> SurfacePoints:
+    """Keep the first point in each voxel of `side` scene units."""
     return points.select(np.sort(np.unique(np.floor(points.positions / side), axis=0, return_index=True)[1]))
 
 
-def _clustered(positions: FloatArray) -> list[IntArray]:
-    """The points of each cluster; points with too few neighbours are removed first."""
+def _cluster(positions: FloatArray) -> list[IntArray]:
+    """Return the points of each cluster; points with too few neighbours are removed first."""
     density = Density.of(positions, LINK)
     kept = np.flatnonzero(density.numbers >= CLEAN_SHARE * density.usual)
     return [kept[own] for own in dense_clusters(positions[kept], LINK, density, CORE_SHARE)]
 
 
-def _merged(cloud: Cloud, clusters: list[IntArray]) -> list[IntArray]:
-    """The clusters (C), with small ones whose centres lie near each other merged."""
+def _merge_small(cloud: Cloud, clusters: list[IntArray]) -> list[IntArray]:
+    """Return the clusters (C), with small ones whose centres lie near each other merged."""
     small = [cloud.volume(index) < LEAST_VOLUME for index in clusters]
     pieces = list(compress(clusters, small))
     if len(pieces) < 2:
         return clusters
     middles = np.stack([cloud.positions[index].mean(axis=0) for index in pieces])
-    groups = [own[near] for own in _linked(middles) for near in _near(middles[own])]
+    groups = [own[near] for own in _group_linked(middles) for near in _group_near(middles[own])]
     merged = [np.concatenate([pieces[piece] for piece in group]) for group in groups]
     return [index for index, is_small in zip(clusters, small, strict=True) if not is_small] + merged
 
 
-def _linked(middles: FloatArray) -> list[IntArray]:
-    """Groups of centres (C, 3) in chains of near ones; the pairs of all centres would not fit into memory."""
+def _group_linked(middles: FloatArray) -> list[IntArray]:
+    """Group centres (C, 3) in chains of near ones; the pairs of all centres would not fit into memory."""
     pairs = cKDTree(middles).query_pairs(MERGED, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(middles),) * 2)
     count, labels = connected_components(graph, directed=False)
     return members(labels.astype(np.int64), count)
 
 
-def _near(middles: FloatArray) -> list[IntArray]:
-    """Groups of centres (C, 3) whose mean distance is at most that of pieces of one fruit."""
+def _group_near(middles: FloatArray) -> list[IntArray]:
+    """Group centres (C, 3) whose mean distance is at most that of pieces of one fruit."""
     if len(middles) == 1:
         return [np.zeros(1, np.int64)]
     labels = fcluster(linkage(middles, "average"), MERGED, criterion="distance").astype(np.int64)

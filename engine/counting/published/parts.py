@@ -50,15 +50,15 @@ class Cloud:
 
     def volume(self, index: IntArray) -> float:
         """The volume of the alpha shape of the points at `index`, in template volumes."""
-        return alpha_shape_volume(self.positions[thinned(index, VOLUME_POINTS)], ALPHA) / self.template.volume
+        return alpha_shape_volume(self.positions[thin(index, VOLUME_POINTS)], ALPHA) / self.template.volume
 
     def part(self, index: IntArray, *, small: bool = False) -> Part:
         """The points at `index` with the aligned template."""
         return Part(index, register(self.positions[index], self.template, self.origins[index].mean(axis=0)), small)
 
 
-def thinned(index: IntArray, most: int) -> IntArray:
-    """At most so many of the numbers in `index`, spread evenly over it."""
+def thin(index: IntArray, most: int) -> IntArray:
+    """Take at most so many of the numbers in `index`, spread evenly over it."""
     return index[np.linspace(0, len(index) - 1, min(len(index), most)).astype(np.int64)]
 
 
@@ -85,7 +85,7 @@ def cuts(positions: FloatArray, index: IntArray, most: int) -> Iterator[list[Int
     All are cuts of one tree of agglomerative clustering (Ward 1963), which has no random start, unlike k-means; each
     splits one group of the one before.
     """
-    few = thinned(np.arange(len(index)), MOST_JOINED)
+    few = thin(np.arange(len(index)), MOST_JOINED)
     if len(few) < 2 * SMALLEST:
         return
     tree, nearest = ward(positions[index[few]]), cKDTree(positions[index[few]]).query(positions[index])[1]

@@ -23,7 +23,7 @@ from .density import Density, dense_clusters
 from .findings import Finding, clusters_of
 from .parts import Cloud, Part, best_split
 from .registration import register
-from .template_shape import Template, ball, cut_out
+from .template_shape import Template, ball, cut_template
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -69,40 +69,40 @@ def split_by_template(
     findings = []
     for number, index in enumerate(clusters):
         progress(number / len(clusters), f"laying the template onto cluster {number + 1} of {len(clusters)}")
-        findings.append(judged(cloud, index, float(np.median(density.numbers[index])) / density.usual))
+        findings.append(judge(cloud, index, float(np.median(density.numbers[index])) / density.usual))
     return clusters_of(surface, diameter, findings)
 
 
-def judged(cloud: Cloud, index: IntArray, dense: float) -> Finding:
-    """The result for the points at `index`; dense: the typical number of their neighbours, relative to the scene."""
+def judge(cloud: Cloud, index: IntArray, dense: float) -> Finding:
+    """Judge the points at `index`; dense: the typical number of their neighbours, relative to the scene."""
     if dense < THIN:
-        return Finding.dropped(
+        return Finding.drop(
             index, f"its points lie thinner than fruit: {dense:.2f} of the usual density ({THIN} is asked)"
         )
     volume = cloud.volume(index)
     if volume < SMALLEST_VOLUME:
-        return Finding.dropped(index, f"its alpha shape has {volume:.2f} template volumes ({SMALLEST_VOLUME} is asked)")
+        return Finding.drop(index, f"its alpha shape has {volume:.2f} template volumes ({SMALLEST_VOLUME} is asked)")
     if volume >= LEAST_VOLUME:
-        return Finding.kept(index, volume, fitted(cloud, index))
+        return Finding.keep(index, volume, fit_parts(cloud, index))
     small = cloud.part(index, small=True)
     if small.fit.off > SMALL_OFF:
-        return Finding.dropped(
+        return Finding.drop(
             index,
             f"its alpha shape has {volume:.2f} template volumes and its points are {small.fit.off:.2f} diameters off "
             f"the aligned template (a small fruit's at most {SMALL_OFF})",
         )
-    return Finding.kept(index, volume, [small])
+    return Finding.keep(index, volume, [small])
 
 
-def fitted(cloud: Cloud, index: IntArray) -> list[Part]:
-    """The fruit that the points at `index` consist of."""
+def fit_parts(cloud: Cloud, index: IntArray) -> list[Part]:
+    """Find the fruit that the points at `index` consist of."""
     whole, volume = cloud.part(index), cloud.volume(index)
     if volume <= SPLIT_VOLUME and whole.fit.off <= MISMATCH:
         return [whole]
     parts = best_split(cloud, index, min(MOST_PARTS, math.ceil(volume / LEAST_VOLUME)))
     if len(parts) == 1:
         return parts
-    return [each for part in parts for each in (fitted(cloud, part.index) if part.fit.off > MISMATCH else [part])]
+    return [each for part in parts for each in (fit_parts(cloud, part.index) if part.fit.off > MISMATCH else [part])]
 
 
 def typical_fruit(cloud: Cloud, clusters: Sequence[IntArray]) -> Template:
@@ -115,7 +115,7 @@ def typical_fruit(cloud: Cloud, clusters: Sequence[IntArray]) -> Template:
     whole = sorted(single, key=lambda part: part.fit.bare)[:TRIED]
     if len(whole) < FEWEST:
         return cloud.template
-    shapes = [cut_out(cloud.positions[part.index]) for part in whole]
+    shapes = [cut_template(cloud.positions[part.index]) for part in whole]
     apart = [
         sum(register(other.points, shape, np.zeros(3)).hausdorff for other in shapes if other is not shape)
         for shape in shapes

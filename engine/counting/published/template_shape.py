@@ -48,8 +48,9 @@ def ball() -> Template:
     return Template.of(0.5 * unit_directions(POINTS))
 
 
-def cut_out(points: FloatArray) -> Template:
-    """The template of the points (M, 3) of a fruit in a scene, in fruit diameters; of many points, an even sample."""
+def cut_template(points: FloatArray) -> Template:
+    """Make a template of the points (M, 3) of a fruit in a scene, in fruit diameters; of many points, an even
+    sample."""
     thinned = points[np.linspace(0, len(points) - 1, min(len(points), POINTS)).astype(np.int64)]
     return Template.of(thinned - _middle(points))
 
@@ -77,30 +78,30 @@ def read_template(path: Path, *, seed: int = 0) -> Template:
     if not np.isfinite(vertices).all():
         raise FormatError(f"{path} holds coordinates that are not finite. Export the template again")
     if isinstance(shape, trimesh.Trimesh) and len(shape.faces):
-        return _from_mesh(shape, path, seed)
-    return _from_cloud(vertices, path, seed)
+        return _template_of_mesh(shape, path, seed)
+    return _template_of_cloud(vertices, path, seed)
 
 
-def _from_mesh(mesh: trimesh.Trimesh, path: Path, seed: int) -> Template:
+def _template_of_mesh(mesh: trimesh.Trimesh, path: Path, seed: int) -> Template:
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight:
         raise FormatError(f"{path} is a mesh with a hole. Close it (Blender: Mesh, Clean Up, Fill Holes)")
     if not mesh.is_winding_consistent:
         mesh.fix_normals()
-    volume = _checked_volume(abs(float(mesh.volume)), mesh.extents, path)
+    volume = _check_volume(abs(float(mesh.volume)), mesh.extents, path)
     size = np.cbrt(6.0 * volume / np.pi)
     spread = trimesh.sample.sample_surface(mesh, 8 * POINTS, seed=seed)[0]
-    points = _apart(np.asarray(spread, np.float64), POINTS)
+    points = _sample_farthest(np.asarray(spread, np.float64), POINTS)
     return Template.of((points - mesh.center_mass) / size)
 
 
-def _from_cloud(points: FloatArray, path: Path, seed: int) -> Template:
+def _template_of_cloud(points: FloatArray, path: Path, seed: int) -> Template:
     points = np.unique(points, axis=0)
     if len(points) < FEWEST:
         raise FormatError(f"{path} has {len(points)} points. A template needs at least {FEWEST}, all over one fruit")
-    volume = _checked_volume(alpha_shape_volume(points, np.inf), np.ptp(points, axis=0), path)
+    volume = _check_volume(alpha_shape_volume(points, np.inf), np.ptp(points, axis=0), path)
     order = np.random.default_rng(seed).permutation(len(points))[: 8 * POINTS]
-    points = (_apart(points[order], POINTS) - _middle(points)) / np.cbrt(6.0 * volume / np.pi)
+    points = (_sample_farthest(points[order], POINTS) - _middle(points)) / np.cbrt(6.0 * volume / np.pi)
     return Template.of(points)
 
 
@@ -109,14 +110,14 @@ def _middle(points: FloatArray) -> FloatArray:
     return np.asarray(trimesh.convex.convex_hull(points).center_mass, np.float64)
 
 
-def _checked_volume(volume: float, extents: Sequence[float] | FloatArray, path: Path) -> float:
+def _check_volume(volume: float, extents: Sequence[float] | FloatArray, path: Path) -> float:
     if not volume > LEAST_FULL * float(np.max(extents)) ** 3:
         raise FormatError(f"{path} holds no volume: it is flat or a line. A template shows a fruit from all sides")
     return volume
 
 
-def _apart(points: FloatArray, count: int) -> FloatArray:
-    """At most `count` of the points (M, 3), each the one farthest from those before."""
+def _sample_farthest(points: FloatArray, count: int) -> FloatArray:
+    """Sample at most `count` of the points (M, 3), each the one farthest from those before."""
     chosen, gap = [0], np.linalg.norm(points - points[0], axis=1)
     while len(chosen) < min(count, len(points)):
         chosen.append(int(gap.argmax()))

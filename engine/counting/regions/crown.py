@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from scipy.spatial import ConvexHull, QhullError
 
-from ..evidence.visibility import Picture, open_views
+from ..evidence.visibility import Picture, count_open_views
 
 FloatArray = NDArray[np.float64]
 
@@ -36,16 +36,17 @@ def hull_share(count: int) -> float:
     return float(max(1.0 - OUTSIDE / max(count, 1) ** FALLING, 0.0))
 
 
-def hidden_share(centers: FloatArray, pictures: Sequence[Picture], radius: float, *, seed: int) -> float:
-    """Share of the crowns around fruit (F, 3) in which no view would show a fruit of this radius, scene units.
+def estimate_hidden_share(centers: FloatArray, pictures: Sequence[Picture], radius: float, *, seed: int) -> float:
+    """Estimate the share of the crowns around fruit (F, 3) in which no view would show a fruit of this radius, scene
+    units.
 
     The mean over crowns by their number of fruit. A long row is cut into sections, because the hull of a whole row
     would contain the gaps between its trees.
     """
     crowns = split_row(centers)
-    places = crown_places(crowns, seed)
+    places = sample_crowns(crowns, seed)
     everywhere = np.concatenate(places)
-    hidden = open_views(pictures, everywhere, np.full(len(everywhere), radius)) == 0
+    hidden = count_open_views(pictures, everywhere, np.full(len(everywhere), radius)) == 0
     parts = np.split(hidden, np.cumsum([len(own) for own in places])[:-1])
     fruit = sum(
         len(crown) * hull_share(len(crown)) * float(own.mean())
@@ -55,8 +56,8 @@ def hidden_share(centers: FloatArray, pictures: Sequence[Picture], radius: float
     return fruit / max(len(centers), 1)
 
 
-def crown_places(crowns: Sequence[FloatArray], seed: int) -> list[FloatArray]:
-    """(K, 3) places in each crown of fruit (F, 3): together about PLACES, shared out by the fruit."""
+def sample_crowns(crowns: Sequence[FloatArray], seed: int) -> list[FloatArray]:
+    """Sample places (K, 3) in each crown of fruit (F, 3): together about PLACES, shared out by the fruit."""
     rng, total = np.random.default_rng(seed), max(sum(len(crown) for crown in crowns), 1)
     return [sample_hull(crown, -(-PLACES * len(crown) // total), rng) for crown in crowns]
 
@@ -72,8 +73,8 @@ def split_row(centers: FloatArray) -> list[FloatArray]:
     length, width = (float(np.ptp(np.quantile(each, OUTERMOST))) for each in (places, across))
     if length <= SHORTEST_ROW * width:
         return [centers]
-    gaps = _gaps(places, max(width, length / len(centers)))
-    parts = _joined(np.sort(places), gaps, LONGEST_CROWN * width)
+    gaps = _find_gaps(places, max(width, length / len(centers)))
+    parts = _join_parts(np.sort(places), gaps, LONGEST_CROWN * width)
     lengths = np.ptp(parts, axis=1)
     pieces = np.where(lengths > LONGEST_PART * width, np.round(lengths / max(width, 1e-12)), 1.0)
     own = np.searchsorted(parts[:, 0], places, side="right") - 1
@@ -82,8 +83,8 @@ def split_row(centers: FloatArray) -> list[FloatArray]:
     return [centers[numbers == number] for number in np.unique(numbers)]
 
 
-def _gaps(places: FloatArray, width: float) -> FloatArray:
-    """Where along the row the density of fruit at `places` (F,) has valleys, ascending; width: of the row."""
+def _find_gaps(places: FloatArray, width: float) -> FloatArray:
+    """Find where along the row the density of fruit at `places` (F,) has valleys, ascending; width: of the row."""
     step = SMOOTHING * width / 4.0
     density = np.bincount(((places - places.min()) / step).astype(np.int64), minlength=1).astype(np.float64)
     smooth = gaussian_filter1d(density, 4.0, mode="constant")
@@ -91,9 +92,9 @@ def _gaps(places: FloatArray, width: float) -> FloatArray:
     return places.min() + (valleys + 0.5) * step
 
 
-def _joined(ordered: FloatArray, gaps: FloatArray, crown: float) -> FloatArray:
-    """(K, 2) first and last fruit of the parts between `gaps`; parts that are together no longer than a `crown` are
-    one. ordered: (F,) places of the fruit along the row, ascending."""
+def _join_parts(ordered: FloatArray, gaps: FloatArray, crown: float) -> FloatArray:
+    """Return the first and last fruit (K, 2) of the parts between `gaps`; parts that are together no longer than a
+    `crown` are one. ordered: (F,) places of the fruit along the row, ascending."""
     parts = list[tuple[float, float]]()
     for own in np.split(ordered, np.searchsorted(ordered, gaps)):
         if len(own) == 0:

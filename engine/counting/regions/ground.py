@@ -49,17 +49,17 @@ class Site:
     subject: Subject
 
 
-def lying_on_ground(
+def find_fallen(
     gaussians: Gaussians, cameras: Sequence[Camera], centers: FloatArray, diameters: FloatArray, up: FloatArray
 ) -> list[bool | None]:
-    """Whether each of F fruit lies on the ground; None if no ground is visible there. Arguments as of
+    """Find whether each of F fruit lies on the ground; None if no ground is visible there. Arguments as of
     `heights_above_ground`; cameras: of the scene; diameters: (F,) scene units.
 
     None for a whole site if centres lie below what seems to be its ground: then it is none, for example the lower side
     of a crown.
     """
     heights = np.full(len(centers), np.nan)
-    for site, near in _grounds(gaussians, find_sites(centers, np.ones(len(centers), bool), cameras), centers):
+    for site, near in _select_grounds(gaussians, find_sites(centers, np.ones(len(centers), bool), cameras), centers):
         own = heights_above_ground(near, site.subject, centers[site.fruit], up)
         if (own < 0.0).mean() <= FEW:
             heights[site.fruit] = own
@@ -70,7 +70,7 @@ def lying_on_ground(
 
 def doubt_sunken(found: Search, gaussians: Gaussians, cameras: Sequence[Camera], up: FloatArray) -> Search:
     """The search with less probable candidates where the centre lies in the ground, not above it: most of them are
-    patches of ground that look like fruit. Arguments as of `lying_on_ground`.
+    patches of ground that look like fruit. Arguments as of `find_fallen`.
 
     Unchanged in a site without clear candidates, and where clear fruit lie in what seems to be the ground: then it is
     none.
@@ -79,7 +79,7 @@ def doubt_sunken(found: Search, gaussians: Gaussians, cameras: Sequence[Camera],
     clear, sunken = probabilities > CLEAR, np.zeros(len(centers), bool)
     if not clear.any():
         return found
-    for site, near in _grounds(gaussians, find_sites(centers, probabilities > LIKELY, cameras), centers):
+    for site, near in _select_grounds(gaussians, find_sites(centers, probabilities > LIKELY, cameras), centers):
         heights = heights_above_ground(near, site.subject, centers[site.fruit], up)
         own = heights < SUNKEN * found.size.diameter
         surely = own[clear[site.fruit]]
@@ -109,8 +109,10 @@ def find_sites(centers: FloatArray, likely: NDArray[np.bool_], cameras: Sequence
     ]
 
 
-def _grounds(gaussians: Gaussians, sites: Sequence[Site], centers: FloatArray) -> Iterator[tuple[Site, Gaussians]]:
-    """Each site with the Gaussians that its ground and the feet of its fruit may consist of."""
+def _select_grounds(
+    gaussians: Gaussians, sites: Sequence[Site], centers: FloatArray
+) -> Iterator[tuple[Site, Gaussians]]:
+    """Yield each site with the Gaussians that its ground and the feet of its fruit may consist of."""
     if len(sites) == 1:
         yield sites[0], gaussians
         return

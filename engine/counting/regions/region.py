@@ -128,7 +128,7 @@ def keep_inside(clusters: Clusters, region: Region) -> Clusters:
     shown = np.where(
         clusters.owners < 0, region.contains(clusters.points.positions), np.append(kept, True)[clusters.owners]
     )
-    return clusters.keeping(kept, shown, "its fruit lie outside the region")
+    return clusters.keep(kept, shown, "its fruit lie outside the region")
 
 
 def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
@@ -137,7 +137,7 @@ def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
     if turns[0] * turns[1] < 0.0 and turns[2] * turns[3] < 0.0:
         return True
     touching = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    return any(turn == 0.0 and _between(*corners) for turn, corners in zip(turns, touching, strict=True))
+    return any(turn == 0.0 and _is_between(*corners) for turn, corners in zip(turns, touching, strict=True))
 
 
 def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
@@ -145,11 +145,11 @@ def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _between(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
+def _is_between(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
     """Whether c, on the line through a and b, lies between them."""
     return bool((c >= np.minimum(a, b)).all() and (c <= np.maximum(a, b)).all())
 
 
-def spaced(place: FloatArray) -> str:
-    """A position (3,) in the format of the flags."""
+def format_position(place: FloatArray) -> str:
+    """Write a position (3,) in the format of the flags."""
     return " ".join(f"{value:.3g}" for value in place)

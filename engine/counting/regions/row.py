@@ -77,7 +77,7 @@ def trees_of_row(centers: FloatArray, config: CountConfig, up: FloatArray, right
         )
     axis = _main_axis(level)
     along = level @ (axis if axis @ right >= 0.0 else -axis)
-    stations = _stations(along, config.trees, config.seed) if config.trees > 1 else along.mean(keepdims=True)
+    stations = _find_stations(along, config.trees, config.seed) if config.trees > 1 else along.mean(keepdims=True)
     nearest = np.abs(along[:, None] - stations).argmin(axis=1)
     found = len(np.unique(nearest))
     if found < config.trees:
@@ -102,14 +102,15 @@ def nearest_tree(centers: FloatArray, places: FloatArray, up: FloatArray) -> Int
         return np.zeros(len(centers), np.int64)
     feet, hang = (each - np.outer(each @ up, up) for each in (places, centers))
     spacing = cKDTree(feet).query(feet, k=2)[0][:, 1]
-    distance, nearest = cKDTree(np.vstack([feet, _next_in_rows(feet)])).query(hang)
+    distance, nearest = cKDTree(np.vstack([feet, _extend_rows(feet)])).query(hang)
     own = nearest < len(feet)
     own[own] = distance[own] <= spacing[nearest[own]]
     return np.where(own, nearest, -1).astype(np.int64)
 
 
-def _next_in_rows(feet: FloatArray) -> FloatArray:
-    """(G, 3) where the rows of trees (T, 3) would go on: each tree's neighbours mirrored at it, where no tree stands.
+def _extend_rows(feet: FloatArray) -> FloatArray:
+    """Return where (G, 3) the rows of trees (T, 3) would go on: each tree's neighbours mirrored at it, where no tree
+    stands.
 
     Neighbours have no other tree in the circle between them (Gabriel and Sokal 1969).
     """
@@ -128,8 +129,8 @@ def _main_axis(places: FloatArray) -> FloatArray:
     return np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2][0]
 
 
-def _stations(along: FloatArray, trees: int, seed: int) -> FloatArray:
-    """(T,) positions of the trees along the row, ascending, from the positions of their fruit (F,)."""
+def _find_stations(along: FloatArray, trees: int, seed: int) -> FloatArray:
+    """Find the positions (T,) of the trees along the row, ascending, from the positions of their fruit (F,)."""
     unit = float(np.ptp(along)) or 1.0
     places = (np.sort(along)[:, None] - along.min()) / unit  # in order, so that shuffling changes nothing
     with warnings.catch_warnings():

@@ -14,7 +14,7 @@ from ...config import SceneConfig
 from ...errors import FormatError, SceneError, VocabularyError
 from ...language.vocabulary import FRUITS, parse
 from ...scene.camera import Camera
-from ...scene.formats.transforms import extra_fields, named_files, read_transforms
+from ...scene.formats.transforms import extra_fields, find_named_files, read_transforms
 from ...scene.photos.photo import FilePhoto, read_header
 from .imported import ImportedTruth, all_visible
 from .wavefront import read_objects
@@ -123,7 +123,7 @@ def hit_share(centers: FloatArray, cameras: Sequence[Camera], masks: Sequence[ND
 
 
 def _mask_files(path: Path, photos: Sequence[FilePhoto]) -> list[Path]:
-    named = named_files(path, FIELD)
+    named = find_named_files(path, FIELD)
     if len(named) != len(photos):
         raise SceneError(f"{path}: has panoramas, which have no fruit masks. Expected plain photos")
     if not any(named):
@@ -138,7 +138,7 @@ def _mask_files(path: Path, photos: Sequence[FilePhoto]) -> list[Path]:
 
 
 def _has_masks(path: Path) -> bool:
-    return any(named_files(path, FIELD)) or ((path if path.is_dir() else path.parent) / FOLDER).is_dir()
+    return any(find_named_files(path, FIELD)) or ((path if path.is_dir() else path.parent) / FOLDER).is_dir()
 
 
 def _mask_header(photo: FilePhoto, file: Path) -> FilePhoto:

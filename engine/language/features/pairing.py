@@ -37,7 +37,7 @@ def paired(
         height, width = size
         fits = width <= camera.width and height <= camera.height
         if smaller and fits and same_shape(width, height, camera.width, camera.height):
-            camera = camera.resized(width, height)
+            camera = camera.resize(width, height)
         if size != (camera.height, camera.width):
             raise SceneError(
                 f"The {what} of view {index} are {'×'.join(map(str, reversed(size)))} pixels, its camera has "

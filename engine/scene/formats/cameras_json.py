@@ -34,8 +34,8 @@ def dump_cameras(scene: Scene) -> str:
     return json.dumps(document, indent=1) + "\n"
 
 
-def with_scene_facts(path: Path, scene: Scene) -> str:
-    """JSON text of a cameras file with the unit and up direction of the scene instead of its own.
+def add_scene_facts(path: Path, scene: Scene) -> str:
+    """Return the JSON text of a cameras file with the unit and up direction of the scene instead of its own.
 
     Raises:
         OutputError, FormatError: as `read_cameras`.

@@ -16,7 +16,7 @@ from ...errors import SceneError
 from ...progress import Progress, silent
 from ..camera import FloatArray, Scene
 from ..photos.lens import Lens
-from ..photos.photo import PosedPhoto, make_scene, posed_photos
+from ..photos.photo import PosedPhoto, make_scene, read_posed_photos
 from ..pycolmap_import import colmap_library
 from .colmap_records import MODEL_FILES, RIG_FILES, check_records
 from .layout import ModelFiles, find_model, mask_paths, photo_paths
@@ -72,7 +72,7 @@ class ColmapModel:
         for index, image in enumerate(self.images):
             progress(0.2 + 0.8 * index / len(self.images), "reading photo headers")
             camera = self.reconstruction.cameras[image.camera_id]
-            views += posed_photos(
+            views += read_posed_photos(
                 self.photos[index],
                 name=image.name,
                 lens=_lens(camera, self.model),

@@ -16,7 +16,7 @@ from ...errors import SceneError
 from ...progress import Progress, silent
 from ..camera import FloatArray, Scene
 from ..photos.lens import Lens
-from ..photos.photo import PosedPhoto, make_scene, posed_photos, read_header
+from ..photos.photo import PosedPhoto, make_scene, read_header, read_posed_photos
 from .missing_photos import note_missing
 
 TRANSFORMS = "transforms.json"
@@ -48,14 +48,14 @@ def read_transforms(
     return open_transforms(Path(path)).scene(config, progress)
 
 
-def named_files(path: Path, key: str) -> list[Path | None]:
-    """The file that each frame names under `key`, in the order of `read_transforms`; None without one.
+def find_named_files(path: Path, key: str) -> list[Path | None]:
+    """Find the file that each frame names under `key`, in the order of `read_transforms`; None without one.
 
     Raises:
         SceneError: as `open_transforms`, or such a file is missing.
     """
     source = open_transforms(Path(path))
-    return [_named_file(frame.values, key, source.file) for frame in source.frames]
+    return [_find_named_file(frame.values, key, source.file) for frame in source.frames]
 
 
 def extra_fields(path: Path) -> Mapping[str, Any]:
@@ -99,7 +99,7 @@ class Transforms:
         views: list[PosedPhoto] = []
         for index, frame in enumerate(self.frames):
             progress(index / len(self.frames), "reading photo headers")
-            views += posed_photos(
+            views += read_posed_photos(
                 frame.photo,
                 name=frame.name,
                 lens=_lens(frame.values, frame.photo, f"{self.file}, {frame.name}"),
@@ -132,12 +132,12 @@ def open_transforms(path: Path) -> Transforms:
             name=name.removeprefix("./"),
             values={**content, **entries[index]},
             photo=photo,
-            mask=_named_file(entries[index], "mask_path", file),
+            mask=_find_named_file(entries[index], "mask_path", file),
         )
         for (name, index), photo in zip(named, photos, strict=True)
         if photo is not None
     ]
-    return Transforms(file=file, frames=frames, cloud=_named_file(content, "ply_file_path", file), notices=notices)
+    return Transforms(file=file, frames=frames, cloud=_find_named_file(content, "ply_file_path", file), notices=notices)
 
 
 def _read_json(file: Path) -> dict[str, Any]:
@@ -165,8 +165,8 @@ def _photo_path(path: Path) -> Path | None:
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def _named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
-    """The file that `values[key]` names, relative to the JSON; None without one."""
+def _find_named_file(values: Mapping[str, Any], key: str, file: Path) -> Path | None:
+    """Find the file that `values[key]` names, relative to the JSON; None without one."""
     if not values.get(key):
         return None
     path = file.parent / str(values[key]).replace("\\", "/")

@@ -138,12 +138,12 @@ def source_map(lens: Lens, face: str, width: int, height: int) -> SourceMap:
     with np.errstate(invalid="ignore"):
         valid = ((pixels >= 0.0) & (pixels <= [width, height])).all(axis=2)
         if not lens.is_panorama:
-            valid &= _unfolded(pixels, view)
+            valid &= _find_unfolded(pixels, view)
     return SourceMap(pixels=np.where(valid[..., None], pixels, 0.0).astype(np.float32), valid=valid)
 
 
-def _unfolded(pixels: FloatArray, view: View) -> NDArray[np.bool_]:
-    """(H, W) True where the map keeps its orientation all the way from the principal point."""
+def _find_unfolded(pixels: FloatArray, view: View) -> NDArray[np.bool_]:
+    """Mark (H, W) True where the map keeps its orientation all the way from the principal point."""
     if min(pixels.shape[:2]) < 2:
         return np.isfinite(pixels).all(axis=2)
     dy, dx = np.gradient(pixels, axis=(0, 1))

@@ -166,7 +166,7 @@ class PosedPhoto:
     skyward: FloatArray
 
 
-def posed_photos(
+def read_posed_photos(
     path: Path,
     *,
     name: str,
@@ -176,7 +176,7 @@ def posed_photos(
     downscale: float = 1.0,
     max_side: int = 0,
 ) -> list[PosedPhoto]:
-    """The views of one photo: one, or the six cube faces of a panorama. Only headers are read.
+    """Read the views of one photo: one, or the six cube faces of a panorama. Only headers are read.
 
     downscale: divide width and height by this; max_side: and by more if a side would still be longer (0: no limit). The
     photo may be a resized copy of the calibrated one (same shape, other number of pixels), or, if only that fits, its

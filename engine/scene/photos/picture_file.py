@@ -23,21 +23,21 @@ def open_picture(path: Path) -> Image.Image:
     """
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
-        raise SceneError(raw_is_refused(path))
+        raise SceneError(explain_raw_refusal(path))
     if suffix in HEIF_SUFFIXES:
         _read_heif()
     return Image.open(path)
 
 
-def rgb_picture(image: Image.Image) -> Image.Image:
-    """8-bit RGB of any picture; 16-bit grey is scaled, not clipped."""
+def convert_to_rgb(image: Image.Image) -> Image.Image:
+    """Convert any picture to 8-bit RGB; 16-bit grey is scaled, not clipped."""
     if image.mode.startswith("I"):
         image = image.convert("F").point(lambda value: value / 257.0).convert("L")
     return image.convert("RGB")
 
 
-def named_like(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """What has one of these suffixes directly in a folder, in name order; [] if the folder does not exist."""
+def list_files(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """List what has one of these suffixes directly in a folder, in name order; [] if the folder does not exist."""
     if not folder.is_dir():
         return []
     return sorted(
@@ -46,8 +46,8 @@ def named_like(folder: Path, suffixes: Collection[str]) -> list[Path]:
     )
 
 
-def raw_is_refused(path: Path) -> str:
-    """What the user reads about a RAW file."""
+def explain_raw_refusal(path: Path) -> str:
+    """Say why a RAW file is refused, for the user."""
     return (
         f"{path} is a RAW file, which is not read. Convert the photos to JPEG with the camera's program, darktable or"
         " RawTherapee"

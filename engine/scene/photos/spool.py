@@ -21,8 +21,9 @@ HEADER = 128
 
 
 @contextmanager
-def spooled(scene: Scene, folder: Path) -> Iterator[Scene]:
-    """The scene with photos that are decoded when they are first read, and from then on mapped from files in `folder`.
+def spool_photos(scene: Scene, folder: Path) -> Iterator[Scene]:
+    """Yield the scene with photos that are decoded when they are first read, and from then on mapped from files in
+    `folder`.
 
     The folder is removed at the end. The operating system keeps of the files what fits in memory.
     """
@@ -48,13 +49,13 @@ class SpooledPhoto:
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB, not writable; errors as of the photo itself."""
         path = self.stem.with_suffix(".pixels.npy")
-        return _mapped(path) if path.is_file() else spool(self.photo.pixels(), path)
+        return _map_file(path) if path.is_file() else spool(self.photo.pixels(), path)
 
     def mask(self) -> NDArray[np.bool_] | None:
         """(H, W) True where the photo may be used; None if every pixel may."""
         path = self.stem.with_suffix(".mask.npy")
         if path.is_file():
-            stored = _mapped(path)
+            stored = _map_file(path)
         else:
             mask = self.photo.mask()
             stored = spool(np.zeros((0, 0), np.bool_) if mask is None else mask, path)
@@ -66,10 +67,10 @@ def spool(array: NDArray[Any], path: Path) -> NDArray[Any]:
     with suppress(OutputError):
         with replacing(path) as temporary:
             np.save(temporary, array)
-        return _mapped(path)
+        return _map_file(path)
     return array
 
 
-def _mapped(path: Path) -> NDArray[Any]:
+def _map_file(path: Path) -> NDArray[Any]:
     empty = path.stat().st_size <= HEADER  # cannot be mapped
     return np.load(path, mmap_mode=None if empty else "r", allow_pickle=False).view(np.ndarray)

@@ -20,7 +20,7 @@ from ...storage.files import replacing
 from ..formats.colmap_records import check_records
 from ..photos.focal import exif_focal
 from ..photos.photo import DECODE_ERRORS, read_header
-from ..photos.picture_file import named_like, open_picture, rgb_picture
+from ..photos.picture_file import convert_to_rgb, list_files, open_picture
 from .job import FOUND, LEAST_PHOTOS, Copy, Job
 
 PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".bmp"}
@@ -40,7 +40,7 @@ class FoundPoses:
 
 def list_photos(folder: Path) -> list[Path]:
     """The photos directly in a folder, in name order; [] if the folder does not exist."""
-    return named_like(folder, PHOTO_SUFFIXES)
+    return list_files(folder, PHOTO_SUFFIXES)
 
 
 def find_poses(
@@ -126,7 +126,7 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
     if not copy.is_file():
         try:
             with open_picture(file) as image:
-                pixels = rgb_picture(image)
+                pixels = convert_to_rgb(image)
         except DECODE_ERRORS as error:
             raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
         with replacing(copy) as temporary:

@@ -15,10 +15,10 @@ from ...storage.lock import only_writer
 from ..pycolmap_import import colmap_library
 from .features import add_photos, find_features, read_features
 from .job import FOUND, Copy, Job
-from .pairs import match_photos, verified_pairs
-from .placing import place_photos
+from .pairs import match_photos, read_verified_pairs
+from .placing import register_photos
 from .refining.refinement import refine
-from .stereo import with_surfaces
+from .stereo import add_surfaces
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -40,24 +40,24 @@ def find_model(job: Job) -> None:
     """Features, matches, placed photos, refined cameras, points of surfaces; writes the largest model and a summary."""
     seconds: dict[str, float] = {}
 
-    def timed(stage: str, work: Callable[..., Any], *arguments: Any) -> Any:
+    def time_stage(stage: str, work: Callable[..., Any], *arguments: Any) -> Any:
         start = time.perf_counter()
         result = work(*arguments)
         seconds[stage] = round(time.perf_counter() - start, 2)
         return result
 
     add_photos(job)
-    timed("features", find_features, job, part(tell, 0.0, 0.2))
+    time_stage("features", find_features, job, part(tell, 0.0, 0.2))
     features = read_features(job)
-    timed("matching", match_photos, job, features, part(tell, 0.2, 0.5))
-    pairs = len(verified_pairs(job))
+    time_stage("matching", match_photos, job, features, part(tell, 0.2, 0.5))
+    pairs = len(read_verified_pairs(job))
     if not pairs:
         give_up("no two photos show the same objects. Take photos in smaller steps, with 70 % overlap")
-    models = timed("placing", place_photos, job, features, part(tell, 0.5, 0.8))
+    models = time_stage("placing", register_photos, job, features, part(tell, 0.5, 0.8))
     if not models:
         give_up("no two photos show enough of the same from two places; take more, in smaller steps around the tree")
-    refined = timed("refining", refine, job, features, models, part(tell, 0.8, 0.95))
-    best = timed("surfaces", with_surfaces, job, refined, part(tell, 0.95, 1.0))
+    refined = time_stage("refining", refine, job, features, models, part(tell, 0.8, 0.95))
+    best = time_stage("surfaces", add_surfaces, job, refined, part(tell, 0.95, 1.0))
     _write(job, best, {"models": part_sizes(best, models[1:]), "pairs": pairs, "seconds": seconds})
 
 

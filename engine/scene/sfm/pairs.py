@@ -42,8 +42,8 @@ _BLOCK = 32
 """Pairs between two writes to the database: the work that a cancel loses, and a step of the progress."""
 
 
-def first_pairs(similarity: NDArray[np.float32] | None, count: int, config: PhotosConfig) -> list[Pair]:
-    """The pairs to match first.
+def choose_first_pairs(similarity: NDArray[np.float32] | None, count: int, config: PhotosConfig) -> list[Pair]:
+    """Choose the pairs to match first.
 
     similarity: (count, count) of the photos' content. All pairs up to `exhaustive_up_to` photos; above that, each photo
     with the next `overlap` ones in name order and with those of the most similar content.
@@ -58,11 +58,10 @@ def first_pairs(similarity: NDArray[np.float32] | None, count: int, config: Phot
     return sorted(chosen)
 
 
-def retried_pairs(missing: frozenset[int], similarity: NDArray[np.float32] | None, count: int) -> list[Pair]:
-    """The pairs to match after an attempt that did not place the `missing` photos: those with each of the others, and
-    in captures that have `similarity` (count, count) only with the most similar placed ones. All pairs of 330 photos,
-    half of which were missing, took an hour.
-    """
+def choose_retry_pairs(missing: frozenset[int], similarity: NDArray[np.float32] | None, count: int) -> list[Pair]:
+    """Choose the pairs to match after an attempt that did not place the `missing` photos: those with each of the
+    others, and in captures that have `similarity` (count, count) only with the most similar placed ones. All pairs of
+    330 photos, half of which were missing, took an hour."""
     if similarity is None:
         return [pair for pair in itertools.combinations(range(count), 2) if not missing.isdisjoint(pair)]
     placed = np.array([i for i in range(count) if i not in missing] or range(count), np.int64)
@@ -73,8 +72,11 @@ def retried_pairs(missing: frozenset[int], similarity: NDArray[np.float32] | Non
     return sorted(chosen)
 
 
-def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: int, config: PhotosConfig) -> list[Pair]:
-    """Pairs next to verified ones that are not neighbours: where the camera path returns, all photos there meet."""
+def choose_closing_pairs(
+    verified: Collection[Pair], tried: Collection[Pair], count: int, config: PhotosConfig
+) -> list[Pair]:
+    """Choose pairs next to verified ones that are not neighbours: where the camera path returns, all photos there
+    meet."""
     steps = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
     near = {
         (i + a, j + b) for i, j in verified if j - i > config.overlap for a, b in steps if 0 <= i + a < j + b < count
@@ -82,15 +84,15 @@ def closing_pairs(verified: Collection[Pair], tried: Collection[Pair], count: in
     return sorted(near - set(tried))
 
 
-def planned_pairs(job: Job, features: Sequence[Features]) -> list[Pair]:
-    """The pairs to match first: see `first_pairs`."""
+def plan_pairs(job: Job, features: Sequence[Features]) -> list[Pair]:
+    """Plan the pairs to match first: see `choose_first_pairs`."""
     similarity = _similarity(job, features, job.config.exhaustive_up_to)
-    return first_pairs(similarity, len(features), job.config)
+    return choose_first_pairs(similarity, len(features), job.config)
 
 
-def pairs_of_missing(job: Job, features: Sequence[Features], missing: Collection[int]) -> list[Pair]:
-    """The pairs to match for photos that were not placed: see `retried_pairs`."""
-    return retried_pairs(frozenset(missing), _similarity(job, features, _FEW), len(features))
+def plan_retry_pairs(job: Job, features: Sequence[Features], missing: Collection[int]) -> list[Pair]:
+    """Plan the pairs to match for photos that were not placed: see `choose_retry_pairs`."""
+    return choose_retry_pairs(frozenset(missing), _similarity(job, features, _FEW), len(features))
 
 
 def _similarity(job: Job, features: Sequence[Features], few: int) -> NDArray[np.float32] | None:
@@ -103,25 +105,25 @@ def _similarity(job: Job, features: Sequence[Features], few: int) -> NDArray[np.
 def match_photos(job: Job, features: Sequence[Features], report: Progress) -> None:
     """Match the planned pairs, then those that close loops."""
     count = len(features)
-    planned, tried, closing = planned_pairs(job, features), set[Pair](), part(report, 0.9, 1.0)
+    planned, tried, closing = plan_pairs(job, features), set[Pair](), part(report, 0.9, 1.0)
     for round_ in range(1 + _ROUNDS):
         share = part(report, 0.0, 0.9) if round_ == 0 else part(closing, (round_ - 1) / _ROUNDS, round_ / _ROUNDS)
         match_pairs(job, features, planned, share)
         tried |= set(planned)
-        planned = closing_pairs(verified_pairs(job), tried, count, job.config)
+        planned = choose_closing_pairs(read_verified_pairs(job), tried, count, job.config)
         if not planned:
             break
 
 
-def verified_pairs(job: Job) -> list[Pair]:
-    """The pairs in the database that show something in common."""
+def read_verified_pairs(job: Job) -> list[Pair]:
+    """Read the pairs in the database that show something in common."""
     positions = {image: position for position, image in enumerate(photo_ids(job))}
-    found = [(positions[a], positions[b]) for a, b in verified_images(job)]
+    found = [(positions[a], positions[b]) for a, b in read_verified_images(job)]
     return sorted((min(pair), max(pair)) for pair in found)
 
 
-def verified_images(job: Job) -> list[tuple[int, int]]:
-    """The same as ids of photos in the database."""
+def read_verified_images(job: Job) -> list[tuple[int, int]]:
+    """Read the same as ids of photos in the database."""
     with job.open_database() as database:
         pairs, inliers = database.read_two_view_geometry_num_inliers()
     found = [pair for pair, number in zip(pairs, inliers, strict=True) if number]
@@ -143,7 +145,7 @@ def match_pairs(job: Job, features: Sequence[Features], pairs: Iterable[Pair], r
                 found = _match_block(job, chosen, cameras, block, pool)
                 with colmap_library().DatabaseTransaction(database):
                     for (i, j), geometry in zip(block, found, strict=True):
-                        numbered = _numbered(geometry, large[i], large[j])
+                        numbered = _renumber(geometry, large[i], large[j])
                         database.write_two_view_geometry(images[i], images[j], numbered)
 
 
@@ -165,11 +167,11 @@ def _match_block(
 
     first = list(pool.map(verify, pairs, [match(features[i], features[j]) for i, j in pairs]))
     along = [
-        _along(geometry, features[i], features[j], neighbours=j - i <= job.config.overlap)
+        _match_along(geometry, features[i], features[j], neighbours=j - i <= job.config.overlap)
         for (i, j), geometry in zip(pairs, first, strict=True)
     ]
     second = list(pool.map(verify, pairs, along))
-    return [_better(before, after, nothing) for before, after in zip(first, second, strict=True)]
+    return [_choose_better(before, after, nothing) for before, after in zip(first, second, strict=True)]
 
 
 def _verification(job: Job) -> Any:
@@ -181,25 +183,26 @@ def _verification(job: Job) -> Any:
     return options
 
 
-def _along(geometry: Any, one: Features, other: Features, *, neighbours: bool) -> MatchArray | None:
-    """The matches along the lines of the geometry, if they show common content. neighbours: whether the photos are
-    neighbours in name order, which are likely to have some; RANSAC finds lines for a few matches of others by chance.
-    """
+def _match_along(geometry: Any, one: Features, other: Features, *, neighbours: bool) -> MatchArray | None:
+    """Return the matches along the lines of the geometry, if they show common content. neighbours: whether the photos
+    are neighbours in name order, which are likely to have some; RANSAC finds lines for a few matches of others by
+    chance."""
     if len(geometry.inlier_matches) < LEAST_INLIERS or geometry.F is None or not np.any(geometry.F):
         return None
     least = LEAST_EXCESS if neighbours else LEAST_INLIERS
     return match_along_lines(np.asarray(geometry.F), one, other, TOLERANCE, least=least)
 
 
-def _better(before: Any, after: Any, nothing: Any) -> Any:
-    """The geometry of the matches along the lines, if it has more; else the first, if chance cannot explain it."""
+def _choose_better(before: Any, after: Any, nothing: Any) -> Any:
+    """Choose the geometry of the matches along the lines, if it has more; else the first, if chance cannot explain
+    it."""
     if len(after.inlier_matches) >= max(len(before.inlier_matches), LEAST_INLIERS):
         return after
     return before if len(before.inlier_matches) >= SURE_INLIERS else nothing
 
 
-def _numbered(geometry: Any, one: NDArray[np.int64], other: NDArray[np.int64]) -> Any:
-    """With the numbers of all features in place of those of the largest."""
+def _renumber(geometry: Any, one: NDArray[np.int64], other: NDArray[np.int64]) -> Any:
+    """Put the numbers of all features in place of those of the largest."""
     inliers = np.asarray(geometry.inlier_matches).reshape(-1, 2)
     geometry.inlier_matches = np.stack([one[inliers[:, 0]], other[inliers[:, 1]]], axis=1).astype(np.uint32)
     return geometry

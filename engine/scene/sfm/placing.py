@@ -15,9 +15,9 @@ from ...progress import Progress, part
 from ..pycolmap_import import colmap_library
 from .features import Features
 from .job import Job
-from .joining import joined, with_photos
-from .pairs import match_pairs, pairs_of_missing, verified_images
-from .views import without
+from .joining import join_models, merge_photos
+from .pairs import match_pairs, plan_retry_pairs, read_verified_images
+from .views import deregister_photos
 
 _LOST = 10.0
 """A photo this many times farther from the middle than most photos, and than the scene, is misplaced."""
@@ -34,8 +34,8 @@ ENOUGH = 0.97
 """Share of the photos that is placed at the first attempt: a second one takes as long, and places few more."""
 
 
-def place_photos(job: Job, features: Sequence[Features], report: Progress) -> list[Any]:
-    """The models of the photos, largest first, of the attempt that placed most.
+def register_photos(job: Job, features: Sequence[Features], report: Progress) -> list[Any]:
+    """Register the photos: the models, largest first, of the attempt that placed most.
 
     If the first attempt placed less than `ENOUGH`, the photos that are not in its largest model are matched with more
     of the others, and a second attempt needs fewer points per photo.
@@ -45,7 +45,7 @@ def place_photos(job: Job, features: Sequence[Features], report: Progress) -> li
         start = attempt / len(_LEAST_INLIERS)
         half = part(report, start, start + 1.0 / len(_LEAST_INLIERS))
         if attempt:
-            match_pairs(job, features, pairs_of_missing(job, features, _missing(job, best)), part(half, 0.0, 0.4))
+            match_pairs(job, features, plan_retry_pairs(job, features, _find_missing(job, best)), part(half, 0.0, 0.4))
         models = _models(job, least_inliers, part(half, 0.4 if attempt else 0.0, 1.0))
         if not best or (models and models[0].num_reg_images() > best[0].num_reg_images()):
             best = models
@@ -54,8 +54,8 @@ def place_photos(job: Job, features: Sequence[Features], report: Progress) -> li
     return best
 
 
-def _missing(job: Job, models: Sequence[Any]) -> list[int]:
-    """The photos that are not in the largest model, by their places."""
+def _find_missing(job: Job, models: Sequence[Any]) -> list[int]:
+    """Find the photos that are not in the largest model, by their places."""
     placed = {image.name for image in models[0].images.values() if image.has_pose} if models else set()
     return [position for position, photo in enumerate(job.photos) if photo.copy not in placed]
 
@@ -76,24 +76,24 @@ def _models(job: Job, least_inliers: int, report: Progress) -> list[Any]:
     models = pycolmap.incremental_mapping(job.database, job.copies, folder, options, next_image_callback=count)
     for model in models.values():
         drop_lost(model)
-    return joined(list(models.values()))
+    return join_models(list(models.values()))
 
 
-def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool) -> Any:
-    """The model after its uncertain photos, and those that it has no place for, were placed again on the points of the
-    others; None if none of them was placed.
+def register_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool) -> Any:
+    """Register the uncertain photos of a model, and those that it has no place for, again on the points of the others;
+    None if none of them was placed.
 
     fixed: whether the others keep their places.
     """
     pycolmap = colmap_library()
     before = model.num_reg_images()
-    model = without(model, uncertain)
+    model = deregister_photos(model, uncertain)
     for camera in model.cameras.values():
         camera.has_prior_focal_length = True
     # pycolmap does not know photos that no pair has.
-    alone = set(model.reg_image_ids()) - {image for pair in verified_images(job) for image in pair}
-    start, folder = _emptied(job, "again-start"), _emptied(job, "again")
-    triangulated(job, job.database, without(model, alone), _AGAIN_ERROR).write(start)
+    alone = set(model.reg_image_ids()) - {image for pair in read_verified_images(job) for image in pair}
+    start, folder = _make_empty_folder(job, "again-start"), _make_empty_folder(job, "again")
+    triangulate(job, job.database, deregister_photos(model, alone), _AGAIN_ERROR).write(start)
     options = _mapping_options(job.config, _LEAST_INLIERS[0])
     options.fix_existing_frames = fixed
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
@@ -103,12 +103,12 @@ def place_again(job: Job, model: Any, uncertain: Collection[int], *, fixed: bool
         return None
     drop_lost(again)
     if alone:
-        again = with_photos(again, model, alone - set(again.reg_image_ids()))
+        again = merge_photos(again, model, alone - set(again.reg_image_ids()))
     return again if again is not None and again.num_reg_images() > before - len(uncertain) else None
 
 
-def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
-    """The model with the points of all tracks in a database, its cameras fixed.
+def triangulate(job: Job, database: Path, model: Any, error: float) -> Any:
+    """Triangulate the points of all tracks in a database into the model, its cameras fixed.
 
     error: largest distance in pixels of a point from its features.
     """
@@ -122,12 +122,12 @@ def triangulated(job: Job, database: Path, model: Any, error: float) -> Any:
     options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = error
     options.mapper.filter_max_reproj_error = error
     options.ba_global_max_refinements, options.ba_global_function_tolerance = 1, CONVERGED
-    folder, model = _emptied(job, "triangulated"), pycolmap.Reconstruction(model)
+    folder, model = _make_empty_folder(job, "triangulated"), pycolmap.Reconstruction(model)
     return pycolmap.triangulate_points(model, database, job.copies, folder, clear_points=True, options=options)
 
 
-def _emptied(job: Job, name: str) -> Path:
-    """An empty folder of the job."""
+def _make_empty_folder(job: Job, name: str) -> Path:
+    """Make an empty folder of the job."""
     folder = Path(job.folder) / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()

@@ -19,12 +19,12 @@ _EACH = 1000
 
 def similarities(features: Sequence[Features], seed: int) -> NDArray[np.float32]:
     """(P, P) similarity of the content of photos, in -1…1 (Jégou et al. 2010, with the signed square root)."""
-    codes = aggregated(features, seed)
+    codes = aggregate_descriptors(features, seed)
     return codes @ codes.T
 
 
-def aggregated(features: Sequence[Features], seed: int) -> NDArray[np.float32]:
-    """(P, D) one unit vector per photo: sums of the differences of its descriptors to their words."""
+def aggregate_descriptors(features: Sequence[Features], seed: int) -> NDArray[np.float32]:
+    """Return (P, D) one unit vector per photo: sums of the differences of its descriptors to their words."""
     from sklearn.cluster import MiniBatchKMeans
     from threadpoolctl import threadpool_limits
 

@@ -18,7 +18,7 @@ from ...progress import Progress
 from .job import Job
 from .kernels.planes import match_stereo
 from .placing import LEAST_ANGLE
-from .views import Observations, Pictures, Views, read_picture, stacked
+from .views import Observations, Pictures, Views, read_picture, stack_pictures
 
 _PIXELS = 270_000
 """Pixels of the pictures that are compared."""
@@ -107,8 +107,8 @@ class _Surface:
     likeness: NDArray[np.float64]
 
 
-def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
-    """A model with the same cameras and points, and with points of surfaces where it has none.
+def add_surfaces(job: Job, model: Any, report: Progress) -> Any:
+    """Return a model with the same cameras and points, and with points of surfaces where it has none.
 
     model: of the copies, with refined cameras; photos without a pose are dropped.
     """
@@ -117,7 +117,7 @@ def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
     if not len(seen.xyz):
         return model
     views = _views(placed, seen)
-    pictures = stacked((view.picture(job) for view in views), [view.size for view in views])
+    pictures = stack_pictures((view.picture(job) for view in views), [view.size for view in views])
     surfaces = []
     for number, view in enumerate(views):
         report(0.9 * number / len(views), f"comparing surfaces: photo {number + 1} of {len(views)}")
@@ -125,19 +125,19 @@ def with_surfaces(job: Job, model: Any, report: Progress) -> Any:
         guesses = _guesses(view, seen.xyz[seen.point[known]], seen.pixel[known], [job.config.seed, number])
         surfaces.append(_surface(views, pictures, number, guesses, job.config.seed))
     report(0.9, "comparing surfaces")
-    parts = [_agreed(views, surfaces, number) for number in range(len(views))]
+    parts = [_fuse(views, surfaces, number) for number in range(len(views))]
     found = _Found(
-        Observations.together([each.seen for each in parts]),
+        Observations.concatenate([each.seen for each in parts]),
         likeness=np.concatenate([each.likeness for each in parts]),
         size=np.concatenate([each.size for each in parts]),
     )
-    new = found.seen.select(_in_gaps(seen.xyz, found))
-    return placed.with_points(Observations.together([seen, new]))
+    new = found.seen.select(_select_in_gaps(seen.xyz, found))
+    return placed.make_model(Observations.concatenate([seen, new]))
 
 
 def _views(placed: Views, seen: Observations) -> list[_View]:
     """The photos with the pixels that are searched."""
-    shared = _near(placed, seen)
+    shared = _find_near(placed, seen)
     views = []
     for number, image in enumerate(placed.images):
         camera = placed.model.cameras[image.camera_id]
@@ -167,12 +167,13 @@ def _grid(columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.flo
     return np.stack(np.meshgrid(columns + 0.5, rows + 0.5), axis=-1)
 
 
-def _near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
-    """Per photo, the positions of those that it is compared with: they share many points, seen from other places."""
-    common = seen.shared(len(placed.images))
+def _find_near(placed: Views, seen: Observations) -> list[NDArray[np.int64]]:
+    """Find, per photo, the positions of those that it is compared with: they share many points, seen from other
+    places."""
+    common = seen.count_shared(len(placed.images))
     near = []
     for number, center in enumerate(placed.centers):
-        own = seen.shown(number)
+        own = seen.select_shown(number)
         middle = np.median(own, axis=0) if len(own) else center
         rays = placed.centers - middle
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
@@ -231,8 +232,8 @@ class _Found:
     size: NDArray[np.float64]
 
 
-def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -> _Found:
-    """The points of one photo that enough others agree with, at the mean of what these photos estimate."""
+def _fuse(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -> _Found:
+    """Keep the points of one photo that enough others agree with, at the mean of what these photos estimate."""
     view, surface = views[number], surfaces[number]
     row, column = np.nonzero(surface.likeness > _LEAST_LIKENESS)
     rays = view.rays[row, column]
@@ -240,7 +241,7 @@ def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -
     own = view.world(rays, inverse)
     point, where, places = [np.arange(len(own))], [np.full(len(own), number)], [own]
     for other in view.near:
-        same, xyz = _seen_again(views[other], surfaces[other], own)
+        same, xyz = _find_consistent(views[other], surfaces[other], own)
         point.append(same)
         where.append(np.full(len(same), other))
         places.append(xyz)
@@ -257,10 +258,10 @@ def _agreed(views: Sequence[_View], surfaces: Sequence[_Surface], number: int) -
     return _Found(seen, surface.likeness[row, column][agreed], 1.0 / (view.lens[0] * inverse[agreed]))
 
 
-def _seen_again(
+def _find_consistent(
     view: _View, surface: _Surface, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Which of the points a photo shows at the same depth, and the positions (M, 3) that it estimates."""
+    """Find which of the points a photo shows at the same depth, and the positions (M, 3) that it estimates."""
     local = view.local(xyz)
     front = np.flatnonzero(local[:, 2] > 1e-9)
     cell = np.rint((view.pixels(local[front]) - 0.5 - _MARGIN) / _SPACING)
@@ -278,9 +279,9 @@ def _homogeneous(rays: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([rays, np.ones(len(rays))])
 
 
-def _in_gaps(known: NDArray[np.float64], found: _Found) -> NDArray[np.int64]:
-    """Found points that are apart from known ones and from each other, the most certain first; of too many, those that
-    are farther apart."""
+def _select_in_gaps(known: NDArray[np.float64], found: _Found) -> NDArray[np.int64]:
+    """Select found points that are apart from known ones and from each other, the most certain first; of too many,
+    those that are farther apart."""
     xyz, apart = found.seen.xyz, _APART * found.size
     tree, free = cKDTree(xyz), cKDTree(known).query(xyz)[0]
     order = np.argsort(-found.likeness, kind="stable")

@@ -22,7 +22,7 @@ Pictures = NDArray[np.uint8]
 def read_pictures(job: Job) -> Pictures:
     """The copies of all photos."""
     sizes = [(photo.copy_height, photo.copy_width) for photo in job.photos]
-    return stacked((read_picture(job, photo.copy) for photo in job.photos), sizes)
+    return stack_pictures((read_picture(job, photo.copy) for photo in job.photos), sizes)
 
 
 def read_picture(job: Job, name: str) -> Image.Image:
@@ -31,8 +31,8 @@ def read_picture(job: Job, name: str) -> Image.Image:
         return image.convert("L")
 
 
-def stacked(pictures: Iterable[Image.Image], sizes: Sequence[tuple[int, int]]) -> Pictures:
-    """The pictures, of these heights and widths, in one array."""
+def stack_pictures(pictures: Iterable[Image.Image], sizes: Sequence[tuple[int, int]]) -> Pictures:
+    """Stack the pictures, of these heights and widths, in one array."""
     stack = np.zeros((len(sizes), *np.max(sizes, axis=0)), np.uint8)
     for place, picture, (height, width) in zip(stack, pictures, sizes, strict=True):
         place[:height, :width] = np.asarray(picture)
@@ -73,8 +73,8 @@ class Views:
             sizes=np.array([(camera.width, camera.height) for camera in cameras], float),
         )
 
-    def projected(self, view: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N, 2) pixels of points (N, 3), each in one photo; NaN behind it."""
+    def project(self, view: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Project points (N, 3), each in one photo, to pixels (N, 2); NaN behind it."""
         local = np.einsum("nij,nj->ni", self.rotations[view], points) + self.translations[view]
         pixels = np.full((len(points), 2), np.nan)
         cameras = np.array([image.camera_id for image in self.images])[view]
@@ -108,8 +108,8 @@ class Views:
         xyz = np.array([point.xyz for point in points], float).reshape(-1, 3)
         return Observations(xyz, point=point, view=view, pixel=everything[before[view] + index])
 
-    def with_points(self, seen: Observations) -> Any:
-        """A model of the views with the points that they show."""
+    def make_model(self, seen: Observations) -> Any:
+        """Make a model of the views with the points that they show."""
         pycolmap = colmap_library()
         order = np.lexsort((seen.view, seen.point))
         point, view, pixel = seen.point[order], seen.view[order], seen.pixel[order]
@@ -143,8 +143,8 @@ class Observations:
     pixel: NDArray[np.float64]
 
     @classmethod
-    def together(cls, parts: Sequence[Observations]) -> Observations:
-        """The points of all parts, one part after the other."""
+    def concatenate(cls, parts: Sequence[Observations]) -> Observations:
+        """Concatenate the points of all parts, one part after the other."""
         before = np.cumsum([0] + [len(each.xyz) for each in parts[:-1]])
         return cls(
             np.concatenate([each.xyz for each in parts]),
@@ -153,12 +153,12 @@ class Observations:
             pixel=np.concatenate([each.pixel for each in parts]),
         )
 
-    def shown(self, view: int) -> NDArray[np.float64]:
-        """(K, 3) the points that a view shows."""
+    def select_shown(self, view: int) -> NDArray[np.float64]:
+        """Select the points (K, 3) that a view shows."""
         return self.xyz[self.point[self.view == view]]
 
-    def shared(self, views: int) -> NDArray[np.float64]:
-        """(views, views) the number of points that both of two views show; 0 on the diagonal."""
+    def count_shared(self, views: int) -> NDArray[np.float64]:
+        """Count the points that both of two views show, (views, views); 0 on the diagonal."""
         shape = views, len(self.xyz)
         sees = csr_matrix((np.ones(len(self.point)), (self.view, self.point)), shape)
         common: NDArray[np.float64] = (sees @ sees.T).toarray()
@@ -186,8 +186,8 @@ class PlacedPhoto:
     pixels: NDArray[np.float64]
 
 
-def without(model: Any, photos: Iterable[int]) -> Any:
-    """A copy of the model that has no place for these photos."""
+def deregister_photos(model: Any, photos: Iterable[int]) -> Any:
+    """Return a copy of the model that has no place for these photos."""
     less = colmap_library().Reconstruction(model)
     for image in photos:
         less.deregister_frame(less.images[image].frame_id)

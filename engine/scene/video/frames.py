@@ -52,7 +52,7 @@ class Frame:
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) upright sRGB with square pixels; PQ and HLG are tone-mapped."""
         kind = "rgb48le" if self.is_hdr else "rgb24"
-        pixels = self._converted(kind, self._width, self.decoded.height).to_ndarray()
+        pixels = self._convert(kind, self._width, self.decoded.height).to_ndarray()
         if self.is_hdr:
             pixels = to_srgb(pixels, TRANSFERS[self.decoded.color_trc])
         return np.ascontiguousarray(np.rot90(pixels, round(self.decoded.rotation / 90)))
@@ -61,13 +61,13 @@ class Frame:
         """(h, w) brightness with a longer side of at most `side` pixels, not turned upright."""
         share = min(1.0, side / max(self._width, self.decoded.height))
         width, height = max(round(self._width * share), 1), max(round(self.decoded.height * share), 1)
-        return self._converted("gray", width, height).to_ndarray()
+        return self._convert("gray", width, height).to_ndarray()
 
     @property
     def _width(self) -> int:
         return max(round(self.decoded.width * self.pixel_aspect), 1)
 
-    def _converted(self, kind: str, width: int, height: int) -> Any:
+    def _convert(self, kind: str, width: int, height: int) -> Any:
         matrix = self.decoded.colorspace
         if matrix in _UNSPECIFIED:
             matrix = _BT709 if min(self.decoded.width, self.decoded.height) >= _HD else _BT601
@@ -108,9 +108,9 @@ class Video:
             if stream.codec_context is None:
                 raise SceneError(f"The format of {self.path} is not supported. Save it as .mp4 (H.264)")
             self.duration = _duration(container, stream)
-            yield from self._decoded(av, container, stream)
+            yield from self._decode(av, container, stream)
 
-    def _decoded(self, av: ModuleType, container: Any, stream: Any) -> Iterator[Frame]:
+    def _decode(self, av: ModuleType, container: Any, stream: Any) -> Iterator[Frame]:
         stream.thread_type = "AUTO"
         rate = float(stream.average_rate or stream.guessed_rate or 25)
         aspect = float(stream.sample_aspect_ratio or 1) or 1.0

@@ -24,7 +24,7 @@ _LUMINANCE = np.array([0.2627, 0.6780, 0.0593], dtype=np.float32)
 
 def to_srgb(pixels: NDArray[np.uint16], transfer: str) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB of 16-bit BT.2020 pixels, with their hue; `transfer` is PQ or HLG."""
-    light = _linear(transfer)[pixels]
+    light = _build_light_table(transfer)[pixels]
     if transfer == HLG:  # the system gamma of a screen of 1000 cd/m²
         light *= np.maximum(light @ _LUMINANCE, 1e-6)[..., None] ** np.float32(0.2) * np.float32(_HLG_PEAK / _WHITE)
     light = np.maximum(light @ _TO_BT709.T, 0.0)
@@ -32,12 +32,12 @@ def to_srgb(pixels: NDArray[np.uint16], transfer: str) -> NDArray[np.uint8]:
     above = np.maximum(brightest - _KNEE, 0.0) / (1.0 - _KNEE)
     toned = np.minimum(brightest, _KNEE) + (1.0 - _KNEE) * -np.expm1(-above)
     light *= toned / np.maximum(brightest, 1e-6)
-    return _encoded()[np.rint(light * 65535.0).astype(np.uint16)]
+    return _build_srgb_table()[np.rint(light * 65535.0).astype(np.uint16)]
 
 
 @functools.cache
-def _linear(transfer: str) -> NDArray[np.float32]:
-    """(65536,) light of a 16-bit value: in shares of white for PQ, of the scene's peak for HLG."""
+def _build_light_table(transfer: str) -> NDArray[np.float32]:
+    """Build the table (65536,) of light of a 16-bit value: in shares of white for PQ, of the scene's peak for HLG."""
     value = np.arange(65536) / 65535.0
     if transfer == PQ:
         m1, m2, c1, c2, c3 = 1305 / 8192, 2523 / 32, 107 / 128, 2413 / 128, 2392 / 128
@@ -50,8 +50,8 @@ def _linear(transfer: str) -> NDArray[np.float32]:
 
 
 @functools.cache
-def _encoded() -> NDArray[np.uint8]:
-    """(65536,) sRGB of linear light in 16 bits."""
+def _build_srgb_table() -> NDArray[np.uint8]:
+    """Build the table (65536,) of sRGB of linear light in 16 bits."""
     light = np.arange(65536) / 65535.0
     value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
     return np.rint(255.0 * value).astype(np.uint8)

@@ -81,28 +81,28 @@ class _Follower:
         """Whether the picture moved fast since the last frame."""
         if self.anchor is None:
             return False
-        moved = self._from_anchor(self.anchor, view)
+        moved = self._measure_from_anchor(self.anchor, view)
         return moved.recognised < _MOST or self.anchor_path + moved.distance - self.last_path > _FAST
 
     def add(self, view: _View) -> Step:
         """The path at the next frame."""
         if self.anchor is None or self.last is None:
-            return self._anchored(view, 0.0)
-        moved = self._from_anchor(self.anchor, view)
+            return self._set_anchor(view, 0.0)
+        moved = self._measure_from_anchor(self.anchor, view)
         if moved.recognised < _MOST and self.last is not self.anchor:
             since = motion(self.last.small, view.small)
             if since.recognised > moved.recognised:
-                return self._anchored(view, self.last_path + since.distance)
+                return self._set_anchor(view, self.last_path + since.distance)
         path = self.anchor_path + moved.distance
-        return self._step(view, path) if moved.distance < RULER else self._anchored(view, path)
+        return self._step(view, path) if moved.distance < RULER else self._set_anchor(view, path)
 
-    def _from_anchor(self, anchor: _View, view: _View) -> Motion:
-        """The motion from the anchor, measured once for a frame."""
+    def _measure_from_anchor(self, anchor: _View, view: _View) -> Motion:
+        """Measure the motion from the anchor, once for a frame."""
         if self._compared is None or self._compared[0] is not anchor or self._compared[1] is not view:
             self._compared = anchor, view, motion(anchor.small, view.small)
         return self._compared[2]
 
-    def _anchored(self, view: _View, path: float) -> Step:
+    def _set_anchor(self, view: _View, path: float) -> Step:
         self.anchor, self.anchor_path = view, path
         return self._step(view, path)
 

@@ -81,8 +81,8 @@ def _is_complete(folder: Path) -> bool:
     return all((folder / IMAGES / still["file"]).is_file() for still in listed["stills"])
 
 
-def stills_of(steps: Sequence[Step]) -> list[Step]:
-    """Of the frames of a video, those to keep, in the order of time; at most about `MOST_STILLS`.
+def select_stills(steps: Sequence[Step]) -> list[Step]:
+    """Select the frames of a video to keep, in the order of time; at most about `MOST_STILLS`.
 
     At every point in even steps along the path, the sharpest frame that is near; if none is, because the picture moved
     fast, the nearest frame, and the next steps start from there.
@@ -112,12 +112,12 @@ def stills_of(steps: Sequence[Step]) -> list[Step]:
 def _write(path: Path, folder: Path, progress: Progress) -> None:
     """Write the stills and their list to `folder`."""
     video = Video(path)
-    steps = list(follow(_reported(video, part(progress, 0.0, 0.6), "following the camera")))
-    stills = stills_of(steps)
+    steps = list(follow(_report_frames(video, part(progress, 0.0, 0.6), "following the camera")))
+    stills = select_stills(steps)
     _require_stills(path, steps, stills)
     seconds, notices = video.end, _notices(video, steps)
     missing = {step.index for step in stills}
-    for frame in _reported(video, part(progress, 0.6, 1.0), "writing stills"):
+    for frame in _report_frames(video, part(progress, 0.6, 1.0), "writing stills"):
         if frame.index in missing:
             Image.fromarray(frame.pixels()).save(folder / IMAGES / _name(frame), quality=_QUALITY)
             missing.remove(frame.index)
@@ -127,12 +127,12 @@ def _write(path: Path, folder: Path, progress: Progress) -> None:
         "video": path.name,
         "seconds": round(seconds, 3),
         "notices": notices,
-        "stills": [_listed(step, before) for step, before in zip(stills, [stills[0], *stills], strict=False)],
+        "stills": [_describe_still(step, before) for step, before in zip(stills, [stills[0], *stills], strict=False)],
     }
     (folder / LIST).write_text(json.dumps(listed, indent=1), encoding="utf-8")
 
 
-def _reported(video: Video, progress: Progress, task: str) -> Iterator[Frame]:
+def _report_frames(video: Video, progress: Progress, task: str) -> Iterator[Frame]:
     for frame in video.frames():
         if frame.index % _EVERY == 0:
             of = f" of {video.duration:.0f}" if video.duration else ""
@@ -146,7 +146,7 @@ def _name(frame: Frame | Step) -> str:
     return f"frame_{frame.index:06d}_{minutes:02d}m{milliseconds / 1000:06.3f}s.jpg"
 
 
-def _listed(step: Step, before: Step) -> dict[str, str | int | float]:
+def _describe_still(step: Step, before: Step) -> dict[str, str | int | float]:
     return {
         "file": _name(step),
         "frame": step.index,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...scene.camera import Camera, looking
+from ...scene.camera import Camera, look_along
 from ..gaussians import Gaussians
 
 FloatArray = NDArray[np.float64]
@@ -75,6 +75,6 @@ def cameras_around(subject: Subject, up: FloatArray) -> list[Camera]:
         rise = math.radians(ELEVATIONS[index % len(ELEVATIONS)])
         turn = 2.0 * math.pi * index / VIEWS
         away = math.cos(rise) * (math.cos(turn) * side + math.sin(turn) * ahead) + math.sin(rise) * up
-        pose = looking(subject.center + distance * away, -away, up)
+        pose = look_along(subject.center + distance * away, -away, up)
         cameras.append(Camera(K=K, world_to_camera=pose, width=WIDTH, height=HEIGHT))
     return cameras

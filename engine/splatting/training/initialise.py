@@ -110,7 +110,7 @@ def _dome(scene: Scene, points: Points, n: int) -> Points:
 
 
 def _seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> bool:
-    return any(shelf.scene.cameras[view].framed(points)[0].any() for view in views)
+    return any(shelf.scene.cameras[view].find_in_frame(points)[0].any() for view in views)
 
 
 def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -> tuple[Points, NDArray[np.bool_]]:
@@ -118,7 +118,7 @@ def _colors_in_photos(shelf: PhotoShelf, views: Sequence[int], points: Points) -
     sums = np.zeros((len(points), 3))
     counts = np.zeros(len(points))
     for view in views[:: max(len(views) // 40, 1)]:
-        inside, places, _ = shelf.scene.cameras[view].framed(points)
+        inside, places, _ = shelf.scene.cameras[view].find_in_frame(points)
         if inside.any():
             picture = shelf.picture(view)
             column, row = places[inside].astype(int).T

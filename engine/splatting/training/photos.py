@@ -77,7 +77,7 @@ class PhotoShelf:
                 f" {camera.width}×{camera.height}. Use the photos the model was made from"
             )
         if smaller > 1:
-            camera = camera.scaled(1.0 / smaller)
+            camera = camera.scale(1.0 / smaller)
             pixels = np.rint(shrink(pixels.astype(np.float32), camera.width, camera.height)).astype(np.uint8)
             if mask is not None:
                 mask = shrink_mask(mask, camera.width, camera.height)

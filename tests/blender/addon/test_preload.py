@@ -49,7 +49,7 @@ def test_pycolmap_is_loaded_so_that_another_gflags_does_not_end_blender(monkeypa
         yield
         guarded.pop()
 
-    monkeypatch.setattr(preload, "with_another_gflags", guard)
+    monkeypatch.setattr(preload, "allow_another_gflags", guard)
     monkeypatch.setattr(preload, "_preload", lambda name, _: loaded.append((name, bool(guarded))))
     monkeypatch.setattr(preload, "sys", SimpleNamespace(modules={}))
     preload.preload_libraries()

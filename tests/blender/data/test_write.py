@@ -13,7 +13,7 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.language.vocabulary import FRUITS
-from fruitlangs.engine.scene.camera import Camera, Scene, looking
+from fruitlangs.engine.scene.camera import Camera, Scene, look_along
 from fruitlangs.operators.blender_data import get_attribute, owned_objects
 from fruitlangs.operators.data.photo_files import photo_path
 from fruitlangs.operators.data.write import save_blend, write_blend, write_result
@@ -196,7 +196,7 @@ def test_cameras_are_named_after_their_photos_and_one_is_active(counted):
 
 def test_a_row_is_first_shown_from_its_middle_and_a_walk_around_a_tree_from_its_middle_photo() -> None:
     def camera(place: list[float], along: list[float]) -> Camera:
-        pose = looking(np.array(place), np.array(along), np.array([0.0, 0.0, 1.0]))
+        pose = look_along(np.array(place), np.array(along), np.array([0.0, 0.0, 1.0]))
         return Camera(width=80, height=60, K=np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]]), world_to_camera=pose)
 
     def scene(cameras: list[Camera], points: list[list[float]]) -> Scene:

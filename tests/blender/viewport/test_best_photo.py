@@ -18,7 +18,7 @@ from mathutils import Vector
 from PIL import Image
 from pillow_heif import register_heif_opener
 
-from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.operators.blender_data import owned_object, owned_objects
 from fruitlangs.operators.data import photo_files
@@ -40,7 +40,7 @@ BEND = 2.0
 
 def camera_at(place, target=(0.0, 0.0, 0.0)) -> Camera:
     place = np.array(place, np.float64)
-    pose = looking(place, np.array(target) - place, np.array([0.0, 0.0, 1.0]))
+    pose = look_along(place, np.array(target) - place, np.array([0.0, 0.0, 1.0]))
     return Camera(np.array([[200.0, 0, 100], [0, 200.0, 75], [0, 0, 1]]), pose, 200, 150)
 
 

@@ -18,7 +18,7 @@ from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.evidence.cluster import Search
 from fruitlangs.engine.counting.evidence.size import FruitSize
 from fruitlangs.engine.counting.evidence.visibility import Visibility
-from fruitlangs.engine.counting.regions.ground import doubt_sunken, lying_on_ground
+from fruitlangs.engine.counting.regions.ground import doubt_sunken, find_fallen
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 
@@ -76,7 +76,7 @@ def around(middle: FloatArray, up: FloatArray, scale: float = 1.0) -> list[Camer
 def told(gaussians: Gaussians, centers: FloatArray, up: FloatArray = UP, scale: float = 1.0) -> list[bool | None]:
     """Whether fruit lie on the ground, seen from a ring about their middle."""
     cameras = around(centers.mean(axis=0), up, scale)
-    return lying_on_ground(gaussians, cameras, centers, np.full(len(centers), DIAMETER * scale), up)
+    return find_fallen(gaussians, cameras, centers, np.full(len(centers), DIAMETER * scale), up)
 
 
 EXPECTED = [False] * 4 + [True] * 3
@@ -107,7 +107,7 @@ def test_without_a_ground_nothing_is_reported() -> None:
     crown = gaussians.select(gaussians.means[:, 2] > 0.2)
     assert told(crown, CROWN) == [None] * 4
     assert told(gaussians.select(torch.zeros(0, dtype=torch.long)), CROWN) == [None] * 4
-    assert lying_on_ground(gaussians, [], np.zeros((0, 3)), np.zeros(0), UP) == []
+    assert find_fallen(gaussians, [], np.zeros((0, 3)), np.zeros(0), UP) == []
 
 
 def test_a_surface_that_fruit_hang_below_is_no_ground() -> None:

@@ -13,7 +13,7 @@ from simulated_fruit import look_at, quats_along_z
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
-from fruitlangs.engine.counting.evidence.long_fruit import ENOUGH, Parts, bodies, joined
+from fruitlangs.engine.counting.evidence.long_fruit import ENOUGH, Parts, find_bodies, join_bodies
 from fruitlangs.engine.counting.geometry.sphere import Spheres
 from fruitlangs.engine.splatting.gaussians import Gaussians
 
@@ -130,7 +130,7 @@ def long_points(long_ends) -> np.ndarray:
 def test_spheres_along_long_bodies_that_touch_or_follow_each_other_are_one_fruit_a_body(long_ends, long_points) -> None:
     for seed in range(5):
         spheres, owners = spheres_along(long_ends, seed)
-        numbers = bodies(long_points, spheres)
+        numbers = find_bodies(long_points, spheres)
         assert numbers is not None
         assert groups(numbers) == groups(owners)
         assert sorted(set(numbers.tolist())) == list(range(len(LONG)))
@@ -140,7 +140,7 @@ def test_spheres_along_long_bodies_that_touch_or_follow_each_other_are_one_fruit
 def test_bodies_that_are_seen_from_one_side_only_are_still_one_fruit_each(seed: int, long_ends) -> None:
     spheres, owners = spheres_along(long_ends, seed)
     towards = Rotation.random(random_state=seed).as_matrix()[0]
-    numbers = bodies(points_on(long_ends, seen_from=towards), spheres)
+    numbers = find_bodies(points_on(long_ends, seen_from=towards), spheres)
     assert numbers is not None
     assert groups(numbers) == groups(owners)
 
@@ -148,7 +148,7 @@ def test_bodies_that_are_seen_from_one_side_only_are_still_one_fruit_each(seed: 
 def test_balls_in_touching_clumps_and_rows_are_not_long() -> None:
     centers = np.array([center for clump in CLUMPS for center in clump])
     points = points_on([(center, center) for center in centers])
-    assert bodies(points, spheres_at(centers, np.full(len(centers), RADIUS))) is None
+    assert find_bodies(points, spheres_at(centers, np.full(len(centers), RADIUS))) is None
 
 
 def test_a_few_long_fruit_among_many_balls_do_not_make_the_scene_long(long_ends) -> None:
@@ -158,15 +158,15 @@ def test_a_few_long_fruit_among_many_balls_do_not_make_the_scene_long(long_ends)
     every = spheres_at(np.vstack([centers, spheres.centers]), np.full(len(centers) + len(spheres), RADIUS))
     points = points_on([*few, *((center, center) for center in centers)])
     assert len(spheres) > ENOUGH
-    assert bodies(points, spheres) is not None
-    assert bodies(points, every) is None
+    assert find_bodies(points, spheres) is not None
+    assert find_bodies(points, every) is None
 
 
 def test_too_few_spheres_do_not_tell_whether_fruit_are_long(long_ends, long_points) -> None:
     spheres, _ = spheres_along(long_ends)
-    assert bodies(long_points, spheres.select(np.arange(ENOUGH))) is not None
-    assert bodies(long_points, spheres.select(np.arange(ENOUGH - 1))) is None
-    assert bodies(long_points, spheres.select(np.arange(0))) is None
+    assert find_bodies(long_points, spheres.select(np.arange(ENOUGH))) is not None
+    assert find_bodies(long_points, spheres.select(np.arange(ENOUGH - 1))) is None
+    assert find_bodies(long_points, spheres.select(np.arange(0))) is None
 
 
 def test_the_order_of_spheres_and_points_makes_no_difference(long_ends, long_points) -> None:
@@ -174,7 +174,7 @@ def test_the_order_of_spheres_and_points_makes_no_difference(long_ends, long_poi
     rng = np.random.default_rng(3)
     for _ in range(5):
         order = rng.permutation(len(spheres))
-        numbers = bodies(rng.permutation(long_points), spheres.select(order))
+        numbers = find_bodies(rng.permutation(long_points), spheres.select(order))
         assert numbers is not None
         assert groups(numbers) == groups(owners[order])
 
@@ -185,7 +185,7 @@ def test_bodies_do_not_depend_on_where_the_scene_lies_or_on_its_unit(scale: floa
     turn = Rotation.random(random_state=4).as_matrix()
     shift = np.array([7.0, -50.0, 20.0])
     moved = spheres_at(scale * spheres.centers @ turn.T + shift, scale * spheres.radii)
-    numbers = bodies(scale * long_points @ turn.T + shift, moved)
+    numbers = find_bodies(scale * long_points @ turn.T + shift, moved)
     assert numbers is not None
     assert groups(numbers) == groups(owners)
 
@@ -201,19 +201,19 @@ NUMBERS = np.array([0, 0, 0, 1, 2, 2])
 
 
 def test_a_body_has_the_volume_of_a_cylinder_with_round_ends(pair: Spheres) -> None:
-    together, _, _ = joined(pair, NUMBERS)
+    together, _, _ = join_bodies(pair, NUMBERS)
     volumes = 4.0 / 3.0 * np.pi * together.radii**3
     widths, lengths = np.array([0.5, 0.7, 0.3]), np.array([2.0, 0.0, np.sqrt(3.0)])
     np.testing.assert_allclose(volumes, np.pi * widths**2 * lengths + 4.0 / 3.0 * np.pi * widths**3)
 
 
 def test_a_body_lies_in_the_middle_between_its_outermost_spheres(pair: Spheres) -> None:
-    together, _, _ = joined(pair, NUMBERS)
+    together, _, _ = join_bodies(pair, NUMBERS)
     np.testing.assert_allclose(together.centers, [[0.0, 1.0, 0.0], [5.0, 5.0, 5.0], [1.5, 1.5, 9.5]], atol=1e-12)
 
 
 def test_half_axes_reach_the_tip_and_the_side_of_the_body_and_are_right_handed(pair: Spheres) -> None:
-    together, axes, _ = joined(pair, NUMBERS)
+    together, axes, _ = join_bodies(pair, NUMBERS)
     halves = axes * together.radii[:, None, None]
     lengths = np.linalg.norm(halves, axis=2)
     np.testing.assert_allclose(
@@ -229,7 +229,7 @@ def test_half_axes_reach_the_tip_and_the_side_of_the_body_and_are_right_handed(p
 def test_frames_are_right_handed_in_every_direction() -> None:
     directions = Rotation.random(40, random_state=5).as_matrix()[:, 0]
     centers = np.stack([np.zeros_like(directions), directions], axis=1).reshape(-1, 3)
-    _, axes, _ = joined(spheres_at(centers, np.full(80, 0.5)), np.repeat(np.arange(40), 2))
+    _, axes, _ = join_bodies(spheres_at(centers, np.full(80, 0.5)), np.repeat(np.arange(40), 2))
     assert (np.linalg.det(axes) > 0.0).all()
     along = axes[:, 0] / np.linalg.norm(axes[:, 0], axis=1, keepdims=True)
     np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", along, directions)), 1.0)
@@ -237,13 +237,13 @@ def test_frames_are_right_handed_in_every_direction() -> None:
 
 def test_a_body_has_the_points_of_all_its_spheres_and_their_mean_qualities(pair: Spheres) -> None:
     uneven = replace(pair, support=np.arange(1.0, 7.0), coverage=np.array([0.1, 0.2, 0.6, 0.5, 0.4, 0.8]))
-    together, _, _ = joined(uneven, NUMBERS)
+    together, _, _ = join_bodies(uneven, NUMBERS)
     assert together.support.tolist() == [6.0, 4.0, 11.0]
     np.testing.assert_allclose(together.coverage, [0.3, 0.5, 0.6])
 
 
 def test_bodies_remember_the_spheres_that_they_consist_of(pair: Spheres) -> None:
-    _, _, parts = joined(pair, NUMBERS)
+    _, _, parts = join_bodies(pair, NUMBERS)
     np.testing.assert_array_equal(parts.centers, pair.centers)
     np.testing.assert_array_equal(parts.radii, pair.radii)
     assert parts.owners.tolist() == NUMBERS.tolist()
@@ -251,17 +251,17 @@ def test_bodies_remember_the_spheres_that_they_consist_of(pair: Spheres) -> None
 
 def test_parts_of_fruit_that_are_left_out_go_and_the_others_follow_their_new_numbers() -> None:
     parts = Parts(np.arange(18.0).reshape(6, 3), np.arange(6.0), np.array([0, 0, 0, 1, 2, 2]))
-    kept = parts.keeping(np.array([1, -1, 0]))
+    kept = parts.keep(np.array([1, -1, 0]))
     assert kept.radii.tolist() == [0.0, 1.0, 2.0, 4.0, 5.0]
     assert kept.owners.tolist() == [1, 1, 1, 0, 0]
     np.testing.assert_array_equal(kept.centers, parts.centers[[0, 1, 2, 4, 5]])
 
 
 def test_a_candidate_is_the_share_of_a_fruit_that_its_nearest_part_is(pair: Spheres) -> None:
-    _, _, parts = joined(pair, NUMBERS)
+    _, _, parts = join_bodies(pair, NUMBERS)
     places = np.array([[0.1, 1.9, 0.0], [5.0, 5.0, 4.0], [2.0, 2.0, 12.0], [0.0, 0.3, 0.0]])
     np.testing.assert_allclose(parts.shares(places), [1 / 3, 1.0, 1 / 2, 1 / 3])
-    none = parts.keeping(np.array([-1, -1, -1]))
+    none = parts.keep(np.array([-1, -1, -1]))
     assert none.shares(places).tolist() == [1.0] * 4
 
 
@@ -311,11 +311,11 @@ def test_one_long_fruit_is_one_body_alone_and_next_to_a_ball(long_ends) -> None:
     alone, _ = spheres_along(long_ends[:1])
     ball = np.array([9.0, 0.0, 0.0])
     with_ball = spheres_at(np.vstack([alone.centers, ball]), np.full(len(alone) + 1, RADIUS))
-    assert bodies(points_on(long_ends[:1]), alone).tolist() == [0] * len(alone)
-    assert bodies(points_on([*long_ends[:1], (ball, ball)]), with_ball).tolist() == [0] * len(alone) + [1]
+    assert find_bodies(points_on(long_ends[:1]), alone).tolist() == [0] * len(alone)
+    assert find_bodies(points_on([*long_ends[:1], (ball, ball)]), with_ball).tolist() == [0] * len(alone) + [1]
 
 
 def test_three_balls_in_a_row_are_three_fruit() -> None:
     centers = np.array([(0.0, 4.0, float(z)) for z in range(3)])
     points = points_on([(center, center) for center in centers])
-    assert bodies(points, spheres_at(centers, np.full(3, RADIUS))) is None
+    assert find_bodies(points, spheres_at(centers, np.full(3, RADIUS))) is None

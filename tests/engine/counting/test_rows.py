@@ -14,8 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.counting.evidence.cluster import Search
 from fruitlangs.engine.counting.evidence.size import FruitSize
-from fruitlangs.engine.counting.regions.crown import PLACES, crown_places, hidden_share, sample_hull, split_row
-from fruitlangs.engine.counting.regions.ground import NEARNESS, doubt_sunken, find_sites, lying_on_ground
+from fruitlangs.engine.counting.regions.crown import (
+    PLACES,
+    estimate_hidden_share,
+    sample_crowns,
+    sample_hull,
+    split_row,
+)
+from fruitlangs.engine.counting.regions.ground import NEARNESS, doubt_sunken, find_fallen, find_sites
 
 EVERY_ROW = [(trees, direction) for trees in (6, 20, 40) for direction in sim.DIRECTIONS] + [(100, "diagonal")]
 
@@ -27,13 +33,13 @@ def hanging(row: sim.Row) -> np.ndarray:
 def told(row: sim.Row) -> list[bool | None]:
     """Whether each fruit lies on the ground."""
     diameters = np.full(len(row.centers), sim.DIAMETER)
-    return lying_on_ground(row.gaussians, row.cameras, row.centers, diameters, row.up)
+    return find_fallen(row.gaussians, row.cameras, row.centers, diameters, row.up)
 
 
 @pytest.mark.parametrize(("trees", "direction"), EVERY_ROW)
 def test_the_crowns_of_every_row_are_judged_from_as_many_places(trees: int, direction: str) -> None:
     crowns = split_row(hanging(sim.simulate_row(trees, direction)))
-    places = crown_places(crowns, seed=0)
+    places = sample_crowns(crowns, seed=0)
     assert len(crowns) == trees
     assert PLACES <= sum(map(len, places)) <= PLACES + trees
     assert min(map(len, places)) >= 0.9 * PLACES / trees
@@ -51,9 +57,10 @@ def test_gaps_between_trees_do_not_count_as_crown() -> None:
     row = sim.simulate_row(8, "diagonal")
     fruit, pictures = hanging(row), row.pictures
     alone = [
-        hidden_share(own, pictures, 0.5 * sim.DIAMETER, seed=0) for own in np.split(fruit, len(fruit) // sim.FRUIT)
+        estimate_hidden_share(own, pictures, 0.5 * sim.DIAMETER, seed=0)
+        for own in np.split(fruit, len(fruit) // sim.FRUIT)
     ]
-    assert hidden_share(fruit, pictures, 0.5 * sim.DIAMETER, seed=0) == pytest.approx(np.mean(alone), abs=0.03)
+    assert estimate_hidden_share(fruit, pictures, 0.5 * sim.DIAMETER, seed=0) == pytest.approx(np.mean(alone), abs=0.03)
     assert np.mean(alone) > 0.2
 
 
@@ -87,7 +94,7 @@ def test_fruit_at_one_place_and_without_a_hull_hide_nothing() -> None:
         np.zeros((9, 3)),
         np.random.default_rng(0).random((30, 3)) * [1.0, 1.0, 0.0],
     ):
-        assert hidden_share(fruit, pictures, 0.04, seed=0) == 0.0
+        assert estimate_hidden_share(fruit, pictures, 0.04, seed=0) == 0.0
 
 
 def test_places_are_spread_evenly_over_the_hull() -> None:
@@ -106,14 +113,14 @@ def test_places_move_with_the_fruit(seed: int, scale: float) -> None:
     turn, shift = Rotation.random(random_state=seed).as_matrix(), np.array([3.0, -2.0, 1.0])
     moved = scale * fruit @ turn.T + shift
     order = np.random.default_rng(seed).permutation(len(fruit))
-    here, there = (crown_places(split_row(each), seed=0) for each in (fruit, moved[order]))
+    here, there = (sample_crowns(split_row(each), seed=0) for each in (fruit, moved[order]))
     np.testing.assert_allclose(np.concatenate(there), scale * np.concatenate(here) @ turn.T + shift, atol=1e-6 * scale)
 
 
 @pytest.mark.parametrize("direction", sim.DIRECTIONS)
 def test_hidden_crown_is_the_same_wherever_a_row_leads(direction: str) -> None:
     here, there = (sim.simulate_row(6, each, sim.level) for each in ("x", direction))
-    shares = [hidden_share(hanging(row), row.pictures, 0.5 * sim.DIAMETER, seed=0) for row in (here, there)]
+    shares = [estimate_hidden_share(hanging(row), row.pictures, 0.5 * sim.DIAMETER, seed=0) for row in (here, there)]
     assert shares[0] == pytest.approx(shares[1], abs=0.01)
 
 
@@ -155,7 +162,7 @@ def test_what_is_no_ground_at_one_end_of_a_row_leaves_the_other_end_alone() -> N
     row = sim.simulate_row(12)
     below = row.centers[:30] - 2.0 * row.up
     everything = np.concatenate([row.centers, below])
-    lying = lying_on_ground(row.gaussians, row.cameras, everything, np.full(len(everything), sim.DIAMETER), row.up)[
+    lying = find_fallen(row.gaussians, row.cameras, everything, np.full(len(everything), sim.DIAMETER), row.up)[
         : len(row.centers)
     ]
     near = row.centers @ sim.DIRECTIONS["x"] < 2.0 * sim.SPACING

@@ -13,7 +13,7 @@ import torch
 
 from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting import count, sizing
-from fruitlangs.engine.counting.accounts.zero import Matching, Quality, most_fruit, separate_groups
+from fruitlangs.engine.counting.accounts.zero import Matching, Quality, count_apart, count_groups
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.evidence.size import FruitSize
 from fruitlangs.engine.counting.evidence.visibility import draw
@@ -136,17 +136,17 @@ def test_photos_narrow_the_interval_from_candidates_and_never_widen_it(tree: sim
     matching = Matching.of(
         tree.gaussians, tree.probability, everywhere, tree.cameras, "apple", GOOD, shown, CONFIG.threshold
     )
-    places = matching.shown(1.0)
+    places = matching.count_shown(1.0)
     assert 5 <= places <= 16
     none = FruitCount(fruits=[], audit=[], max_probability=0.9, mean_diameter=None)
     candidates = dataclasses.replace(none, interval=(0, 241), likely=50.0, total=60.0, total_interval=(0, 300))
-    narrowed = matching.with_bounds(candidates, 1.0, searched=True)
+    narrowed = matching.add_bounds(candidates, 1.0, searched=True)
     assert (narrowed.interval, narrowed.likely, narrowed.total) == ((0, places), places, places)
     assert narrowed.total_interval == (0, places)
     few = dataclasses.replace(none, interval=(0, 2), likely=0.5, total=0.7, total_interval=(0, 3))
-    assert matching.with_bounds(few, 1.0, searched=True).interval == (0, 2)
-    assert matching.with_bounds(few, 1.0, searched=True).total_interval == (0, 3)
-    assert matching.with_bounds(few, 1.0).interval == (0, places)
+    assert matching.add_bounds(few, 1.0, searched=True).interval == (0, 2)
+    assert matching.add_bounds(few, 1.0, searched=True).total_interval == (0, 3)
+    assert matching.add_bounds(few, 1.0).interval == (0, places)
 
 
 def test_fruit_on_surfaces_that_photos_refuse_are_in_the_intervals_of_a_0_and_in_its_notice(
@@ -157,10 +157,10 @@ def test_fruit_on_surfaces_that_photos_refuse_are_in_the_intervals_of_a_0_and_in
         tree.gaussians, tree.probability, everywhere, tree.cameras, "apple", GOOD, hidden, CONFIG.threshold
     )
     none = FruitCount(fruits=[], audit=[], max_probability=0.9, mean_diameter=None)
-    refused = matching.with_bounds(none, 1.0, refused=9)
+    refused = matching.add_bounds(none, 1.0, refused=9)
     assert (refused.interval, refused.total_interval) == ((0, 9), (0, 9))
     assert "look like apple in 9 places, but photos show none" in refused.notices[-1]
-    assert matching.with_bounds(none, 1.0).interval == (0, 0)
+    assert matching.add_bounds(none, 1.0).interval == (0, 0)
 
 
 @pytest.mark.parametrize(("made", "reason"), [(transparent, "are transparent"), (sideless, "faces the cameras")])
@@ -256,7 +256,7 @@ def test_sheets_that_match_in_a_blurred_reconstruction_are_an_error(sheets: sim.
 
 
 def test_a_0_of_fruit_a_few_pixels_wide_is_an_error(sheets: sim.Simulation) -> None:
-    small = dataclasses.replace(sheets, cameras=[camera.scaled(0.1) for camera in sheets.cameras])
+    small = dataclasses.replace(sheets, cameras=[camera.scale(0.1) for camera in sheets.cameras])
     with pytest.raises(CountingError, match=r"a fruit is only about \d pixels wide.*Read the photos larger"):
         counted(small, dataclasses.replace(CONFIG, diameter=1.0), quality=GOOD)
 
@@ -295,6 +295,6 @@ def test_places_a_diameter_apart_are_counted_once() -> None:
     around = np.random.default_rng(0).normal(size=(600, 3))
     around *= 0.45 / np.linalg.norm(around, axis=1, keepdims=True)
     positions = balls[np.arange(600) % 3] + around
-    assert 3 <= most_fruit(positions, 1.0) <= 5
-    assert separate_groups(positions, 0.4) == 2  # the first two touch
-    assert separate_groups(positions[:0], 0.4) == 0
+    assert 3 <= count_apart(positions, 1.0) <= 5
+    assert count_groups(positions, 0.4) == 2  # the first two touch
+    assert count_groups(positions[:0], 0.4) == 0

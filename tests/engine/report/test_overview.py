@@ -11,7 +11,7 @@ from fruit_examples import count_of, fruit
 from fruitlangs.engine.counting.fruit import Fruit, FruitCount, Tree
 from fruitlangs.engine.report import overview
 from fruitlangs.engine.report.overview import draw_count
-from fruitlangs.engine.scene.camera import Camera, Scene, looking
+from fruitlangs.engine.scene.camera import Camera, Scene, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -39,7 +39,7 @@ def skin() -> Gaussians:
 
 def walk() -> Scene:
     K = np.array([[300.0, 0.0, 200.0], [0.0, 300.0, 150.0], [0.0, 0.0, 1.0]])
-    poses = [looking(np.array([x, -1.5, 0.0]), np.array([0.0, 1.0, 0.0]), UP) for x in np.linspace(-1.2, 1.2, 60)]
+    poses = [look_along(np.array([x, -1.5, 0.0]), np.array([0.0, 1.0, 0.0]), UP) for x in np.linspace(-1.2, 1.2, 60)]
     cameras = [Camera(K=K, world_to_camera=pose, width=400, height=300) for pose in poses]
     return Scene(cameras, [], np.zeros((0, 3)), np.zeros((0, 3), np.uint8), UP)
 

@@ -15,7 +15,7 @@ from fruitlangs.engine.report.ellipses import ellipses, projected
 from fruitlangs.engine.report.framing import framing
 from fruitlangs.engine.report.labels import place_labels, round_length
 from fruitlangs.engine.report.still import draw_still, save_still
-from fruitlangs.engine.scene.camera import Camera, Scene, looking
+from fruitlangs.engine.scene.camera import Camera, Scene, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -26,7 +26,7 @@ def camera_at(place: list[float], *, width: int = 400, height: int = 300) -> Cam
     """A level camera that looks at the origin."""
     where = np.array(place)
     K = np.array([[300.0, 0.0, width / 2], [0.0, 300.0, height / 2], [0.0, 0.0, 1.0]])
-    return Camera(K=K, world_to_camera=looking(where, -where, UP), width=width, height=height)
+    return Camera(K=K, world_to_camera=look_along(where, -where, UP), width=width, height=height)
 
 
 def ball(number: int, place: list[float]) -> Fruit:

@@ -12,7 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.scene.gps import GpsScale, GpsTag, degrees_of, local_metres, read_gps, scale_by_gps
 from fruitlangs.engine.scene.photos.lens import Lens
-from fruitlangs.engine.scene.photos.photo import posed_photos
+from fruitlangs.engine.scene.photos.photo import read_posed_photos
 
 TAG, GPS = ExifTags.GPS, ExifTags.IFD.GPSInfo
 RADIUS = 6_371_000.0
@@ -69,7 +69,7 @@ def measured(folder: Path, centers: np.ndarray, tags: list[GpsTag | None]) -> Gp
         pose = np.eye(4)
         pose[:3, 3] = -center
         path = write(folder / f"{index:03d}.jpg", None if tag is None else entries(tag))
-        views += posed_photos(path, name=path.name, lens=LENS, world_to_camera=pose)
+        views += read_posed_photos(path, name=path.name, lens=LENS, world_to_camera=pose)
     return scale_by_gps([view.camera for view in views], [view.photo for view in views])
 
 

@@ -27,7 +27,7 @@ from fruitlangs.engine.photo_size import (
 from fruitlangs.engine.reconstruction import reading_larger
 from fruitlangs.engine.scene.camera import Camera, Photo, Scene
 from fruitlangs.engine.scene.photos.lens import Lens
-from fruitlangs.engine.scene.photos.photo import make_scene, posed_photos
+from fruitlangs.engine.scene.photos.photo import make_scene, read_posed_photos
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.training import Run
@@ -40,7 +40,7 @@ def scene_of(folder: Path, config: SceneConfig) -> Scene:
     Image.new("RGB", (800, 600)).save(folder / "photo.png")
     lens = Lens("PINHOLE", (700.0, 700.0, 400.0, 300.0), 800, 600)
     read = {"downscale": config.downscale, "max_side": config.max_side}
-    views = posed_photos(folder / "photo.png", name="photo.png", lens=lens, world_to_camera=np.eye(4), **read)
+    views = read_posed_photos(folder / "photo.png", name="photo.png", lens=lens, world_to_camera=np.eye(4), **read)
     return make_scene(views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
 
 
@@ -64,7 +64,7 @@ def mixed_scene(folder: Path, *widths: int, max_side: int = 200) -> Scene:
         path, height = folder / f"{number}.png", width * 3 // 4
         Image.new("RGB", (width, height)).save(path)
         lens = Lens("PINHOLE", (0.9 * width, 0.9 * width, width / 2, height / 2), width, height)
-        views += posed_photos(path, name=path.name, lens=lens, world_to_camera=np.eye(4), max_side=max_side)
+        views += read_posed_photos(path, name=path.name, lens=lens, world_to_camera=np.eye(4), max_side=max_side)
     return make_scene(views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
 
 
@@ -180,8 +180,8 @@ def test_photos_without_fruit_tell_no_width_and_are_seen_as_photos_of_unknown_fr
 
 def test_photos_of_one_capture_show_fruit_by_their_focal_lengths(embedder: Embedder) -> None:
     """A photo of twice the pixels shows fruit twice as wide, and is seen at half the scale."""
-    camera = read_scene(SAMPLE, SceneConfig()).cameras[0].scaled(3.0)
-    (one,), (half,) = scales_for([camera, camera.scaled(2.0)], 14.0 / camera.K[0, 0] * 1.4, embedder.encoder)
+    camera = read_scene(SAMPLE, SceneConfig()).cameras[0].scale(3.0)
+    (one,), (half,) = scales_for([camera, camera.scale(2.0)], 14.0 / camera.K[0, 0] * 1.4, embedder.encoder)
     assert one == pytest.approx(BEST_WIDTH / 19.6, rel=0.01)
     assert half == pytest.approx(one / 2.0, rel=0.01)
 

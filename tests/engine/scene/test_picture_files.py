@@ -90,7 +90,7 @@ def test_a_raw_file_without_its_jpeg_is_refused(tmp_path: Path) -> None:
     for name in ("IMG_1.dng", "IMG_2.dng"):
         (tmp_path / name).write_bytes(b"raw")
     with pytest.raises(SceneError, match=r"IMG_2\.dng is a RAW file"):
-        Source(path=tmp_path).posed(tmp_path / "cache", PhotosConfig())
+        Source(path=tmp_path).find_poses(tmp_path / "cache", PhotosConfig())
 
 
 FILM, FOCAL = ExifTags.Base.FocalLengthIn35mmFilm, ExifTags.Base.FocalLength

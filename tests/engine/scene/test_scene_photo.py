@@ -10,7 +10,7 @@ from PIL import Image
 
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.engine.scene.photos.lens import Lens
-from fruitlangs.engine.scene.photos.photo import PosedPhoto, posed_photos
+from fruitlangs.engine.scene.photos.photo import PosedPhoto, read_posed_photos
 from fruitlangs.engine.scene.photos.resample import shrink
 
 PINHOLE = Lens("PINHOLE", (30.0, 30.0, 16.0, 12.0), 32, 24)
@@ -18,7 +18,7 @@ PIXELS = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
 
 
 def pose(path: Path, lens: Lens = PINHOLE, mask: Path | None = None, downscale: float = 1.0) -> PosedPhoto:
-    (posed,) = posed_photos(
+    (posed,) = read_posed_photos(
         path, name=path.name, lens=lens, world_to_camera=np.eye(4), mask_path=mask, downscale=downscale
     )
     return posed
@@ -50,7 +50,7 @@ def test_a_photo_larger_than_the_limit_is_read_smaller(
     downscale: float, max_side: int, width: int, tmp_path: Path
 ) -> None:
     path = save(tmp_path / "a.png", PIXELS)
-    (posed,) = posed_photos(
+    (posed,) = read_posed_photos(
         path, name="a", lens=PINHOLE, world_to_camera=np.eye(4), downscale=downscale, max_side=max_side
     )
     assert (posed.camera.width, posed.photo.pixels().shape[1]) == (width, width)
@@ -213,7 +213,7 @@ def test_reading_headers_decodes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_panorama_becomes_six_views_around_one_centre(tmp_path: Path) -> None:
     path = save(tmp_path / "pano.png", np.tile(PIXELS, (2, 3, 1)))
     lens = Lens("EQUIRECTANGULAR", (96.0, 48.0), 96, 48)
-    views = posed_photos(path, name="pano.png", lens=lens, world_to_camera=np.eye(4))
+    views = read_posed_photos(path, name="pano.png", lens=lens, world_to_camera=np.eye(4))
     assert [view.photo.name for view in views] == [
         f"pano.png@{face}" for face in ("back", "down", "front", "left", "right", "up")
     ]

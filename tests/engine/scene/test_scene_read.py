@@ -13,7 +13,7 @@ from colmap_models import ring_of_poses, write_model, write_photo
 
 from fruitlangs.engine.config import SceneConfig
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.engine.scene.formats.transforms import named_files, read_transforms
+from fruitlangs.engine.scene.formats.transforms import find_named_files, read_transforms
 from fruitlangs.engine.scene.read import open_scene, read_scene
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.storage.files import files_hash
@@ -140,10 +140,8 @@ def test_photos_that_a_transforms_json_lists_but_that_are_missing_are_left_out_w
     scene = source.read(SceneConfig())
     assert [photo.name for photo in scene.images] == [f"images/{index}" for index in (1, 2, 3, 4, 6, 7)]
     np.testing.assert_allclose(scene.cameras[4].world_to_camera, ring_of_poses(8)[6], atol=1e-12)
-    assert named_files(file, "fruit") == [tmp_path / "images" / f"{index}.jpg" for index in (1, 2, 3, 4, 6, 7)]
-    assert source.opened().notices == [
-        "2 of the 8 photos that transforms.json lists are missing and were left out: 0, 5"
-    ]
+    assert find_named_files(file, "fruit") == [tmp_path / "images" / f"{index}.jpg" for index in (1, 2, 3, 4, 6, 7)]
+    assert source.open().notices == ["2 of the 8 photos that transforms.json lists are missing and were left out: 0, 5"]
     assert len(source.hash()) == 64
 
 

@@ -13,7 +13,7 @@ from fruitlangs.engine.config import Config, TrainConfig
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.scene.photos.photo import FilePhoto
-from fruitlangs.engine.scene.photos.spool import spooled
+from fruitlangs.engine.scene.photos.spool import spool_photos
 from fruitlangs.engine.splatting.training import photos as training_photos
 
 CAMERA = Camera(K=np.eye(3), world_to_camera=np.eye(4), width=6, height=4)
@@ -38,7 +38,9 @@ def test_pixels_and_masks_are_those_of_the_photo_and_decoded_once(tmp_path: Path
     pixels = np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8)
     half = np.arange(24).reshape(4, 6) > 11
     Counting.decoded = 0
-    with spooled(scene_of(Counting("a.jpg", pixels, half), Counting("b.jpg", pixels)), tmp_path / "spool") as scene:
+    with spool_photos(
+        scene_of(Counting("a.jpg", pixels, half), Counting("b.jpg", pixels)), tmp_path / "spool"
+    ) as scene:
         for _ in range(3):
             masked, plain = scene.images
             np.testing.assert_array_equal(masked.pixels(), pixels)
@@ -55,7 +57,7 @@ def test_a_full_disk_costs_time_and_no_photo(tmp_path: Path, monkeypatch: pytest
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    with spooled(scene_of(ArrayPhoto("a.jpg", pixels)), tmp_path / "spool") as scene:
+    with spool_photos(scene_of(ArrayPhoto("a.jpg", pixels)), tmp_path / "spool") as scene:
         monkeypatch.setattr(np, "save", full)
         np.testing.assert_array_equal(scene.images[0].pixels(), pixels)
         assert scene.images[0].mask() is None

@@ -21,7 +21,7 @@ from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.scene.video import stills as stills_module
 from fruitlangs.engine.scene.video.frames import Frame, Video
 from fruitlangs.engine.scene.video.path import Step
-from fruitlangs.engine.scene.video.stills import SPACING, Stills, choose_stills, stills_of
+from fruitlangs.engine.scene.video.stills import SPACING, Stills, choose_stills, select_stills
 
 LENGTH = 1.5
 """Path of most of the videos, in widths of the picture."""
@@ -179,7 +179,7 @@ def test_a_wide_path_gets_fewer_stills_and_a_notice(
 
 def test_ten_thousand_frames_give_at_most_300_stills() -> None:
     steps = [Step(index, index / 30, 0.01 * index, 1.0) for index in range(10_000)]
-    assert 290 <= len(stills_of(steps)) <= 300
+    assert 290 <= len(select_stills(steps)) <= 300
 
 
 def test_few_frames_are_in_memory_at_a_time(walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

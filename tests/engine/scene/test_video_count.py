@@ -84,7 +84,7 @@ def test_a_raw_file_next_to_its_jpeg_is_left_out_with_a_notice(tmp_path: Path) -
     for view in range(VIEWS):
         render(view).save(tmp_path / "wall" / f"{view}.png")
     (tmp_path / "wall" / "3.DNG").write_bytes(b"raw")
-    found = Source(path=tmp_path / "wall").posed(tmp_path / "cache", PhotosConfig())
+    found = Source(path=tmp_path / "wall").find_poses(tmp_path / "cache", PhotosConfig())
     assert found.notices == ["1 RAW file was left out, because a photo of the same name is there"]
 
 

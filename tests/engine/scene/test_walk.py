@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fruitlangs.engine.errors import ConfigError
-from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene, looking
-from fruitlangs.engine.scene.walk import Walk, cut
+from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene, look_along
+from fruitlangs.engine.scene.walk import Walk, cut_walk
 
 FloatArray = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
@@ -19,7 +19,7 @@ SPACING = 2.0
 
 def scene_of(places: FloatArray, targets: FloatArray, points: FloatArray) -> Scene:
     """Cameras at places (V, 3) that look at targets (V, 3)."""
-    poses = [looking(place, target - place, UP) for place, target in zip(places, targets, strict=True)]
+    poses = [look_along(place, target - place, UP) for place, target in zip(places, targets, strict=True)]
     photos = [ArrayPhoto(f"{view:03d}.png", np.zeros((80, 100, 3), np.uint8)) for view in range(len(poses))]
     cameras = [Camera(LENS, pose, 100, 80) for pose in poses]
     return Scene(cameras, photos, points, np.zeros((len(points), 3), np.uint8), UP)
@@ -48,7 +48,7 @@ def require(walk: Walk | None) -> Walk:
 
 def test_sections_have_equally_many_photos_and_borders_between_trees() -> None:
     scene = walk_along(9, 90)
-    walk = require(cut(scene, photos=30))
+    walk = require(cut_walk(scene, photos=30))
     assert len(walk.sections) == 3
     np.testing.assert_allclose(np.abs(walk.axis), [1.0, 0.0, 0.0], atol=1e-9)
     assert np.bincount(walk.owners).tolist() == pytest.approx([30, 30, 30], abs=6)
@@ -58,15 +58,15 @@ def test_sections_have_equally_many_photos_and_borders_between_trees() -> None:
 
 def test_every_photo_that_shows_the_border_of_a_cell_belongs_to_both_sections() -> None:
     scene = walk_along(9, 90)
-    walk = require(cut(scene, photos=30))
+    walk = require(cut_walk(scene, photos=30))
     border = np.array([walk.sections[1].low, 0.0, 1.0]) * np.sign(walk.axis[0])
-    showing = {view for view, camera in enumerate(scene.cameras) if camera.framed(border[None])[0][0]}
+    showing = {view for view, camera in enumerate(scene.cameras) if camera.find_in_frame(border[None])[0][0]}
     for section in walk.sections[:2]:
         assert showing <= set(section.photos.tolist())
 
 
 def test_every_point_and_every_photo_belongs_to_one_section() -> None:
-    walk = require(cut(walk_along(9, 90), photos=30))
+    walk = require(cut_walk(walk_along(9, 90), photos=30))
     places = np.random.default_rng(2).uniform(-100.0, 100.0, (1000, 3))
     cells = walk.cells(places)
     for number, section in enumerate(walk.sections):
@@ -79,7 +79,7 @@ def test_every_point_and_every_photo_belongs_to_one_section() -> None:
 def test_sections_follow_the_way_of_the_walk() -> None:
     scene = walk_along(9, 90)
     back = Scene(scene.cameras[::-1], scene.images, scene.points, scene.colors, UP)
-    there, again = require(cut(scene, photos=30)), require(cut(back, photos=30))
+    there, again = require(cut_walk(scene, photos=30)), require(cut_walk(back, photos=30))
     assert there.axis[0] > 0.0 > again.axis[0]
     assert 0 in there.sections[0].photos
     assert 0 in again.sections[0].photos
@@ -87,7 +87,7 @@ def test_sections_follow_the_way_of_the_walk() -> None:
 
 def test_both_sides_of_a_tree_are_in_one_section() -> None:
     scene = walk_along(9, 45, both=True)
-    walk = require(cut(scene, photos=30))
+    walk = require(cut_walk(scene, photos=30))
     for section in walk.sections:
         sides = {camera.center[1] > 0.0 for camera in (scene.cameras[view] for view in section.photos)}
         assert sides == {True, False}
@@ -97,30 +97,30 @@ def test_both_sides_of_a_tree_are_in_one_section() -> None:
 def test_photos_around_one_tree_are_not_cut_however_many_there_are(share: float) -> None:
     turns = 2 * np.pi * share * np.arange(400) / 400
     places = np.stack([2.5 * np.cos(turns), 2.5 * np.sin(turns), 0.0 * turns + 1.2], axis=1)
-    assert cut(scene_of(places, np.tile([0.0, 0.0, 1.0], (400, 1)), row_of_trees(1)), photos=30) is None
+    assert cut_walk(scene_of(places, np.tile([0.0, 0.0, 1.0], (400, 1)), row_of_trees(1)), photos=30) is None
 
 
 def test_few_photos_are_not_cut_unless_it_is_asked_for() -> None:
     scene = walk_along(9, 60)
-    assert cut(scene, photos=70) is None
-    assert len(require(cut(scene, photos=70, sections=3)).sections) == 3
-    assert cut(scene, photos=10, sections=1) is None
+    assert cut_walk(scene, photos=70) is None
+    assert len(require(cut_walk(scene, photos=70, sections=3)).sections) == 3
+    assert cut_walk(scene, photos=10, sections=1) is None
 
 
 def test_a_cell_is_not_shorter_than_a_photo_is_wide() -> None:
-    walk = require(cut(walk_along(4, 400), photos=10))
+    walk = require(cut_walk(walk_along(4, 400), photos=10))
     assert len(walk.sections) <= 3
 
 
 def test_more_sections_than_there_are_is_an_error_that_names_what_fits() -> None:
     with pytest.raises(ConfigError, match=r"--scene.sections is 50.* at most 8"):
-        cut(walk_along(9, 90), photos=30, sections=50)
+        cut_walk(walk_along(9, 90), photos=30, sections=50)
 
 
 def test_no_section_is_empty_where_many_photos_were_taken_at_one_place() -> None:
     along = np.concatenate([np.linspace(-0.5, 16.5, 30), np.full(200, 3.0)])
     targets = np.stack([along, 0.0 * along, 0.0 * along + 1.0], axis=1)
-    walk = require(cut(scene_of(targets - [0.0, 2.0, 0.0], targets, row_of_trees(9)), photos=30))
+    walk = require(cut_walk(scene_of(targets - [0.0, 2.0, 0.0], targets, row_of_trees(9)), photos=30))
     assert np.bincount(walk.owners, minlength=len(walk.sections)).min() >= 4
     lows = [section.low for section in walk.sections]
     assert lows == sorted(lows)
@@ -128,4 +128,4 @@ def test_no_section_is_empty_where_many_photos_were_taken_at_one_place() -> None
 
 def test_a_scene_without_points_is_not_cut() -> None:
     scene = walk_along(9, 90)
-    assert cut(Scene(scene.cameras, scene.images, np.zeros((0, 3)), scene.colors[:0], UP), photos=30) is None
+    assert cut_walk(Scene(scene.cameras, scene.images, np.zeros((0, 3)), scene.colors[:0], UP), photos=30) is None

@@ -34,7 +34,7 @@ def camera() -> Camera:
 @pytest.fixture(scope="module")
 def photo(gaussians: Gaussians, camera: Camera) -> np.ndarray:
     """A photo LARGER times as large: the render with leaves that are too fine for Gaussians."""
-    color = render(gaussians, camera.scaled(LARGER)).color.numpy()
+    color = render(gaussians, camera.scale(LARGER)).color.numpy()
     leaves = np.random.default_rng(0).normal(0.0, 0.08, color.shape[:2])
     return np.clip(255.0 * (color + leaves[..., None]), 0, 255).astype(np.uint8)
 
@@ -51,7 +51,7 @@ def test_the_same_gaussians_are_judged_alike_in_photos_of_three_times_the_size(
     gaussians: Gaussians, camera: Camera, photo: np.ndarray
 ) -> None:
     small = np.rint(shrink(photo.astype(np.float32), camera.width, camera.height)).astype(np.uint8)
-    one, three = score(gaussians, camera, small), score(gaussians, camera.scaled(LARGER), photo)
+    one, three = score(gaussians, camera, small), score(gaussians, camera.scale(LARGER), photo)
     assert three.ssim < BLURRED_SSIM < one.ssim  # the same Gaussians would be poor in one and good in the other
     assert three.reduced_ssim == pytest.approx(one.reduced_ssim, abs=0.01)
     assert three.reduced_psnr == pytest.approx(one.reduced_psnr, abs=0.5)
@@ -73,7 +73,7 @@ def test_what_a_mask_excludes_does_not_count_at_the_judged_size_either(
     mask[:100] = False
     spoilt = photo.copy()
     spoilt[:90] = 255 - spoilt[:90]
-    whole, masked = (score(gaussians, camera.scaled(LARGER), each, mask) for each in (photo, spoilt))
+    whole, masked = (score(gaussians, camera.scale(LARGER), each, mask) for each in (photo, spoilt))
     assert masked.reduced_psnr == whole.reduced_psnr
     assert masked.reduced_ssim == pytest.approx(whole.reduced_ssim, abs=1e-3)
 
@@ -83,7 +83,7 @@ def test_a_mask_too_fine_for_the_judged_size_is_used_at_full_size(
 ) -> None:
     mask = np.zeros(photo.shape[:2], bool)
     mask[::2] = True
-    found = score(gaussians, camera.scaled(LARGER), photo, mask)
+    found = score(gaussians, camera.scale(LARGER), photo, mask)
     assert (found.reduced_psnr, found.reduced_ssim) == (found.psnr, found.ssim)
     assert np.isfinite([found.psnr, found.ssim]).all()
 
@@ -91,6 +91,6 @@ def test_a_mask_too_fine_for_the_judged_size_is_used_at_full_size(
 def test_colors_beyond_white_are_white_before_they_are_averaged(camera: Camera) -> None:
     checks = np.indices((2 * camera.height, 2 * camera.width)).sum(axis=0) % 2
     photo = np.repeat(255 * checks[..., None], 3, axis=2).astype(np.uint8)
-    found = _reduced(torch.from_numpy(photo / 100.0).float(), Picture(camera.scaled(2), photo, None, 0))
+    found = _reduced(torch.from_numpy(photo / 100.0).float(), Picture(camera.scale(2), photo, None, 0))
     assert found.color.numpy() == pytest.approx(0.5)
     assert found.photo == pytest.approx(128)

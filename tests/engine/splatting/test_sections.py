@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.scene.alignment import Similarity
-from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians, moved_gaussians
 from fruitlangs.engine.training import _anchored, _moved
 
@@ -32,7 +32,7 @@ def some_gaussians() -> Gaussians:
 def straight_walk() -> list[Camera]:
     """Cameras on one line, whose places alone do not determine a turn about it."""
     up = np.array([0.0, 0.0, 1.0])
-    poses = [looking(np.array([0.5 * k, -2.0, 1.0]), np.array([0.1 * (k % 3), 1.0, 0.0]), up) for k in range(8)]
+    poses = [look_along(np.array([0.5 * k, -2.0, 1.0]), np.array([0.1 * (k % 3), 1.0, 0.0]), up) for k in range(8)]
     return [Camera(LENS, pose, 100, 80) for pose in poses]
 
 

@@ -44,7 +44,7 @@ def _random(seed: np.uint64) -> float:
 
 
 @njit(fastmath=False)
-def _patch(
+def _write_patch(
     picture: NDArray[np.uint8],
     column: int,
     row: int,
@@ -149,10 +149,10 @@ def _likeness(
 
 
 @njit(fastmath=False)
-def _changed(
+def _perturb(
     plane: tuple[float, float, float], x: float, y: float, tilt: float, depth: float, seed: np.uint64
 ) -> tuple[float, float, float]:
-    """A plane with another random tilt and depth at the ray (x, y, 1)."""
+    """Give a plane another random tilt and depth at the ray (x, y, 1)."""
     a, b, c = plane
     inverse = a * x + b * y + c
     u, v, w = _random(seed), _random(seed + np.uint64(1)), _random(seed + np.uint64(2))
@@ -208,7 +208,7 @@ def match_stereo(
                 x, y = rays[row, column, 0], rays[row, column, 1]
                 if not np.isfinite(x + y):  # beyond what the lens model describes
                     continue
-                if not _patch(pictures[picture], columns[column], rows[row], step, weights, patch):
+                if not _write_patch(pictures[picture], columns[column], rows[row], step, weights, patch):
                     continue
                 most = likeness[row, column]
                 plane = (planes[row, column, 0], planes[row, column, 1], planes[row, column, 2])
@@ -218,7 +218,7 @@ def match_stereo(
                     dice = np.uint64(64 * number + 4 * trial)
                     if sweep < 0:
                         facing = guesses[row, column, trial] / (x * x + y * y + 1.0)
-                        tried = _changed((facing * x, facing * y, facing), x, y, _TILT, 0.0, dice)
+                        tried = _perturb((facing * x, facing * y, facing), x, y, _TILT, 0.0, dice)
                     elif trial < len(_NEIGHBOURS):
                         r, s = row + _NEIGHBOURS[trial][0], column + _NEIGHBOURS[trial][1]
                         if not (0 <= r < height and 0 <= s < width) or likeness[r, s] < _WORTH_TRYING:
@@ -227,7 +227,7 @@ def match_stereo(
                     else:
                         tilt, depth = _CHANGES[trial - len(_NEIGHBOURS)]
                         shrink = 0.5 ** (sweep // 2)
-                        tried = _changed(plane, x, y, tilt * _TILT * shrink, depth * _DEPTH * shrink, dice)
+                        tried = _perturb(plane, x, y, tilt * _TILT * shrink, depth * _DEPTH * shrink, dice)
                     found = _likeness(
                         pictures, near, rotations, translations, lenses, step / focal, x, y, tried, weights, patch, best
                     )

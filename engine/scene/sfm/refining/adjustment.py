@@ -23,9 +23,9 @@ _CAMERAS_CONVERGED = 1e-6
 """Relative change of the loss at which an adjustment of cameras ends: a bent ring of cameras straightens slowly."""
 
 
-def most_seen(model: Any, enough: int) -> Any:
-    """A copy with the points that most photos see, until each photo has about `enough` of them, spread over all of its
-    parts."""
+def keep_most_seen(model: Any, enough: int) -> Any:
+    """Return a copy with the points that most photos see, until each photo has about `enough` of them, spread over all
+    of its parts."""
     kept = colmap_library().Reconstruction(model)
     parts = {number: _parts(model.cameras[image.camera_id], image) for number, image in model.images.items()}
     counts: Counter[tuple[int, int]] = Counter()

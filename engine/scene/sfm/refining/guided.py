@@ -16,7 +16,7 @@ from ..features import Features, image_ids
 from ..job import Job
 from ..matching import match_along_lines
 from ..pairs import LARGEST, Pair
-from ..placing import triangulated
+from ..placing import triangulate
 from .nearness import near_photos
 
 Limits = tuple[float, float]
@@ -45,7 +45,7 @@ def make_database(job: Job) -> None:
         database.clear_descriptors()
 
 
-def matched(
+def match_guided(
     job: Job,
     features: Sequence[Features],
     chosen: Sequence[NDArray[np.int64]],
@@ -54,18 +54,17 @@ def matched(
     report: Progress,
     near: Set[int] | None = None,
 ) -> Any:
-    """The model with the points of the chosen features that match along its epipolar lines; these matches replace
-    those in the database. near: only pairs with one of these photos are matched."""
+    """Return the model with the points of the chosen features that match along its epipolar lines; these matches
+    replace those in the database. near: only pairs with one of these photos are matched."""
     tolerance, error = limits
     with colmap_library().Database.open(_database(job)) as database:
         numbers = image_ids(database, job)
         database.clear_two_view_geometries()
         placed = {i: model.images[number] for i, number in enumerate(numbers) if has_pose(model, number)}
         straight = {
-            i: _undistorted(model.cameras[image.camera_id], features[i].select(chosen[i]))
-            for i, image in placed.items()
+            i: _undistort(model.cameras[image.camera_id], features[i].select(chosen[i])) for i, image in placed.items()
         }
-        pairs = [pair for pair in near_pairs(placed) if near is None or not near.isdisjoint(pair)]
+        pairs = [pair for pair in find_near_pairs(placed) if near is None or not near.isdisjoint(pair)]
         for done, (i, j) in enumerate(pairs):
             report(done / len(pairs), f"matching placed photos: pair {done + 1} of {len(pairs)}")
             geometry = _geometry(model, placed[i], placed[j])
@@ -74,16 +73,16 @@ def matched(
                 numbered = np.stack([chosen[i][matches[:, 0]], chosen[j][matches[:, 1]]], axis=1)
                 geometry.inlier_matches = numbered.astype(np.uint32)
                 database.write_two_view_geometry(numbers[i], numbers[j], geometry)
-    return triangulated(job, _database(job), model, error)
+    return triangulate(job, _database(job), model, error)
 
 
-def matched_all(
+def match_all_guided(
     job: Job, features: Sequence[Features], model: Any, report: Progress, near: Set[int] | None = None
 ) -> Any:
-    """The model with the points of all features that match along its epipolar lines; of the largest, if photos are
-    many. near: as in `matched`."""
+    """Return the model with the points of all features that match along its epipolar lines; of the largest, if photos
+    are many. near: as in `match_guided`."""
     count = max(LARGEST, _MOST_FEATURES // len(features))
-    return matched(job, features, [each.largest(count) for each in features], model, _ALL, report, near)
+    return match_guided(job, features, [each.largest(count) for each in features], model, _ALL, report, near)
 
 
 def has_pose(model: Any, image: int) -> bool:
@@ -91,8 +90,8 @@ def has_pose(model: Any, image: int) -> bool:
     return image in model.images and model.images[image].has_pose
 
 
-def near_pairs(placed: Mapping[int, Any]) -> list[Pair]:
-    """The pairs of photos that may show the same: similar directions of view from near places."""
+def find_near_pairs(placed: Mapping[int, Any]) -> list[Pair]:
+    """Find the pairs of photos that may show the same: similar directions of view from near places."""
     order = sorted(placed)
     poses = [placed[i].cam_from_world() for i in order]
     views = np.stack([pose.rotation.matrix()[2] for pose in poses])
@@ -107,8 +106,8 @@ def near_pairs(placed: Mapping[int, Any]) -> list[Pair]:
     return [(order[i], order[j]) for i, j in sorted(pairs)]
 
 
-def _undistorted(camera: Any, features: Features) -> Features:
-    """The features at the pixels where they would be without distortion of the lens."""
+def _undistort(camera: Any, features: Features) -> Features:
+    """Move the features to the pixels where they would be without distortion of the lens."""
     K = camera.calibration_matrix()
     rays = np.asarray(camera.cam_from_img(features.positions.astype(np.float64))).reshape(-1, 2)
     pixels = rays * [K[0, 0], K[1, 1]] + K[:2, 2]

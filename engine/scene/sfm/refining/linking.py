@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...alignment import Similarity
-from ..joining import merged
+from ..joining import merge_models
 
 _LEAST_COMMON = 8
 """Features of the photo that show a point in both models."""
 
 
-def linked(model: Any, other: Any) -> Any:
-    """The photos of both models in the frame of the first, without points; None if no photo links them.
+def link_models(model: Any, other: Any) -> Any:
+    """Return the photos of both models in the frame of the first, without points; None if no photo links them.
 
     model, other: with points of the same features. The photo whose features show most points in both gives place and
     direction; the depths of its points give the scale. That is rough: cameras must be adjusted afterwards.
@@ -30,7 +30,7 @@ def linked(model: Any, other: Any) -> Any:
     moved = Similarity(
         scale, rotation @ theirs.rotation.matrix(), rotation @ (scale * theirs.translation - own.translation)
     )
-    return merged(model, other, moved, set(other.reg_image_ids()) - set(shared))
+    return merge_models(model, other, moved, set(other.reg_image_ids()) - set(shared))
 
 
 def _depth_ratios(model: Any, other: Any, number: int) -> NDArray[np.float64]:

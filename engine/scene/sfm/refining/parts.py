@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, dijk
 
 from ..job import LEAST_PHOTOS, Job
 from ..pairs import Pair
-from ..views import Observations, Views, without
-from .guided import near_pairs
+from ..views import Observations, Views, deregister_photos
+from .guided import find_near_pairs
 
 _SURE = 0.3
 """Points that two photos share, relative to what a photo shares with its best partner (median), which need no check:
@@ -43,39 +43,39 @@ after the other, from one photo to another show that both are placed rightly: le
 The ends of a bent ring are many pairs apart."""
 
 
-def largest_part(job: Job, model: Any) -> Any:
-    """The model without the photos outside its largest part; with all of them if too few would remain."""
+def keep_largest_part(job: Job, model: Any) -> Any:
+    """Return the model without the photos outside its largest part; with all of them if too few would remain."""
     views = Views.of(job, model)
     seen = views.observations()
-    shared = seen.shared(len(views.images))
+    shared = seen.count_shared(len(views.images))
     if not shared.any():
         return model
     best = float(np.median(shared.max(axis=1)))
     least = max(_LEAST_SURE * best, _LEAST_SHARED)
     linked = shared >= max(_SURE * best, _LEAST_SHARED)
-    shown = [seen.shown(view) for view in range(len(views.images))]
+    shown = [seen.select_shown(view) for view in range(len(views.images))]
     counts = np.array([len(points) for points in shown])
     usual = counts >= _USUAL * np.median(counts)
     _, labels = connected_components(linked, directed=False)
     for i, j in zip(*np.nonzero(np.triu(shared >= least)), strict=True):
         if labels[i] != labels[j] and (usual[i] or usual[j]):
-            inside = max(len(_framed(views, shown[i], j)), len(_framed(views, shown[j], i)))
+            inside = max(len(_select_framed(views, shown[i], j)), len(_select_framed(views, shown[j], i)))
             linked[i, j] = shared[i, j] >= _LEAST_FOUND * inside
     _, labels = connected_components(linked, directed=False)
     outside = np.flatnonzero(labels != np.argmax(np.bincount(labels)))
     if len(labels) - len(outside) < LEAST_PHOTOS:
         return model
-    return without(model, [views.images[position].image_id for position in outside])
+    return deregister_photos(model, [views.images[position].image_id for position in outside])
 
 
-def _framed(views: Views, points: NDArray[np.float64], photo: int) -> NDArray[np.float64]:
-    """Those of the points (N, 3) that lie inside the frame of a photo."""
+def _select_framed(views: Views, points: NDArray[np.float64], photo: int) -> NDArray[np.float64]:
+    """Select those of the points (N, 3) that lie inside the frame of a photo."""
     photos = np.full(len(points), photo)
-    return points[views.inside(photos, views.projected(photos, points))]
+    return points[views.inside(photos, views.project(photos, points))]
 
 
-def consistent(job: Job, model: Any) -> Any:
-    """The model without the parts that contradict the others; as it is if less than half of it would remain.
+def keep_consistent(job: Job, model: Any) -> Any:
+    """Return the model without the parts that contradict the others; as it is if less than half of it would remain.
 
     A ring that only one link closes may bend until its other ends do not meet. Nothing there is found, but both ends
     hold to their neighbours, so no part of it is outside. It is cut at its weakest link, and the smaller side is left
@@ -85,22 +85,22 @@ def consistent(job: Job, model: Any) -> Any:
     while 2 * rest.num_reg_images() >= max(model.num_reg_images(), 2 * LEAST_PHOTOS):
         views = Views.of(job, rest)
         seen = views.observations()
-        shared = seen.shared(len(views.images))
-        pair = _contradiction(views, seen, shared)
+        shared = seen.count_shared(len(views.images))
+        pair = _find_contradiction(views, seen, shared)
         if pair is None:
             return rest
         side = _side(shared, pair)
         smaller = side if 2 * np.count_nonzero(side) <= len(side) else ~side
-        rest = without(rest, [views.images[position].image_id for position in np.flatnonzero(smaller)])
+        rest = deregister_photos(rest, [views.images[position].image_id for position in np.flatnonzero(smaller)])
     return model
 
 
-def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]) -> Pair | None:
-    """The two photos of similar views that share the fewest points relative to what is usual for their angle and for
-    both; None if no two share too few, besides those that a few other photos join."""
-    pairs = np.array(near_pairs(dict(enumerate(views.images)))).reshape(-1, 2)
-    shown = [seen.shown(view) for view in range(len(views.images))]
-    both = [(_expected(views, shown[i], i, j), _expected(views, shown[j], j, i)) for i, j in pairs]
+def _find_contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]) -> Pair | None:
+    """Find the two photos of similar views that share the fewest points relative to what is usual for their angle and
+    for both; None if no two share too few, besides those that a few other photos join."""
+    pairs = np.array(find_near_pairs(dict(enumerate(views.images)))).reshape(-1, 2)
+    shown = [seen.select_shown(view) for view in range(len(views.images))]
+    both = [(_estimate_overlap(views, shown[i], i, j), _estimate_overlap(views, shown[j], j, i)) for i, j in pairs]
     inside, angle, ratio = np.array(both).reshape(-1, 2, 3).max(axis=1).T
     chosen = np.flatnonzero((angle <= _LARGEST_ANGLE) & (ratio <= _LARGEST_RATIO))
     chosen = chosen[np.argsort(angle[chosen], kind="stable")]
@@ -110,7 +110,7 @@ def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]
         return None
     judged = inside[chosen] >= _LEAST_INSIDE
     relative = share / np.maximum(median_filter(share, _COMPARED), 1e-12)
-    joined = _joined(pairs[chosen[judged & (relative >= _HOLDS)]], len(views.images))[one, other]
+    joined = _find_joined(pairs[chosen[judged & (relative >= _HOLDS)]], len(views.images))[one, other]
     best = np.zeros(len(views.images))  # a blurred photo shares less with all others
     np.maximum.at(best, one, relative)
     np.maximum.at(best, other, relative)
@@ -120,17 +120,17 @@ def _contradiction(views: Views, seen: Observations, shared: NDArray[np.float64]
     return (int(one[worst]), int(other[worst])) if relative[worst] < _LEAST_USUAL else None
 
 
-def _joined(pairs: NDArray[np.int64], photos: int) -> NDArray[np.bool_]:
-    """(V, V) whether at most `_STEPS` of these pairs (N, 2) lead from one photo to another."""
+def _find_joined(pairs: NDArray[np.int64], photos: int) -> NDArray[np.bool_]:
+    """Find (V, V) whether at most `_STEPS` of these pairs (N, 2) lead from one photo to another."""
     adjacent = csr_matrix((np.ones(len(pairs)), pairs.T), (photos, photos))
     steps = dijkstra(adjacent, directed=False, unweighted=True, limit=_STEPS)
     return np.isfinite(steps)
 
 
-def _expected(views: Views, shown: NDArray[np.float64], photo: int, other: int) -> tuple[float, float, float]:
-    """Of the points that a photo shows inside the frame of another: how many, and the medians of the angle in degrees
-    between the rays of both, and of the ratio of the distances, at least 1."""
-    points = _framed(views, shown, other)
+def _estimate_overlap(views: Views, shown: NDArray[np.float64], photo: int, other: int) -> tuple[float, float, float]:
+    """Return, of the points that a photo shows inside the frame of another, how many there are, and the medians of the
+    angle in degrees between the rays of both, and of the ratio of the distances, at least 1."""
+    points = _select_framed(views, shown, other)
     if not len(points):
         return 0.0, np.inf, np.inf
     rays = views.centers[[photo, other], None] - points

@@ -13,16 +13,16 @@ from ....progress import Progress, part
 from ...pycolmap_import import colmap_library
 from ..features import Features, photo_ids
 from ..job import Job
-from ..joining import aligned
-from ..pairs import LARGEST, Pair, planned_pairs
-from ..placing import place_again
-from ..views import Pictures, read_pictures, without
-from .adjustment import LEAST_POINTS, adjust, most_seen
-from .guided import Limits, has_pose, make_database, matched, matched_all
-from .linking import linked
-from .parts import consistent, largest_part
-from .resection import resected
-from .tracks import longer_tracks
+from ..joining import align_models
+from ..pairs import LARGEST, Pair, plan_pairs
+from ..placing import register_again
+from ..views import Pictures, deregister_photos, read_pictures
+from .adjustment import LEAST_POINTS, adjust, keep_most_seen
+from .guided import Limits, has_pose, make_database, match_all_guided, match_guided
+from .linking import link_models
+from .parts import keep_consistent, keep_largest_part
+from .resection import resect
+from .tracks import lengthen_tracks
 
 _WIDE: Sequence[Limits] = ((25.0, 20.0), (10.0, 8.0))
 """Limits of the matches of passes with the largest features only. They bring parts of a capture together that a weak
@@ -54,24 +54,24 @@ def refine(job: Job, features: Sequence[Features], models: Sequence[Any], report
     reaches are placed again, until that does not move them.
     """
     rounds = _Rounds(job, features)
-    start = consistent(job, rounds.straightened(models[0], part(report, 0.0, 0.4)))
-    best = rounds.completed(start, models[1:], part(report, 0.4, 0.5))
+    start = keep_consistent(job, rounds.straighten(models[0], part(report, 0.0, 0.4)))
+    best = rounds.complete(start, models[1:], part(report, 0.4, 0.5))
     settled = set(best.reg_image_ids()) - set(start.reg_image_ids())
     for attempt in range(_ATTEMPTS):
         share = part(report, 0.5 + 0.1 * attempt, 0.6 + 0.1 * attempt)
-        better = rounds.improved(best, settled, part(share, 0.0, 0.5))
+        better = rounds.improve(best, settled, part(share, 0.0, 0.5))
         if better is None:
             break
-        start = consistent(job, better)  # a round may sharpen a bent model until it contradicts itself
+        start = keep_consistent(job, better)  # a round may sharpen a bent model until it contradicts itself
         if start.num_reg_images() < better.num_reg_images():
-            best = rounds.completed(start, models[1:], part(share, 0.5, 1.0))
+            best = rounds.complete(start, models[1:], part(share, 0.5, 1.0))
             settled |= set(best.reg_image_ids()) - set(start.reg_image_ids())
             continue
         gain = _agreement(better) / max(_agreement(best), 1)
         best = better
         if gain < _LEAST_GAIN:
             break
-    best = rounds.last(best, part(report, 0.8, 1.0))
+    best = rounds.finish(best, part(report, 0.8, 1.0))
     return best if best.num_points3D() >= LEAST_POINTS else models[0]
 
 
@@ -88,67 +88,69 @@ class _Rounds:
     @cached_property
     def pairs(self) -> Sequence[Pair]:
         """The pairs of photos that may show the same."""
-        return planned_pairs(self.job, self.features)
+        return plan_pairs(self.job, self.features)
 
-    def tracked(self, model: Any, report: Progress) -> Any:
-        """The largest part of the model after one round."""
-        seeds = matched(self.job, self.features, self.large, model, _CLOSE, part(report, 0.0, 0.3))
-        return self._followed(seeds, _ROUND, part(report, 0.3, 1.0))
+    def track(self, model: Any, report: Progress) -> Any:
+        """Return the largest part of the model after one round."""
+        seeds = match_guided(self.job, self.features, self.large, model, _CLOSE, part(report, 0.0, 0.3))
+        return self._follow_points(seeds, _ROUND, part(report, 0.3, 1.0))
 
-    def _followed(self, seeds: Any, limits: tuple[int, int], report: Progress) -> Any:
-        """The largest part of a model with its points followed and its cameras adjusted. limits: as in `_ROUND`."""
-        return largest_part(self.job, _with_long_tracks(self.job, seeds, self.pictures, limits, report))
+    def _follow_points(self, seeds: Any, limits: tuple[int, int], report: Progress) -> Any:
+        """Return the largest part of a model with its points followed and its cameras adjusted. limits: as in
+        `_ROUND`."""
+        return keep_largest_part(self.job, _extend_tracks(self.job, seeds, self.pictures, limits, report))
 
-    def straightened(self, model: Any, report: Progress) -> Any:
-        """The better of two models: after passes that bring its parts together and a round, or after a round only."""
+    def straighten(self, model: Any, report: Progress) -> Any:
+        """Return the better of two models: after passes that bring its parts together and a round, or after a round
+        only."""
         wide = model
         for number, limits in enumerate(_WIDE):
-            wide = self._passed(wide, limits, part(report, 0.25 * number, 0.25 * (number + 1)))
-        straight = self.tracked(wide, part(report, 0.5, 0.75))
-        if same_places(model, wide, model.reg_image_ids()):
+            wide = self._adjust_once(wide, limits, part(report, 0.25 * number, 0.25 * (number + 1)))
+        straight = self.track(wide, part(report, 0.5, 0.75))
+        if has_same_places(model, wide, model.reg_image_ids()):
             return straight
-        return max(straight, self.tracked(model, part(report, 0.75, 1.0)), key=_agreement)
+        return max(straight, self.track(model, part(report, 0.75, 1.0)), key=_agreement)
 
-    def _passed(self, model: Any, limits: Limits, report: Progress) -> Any:
-        """The model with cameras adjusted to matches along its epipolar lines."""
+    def _adjust_once(self, model: Any, limits: Limits, report: Progress) -> Any:
+        """Return the model with cameras adjusted to matches along its epipolar lines."""
         _, enough = _ROUND
-        seeds = matched(self.job, self.features, self.large, model, limits, part(report, 0.0, 0.7))
-        kept = most_seen(seeds, enough)
+        seeds = match_guided(self.job, self.features, self.large, model, limits, part(report, 0.0, 0.7))
+        kept = keep_most_seen(seeds, enough)
         if kept.num_points3D() < LEAST_POINTS:
             return model
         report(0.7, "refining cameras")
         adjust(kept, limits[1])
         return kept
 
-    def completed(self, model: Any, others: Sequence[Any], report: Progress) -> Any:
-        """The model with the missing photos that its points determine, and with those of other models that it then
-        shares a photo with."""
+    def complete(self, model: Any, others: Sequence[Any], report: Progress) -> Any:
+        """Return the model with the missing photos that its points determine, and with those of other models that it
+        then shares a photo with."""
         before = set(model.reg_image_ids())
-        model = self._with_others(model, others, part(report, 0.0, 0.9))
+        model = self._add_others(model, others, part(report, 0.0, 0.9))
         # Photos that were placed on few points get a better place on the points that came later.
-        unsure = (_unsure(self.job, model) & set(model.reg_image_ids())) - before
+        unsure = (_find_unsure(self.job, model) & set(model.reg_image_ids())) - before
         if not unsure:
             return model
-        again = self._grown(without(model, unsure), part(report, 0.9, 1.0))
+        again = self._grow(deregister_photos(model, unsure), part(report, 0.9, 1.0))
         return max(model, again, key=_agreement)
 
-    def _with_others(self, model: Any, others: Sequence[Any], report: Progress) -> Any:
-        """The model, grown, with the photos of the other models that are linked by a photo, in any order: one that was
-        linked may bring a photo that another one shares."""
+    def _add_others(self, model: Any, others: Sequence[Any], report: Progress) -> Any:
+        """Return the model, grown, with the photos of the other models that are linked by a photo, in any order: one
+        that was linked may bring a photo that another one shares."""
         waiting, done = [(other, False) for other in others], 0.0
         while True:
             step = (0.9 - done) / 2  # how many rounds follow is not known
             elsewhere = {image for other, _ in waiting for image in other.reg_image_ids()} - set(model.reg_image_ids())
-            model = grown = self._grown(model, part(report, done, done + 0.2 * step), elsewhere)
+            model = grown = self._grow(model, part(report, done, done + 0.2 * step), elsewhere)
             linking, unlinked = part(report, done + 0.2 * step, done + step), []
             for number, (other, ready) in enumerate(waiting):
                 if len(set(other.reg_image_ids()) - set(model.reg_image_ids())) < _LEAST_MORE:
                     continue
                 share = part(linking, number / len(waiting), (number + 1) / len(waiting))
                 if not ready:
-                    other = consistent(self.job, self.straightened(other, part(share, 0.0, 0.3)))
-                    other = self._grown(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
-                both = self._both(model, other, part(share, 0.5, 1.0))
+                    other = keep_consistent(self.job, self.straighten(other, part(share, 0.0, 0.3)))
+                    other = self._grow(other, part(share, 0.3, 0.5), set(model.reg_image_ids()))
+                both = self._combine(model, other, part(share, 0.5, 1.0))
                 if both is None:
                     unlinked.append((other, True))
                 else:
@@ -157,21 +159,22 @@ class _Rounds:
                 break
             waiting, done = unlinked, done + step
         if elsewhere & set(model.reg_image_ids()):  # the last growth ended early
-            model = self._grown(model, part(report, 0.9, 1.0))
+            model = self._grow(model, part(report, 0.9, 1.0))
         return model
 
-    def _both(self, model: Any, other: Any, report: Progress) -> Any:
-        """The model with the photos of the other one; None if no photo links them, or if they do not hold together."""
-        own = matched_all(self.job, self.features, model, part(report, 0.0, 0.1))
-        both = linked(own, matched_all(self.job, self.features, other, part(report, 0.1, 0.2)))
+    def _combine(self, model: Any, other: Any, report: Progress) -> Any:
+        """Return the model with the photos of the other one; None if no photo links them, or if they do not hold
+        together."""
+        own = match_all_guided(self.job, self.features, model, part(report, 0.0, 0.1))
+        both = link_models(own, match_all_guided(self.job, self.features, other, part(report, 0.1, 0.2)))
         if both is None:
             return None
-        both = self.straightened(both, part(report, 0.2, 1.0))
+        both = self.straighten(both, part(report, 0.2, 1.0))
         return both if both.num_reg_images() > model.num_reg_images() else None
 
-    def _grown(self, model: Any, report: Progress, reached: Set[int] = frozenset()) -> Any:
-        """The model with the missing photos that its points determine, round after round until there are none, or until
-        it has `_ENOUGH_SHARED` of the photos `reached`."""
+    def _grow(self, model: Any, report: Progress, reached: Set[int] = frozenset()) -> Any:
+        """Return the model with the missing photos that its points determine, round after round until there are none,
+        or until it has `_ENOUGH_SHARED` of the photos `reached`."""
         placed, missing = model.num_reg_images(), len(self.photos) - model.num_reg_images()
         while model.num_reg_images() < len(self.photos):
             if len(reached & set(model.reg_image_ids())) >= _ENOUGH_SHARED:
@@ -180,52 +183,52 @@ class _Rounds:
             share = part(report, done, done)
             absent = {position for position, image in enumerate(self.photos) if not has_pose(model, image)}
             near = {position for pair in self.pairs if not absent.isdisjoint(pair) for position in pair}
-            points = matched_all(self.job, self.features, model, share, near)
-            more = resected(self.job, self.features, self.pairs, points)
+            points = match_all_guided(self.job, self.features, model, share, near)
+            more = resect(self.job, self.features, self.pairs, points)
             if more is None:
                 break
-            more = self.tracked(more, share)
+            more = self.track(more, share)
             if more.num_reg_images() <= model.num_reg_images():
                 break
             model = more
         return model
 
-    def improved(self, model: Any, settled: set[int], report: Progress) -> Any:
-        """The model after another round, with its unsure photos placed again if that moves them; None if that loses
-        tracks. settled: photos that are not placed again; unsure ones that do not move are added."""
-        unsure = _unsure(self.job, model) - settled
-        for number, start in enumerate(starts(self.job, model, settled, unsure)):
+    def improve(self, model: Any, settled: set[int], report: Progress) -> Any:
+        """Return the model after another round, with its unsure photos placed again if that moves them; None if that
+        loses tracks. settled: photos that are not placed again; unsure ones that do not move are added."""
+        unsure = _find_unsure(self.job, model) - settled
+        for number, start in enumerate(choose_starts(self.job, model, settled, unsure)):
             if start is model:
                 settled |= unsure
-            better = self.tracked(start, part(report, number / 2, (number + 1) / 2))
+            better = self.track(start, part(report, number / 2, (number + 1) / 2))
             if _agreement(better) > _LEAST_KEPT * _agreement(model):
                 return better
         return None
 
-    def last(self, model: Any, report: Progress) -> Any:
-        """The largest part of the model after the last round, on all features."""
-        seeds = on_surfaces(matched_all(self.job, self.features, model, part(report, 0.0, 0.5)))
-        return self._followed(seeds, _LAST_ROUND, part(report, 0.5, 1.0))
+    def finish(self, model: Any, report: Progress) -> Any:
+        """Return the largest part of the model after the last round, on all features."""
+        seeds = keep_on_surfaces(match_all_guided(self.job, self.features, model, part(report, 0.0, 0.5)))
+        return self._follow_points(seeds, _LAST_ROUND, part(report, 0.5, 1.0))
 
 
-def _unsure(job: Job, model: Any) -> set[int]:
-    """The photos that are missing, and those with few observations."""
+def _find_unsure(job: Job, model: Any) -> set[int]:
+    """Find the photos that are missing, and those with few observations."""
     support = _support(model)
     usual = float(np.median(list(support.values()))) if support else 0.0
     return {image for image in photo_ids(job) if support.get(image, -1) < _UNCERTAIN * usual}
 
 
-def starts(job: Job, model: Any, settled: Collection[int], unsure: Collection[int]) -> Iterator[Any]:
-    """Models to go on from, all with the settled photos that are placed: those in which the unsure photos were placed
-    again, with the others fixed or not; the model itself if that is not possible or changes nothing."""
+def choose_starts(job: Job, model: Any, settled: Collection[int], unsure: Collection[int]) -> Iterator[Any]:
+    """Choose models to go on from, all with the settled photos that are placed: those in which the unsure photos were
+    placed again, with the others fixed or not; the model itself if that is not possible or changes nothing."""
     before = set(model.reg_image_ids())
     uncertain, placed = before & set(unsure), False
     if unsure:
         for fixed in (True, False):
-            again = place_again(job, model, uncertain, fixed=fixed)
+            again = register_again(job, model, uncertain, fixed=fixed)
             if again is None or not before & set(settled) <= set(again.reg_image_ids()):
                 continue
-            if same_places(model, again, uncertain):
+            if has_same_places(model, again, uncertain):
                 break
             placed = True
             yield again
@@ -233,12 +236,12 @@ def starts(job: Job, model: Any, settled: Collection[int], unsure: Collection[in
         yield model
 
 
-def same_places(before: Any, after: Any, images: Collection[int]) -> bool:
+def has_same_places(before: Any, after: Any, images: Collection[int]) -> bool:
     """Whether a model has as many photos as an earlier one, and these images at the same places among the others."""
     if after.num_reg_images() != before.num_reg_images() or not all(after.images[i].has_pose for i in images):
         return False
     common = sorted(set(before.reg_image_ids()) & set(after.reg_image_ids()))
-    found = aligned(after, before, common)
+    found = align_models(after, before, common)
     if found is None:
         return False
     _, moved, usual = found
@@ -255,16 +258,16 @@ def _agreement(model: Any) -> int:
     return sum(max(point.track.length() - 2, 0) for point in model.points3D.values())
 
 
-def _with_long_tracks(job: Job, model: Any, pictures: Pictures, limits: tuple[int, int], report: Progress) -> Any:
-    """The model with its points followed through all photos, and with cameras adjusted to those that most photos see;
-    as it is if hardly any can be followed. limits: as in `_ROUND`."""
+def _extend_tracks(job: Job, model: Any, pictures: Pictures, limits: tuple[int, int], report: Progress) -> Any:
+    """Return the model with its points followed through all photos, and with cameras adjusted to those that most photos
+    see; as it is if hardly any can be followed. limits: as in `_ROUND`."""
     reach, enough = limits
     report(0.0, "following points")
-    longer = longer_tracks(job, model, pictures, reach)
+    longer = lengthen_tracks(job, model, pictures, reach)
     if longer.num_points3D() < LEAST_POINTS:
         return model
     report(0.6, "refining cameras")
-    kept = most_seen(longer, enough)
+    kept = keep_most_seen(longer, enough)
     adjust(kept, _LARGEST_ERROR)
     for number, camera in kept.cameras.items():
         longer.cameras[number].params = camera.params
@@ -274,8 +277,9 @@ def _with_long_tracks(job: Job, model: Any, pictures: Pictures, limits: tuple[in
     return longer
 
 
-def on_surfaces(model: Any) -> Any:
-    """A copy without the points that chance matched: those that only two photos see, far from points that more see."""
+def keep_on_surfaces(model: Any) -> Any:
+    """Return a copy without the points that chance matched: those that only two photos see, far from points that more
+    see."""
     kept = colmap_library().Reconstruction(model)
     sure = np.array([point.xyz for point in model.points3D.values() if point.track.length() > 2]).reshape(-1, 3)
     if len(sure) < LEAST_POINTS:

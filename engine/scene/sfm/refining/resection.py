@@ -27,9 +27,9 @@ _TRIALS = 20_000
 """Trials of RANSAC: enough if a tenth of the matches is correct."""
 
 
-def resected(job: Job, features: Sequence[Features], pairs: Sequence[Pair], model: Any) -> Any:
-    """The model, without points, with those of its missing photos that its points determine; None if no missing photo
-    can be placed.
+def resect(job: Job, features: Sequence[Features], pairs: Sequence[Pair], model: Any) -> Any:
+    """Return the model, without points, with those of its missing photos that its points determine; None if no missing
+    photo can be placed.
 
     pairs: of photos that may show the same; model: its points are of features, in the order of `features`.
     """
@@ -46,11 +46,11 @@ def resected(job: Job, features: Sequence[Features], pairs: Sequence[Pair], mode
         for position, image in enumerate(images)
         if image.image_id in model.images and model.images[image.image_id].has_pose
     }
-    candidates = _candidates(pairs, set(range(len(images))) - set(poses))
-    seen = {other: _seen(model, images[other].image_id) for other in sorted(set().union(*candidates.values()))}
+    candidates = _find_candidates(pairs, set(range(len(images))) - set(poses))
+    seen = {other: _find_seen(model, images[other].image_id) for other in sorted(set().union(*candidates.values()))}
     found = {}
     for missing, near in candidates.items():
-        pose = _pose(model, features, seen, cameras[missing], missing, near, job.config.seed)
+        pose = _estimate_pose(model, features, seen, cameras[missing], missing, near, job.config.seed)
         if pose is not None:
             found[missing] = pose
     if not found:
@@ -61,8 +61,8 @@ def resected(job: Job, features: Sequence[Features], pairs: Sequence[Pair], mode
     )
 
 
-def _candidates(pairs: Sequence[Pair], missing: Collection[int]) -> dict[int, list[int]]:
-    """Of each missing photo: the placed ones that may show the same."""
+def _find_candidates(pairs: Sequence[Pair], missing: Collection[int]) -> dict[int, list[int]]:
+    """Find for each missing photo the placed ones that may show the same."""
     near: dict[int, list[int]] = {photo: [] for photo in missing}
     for i, j in pairs:
         for photo, other in ((i, j), (j, i)):
@@ -71,13 +71,13 @@ def _candidates(pairs: Sequence[Pair], missing: Collection[int]) -> dict[int, li
     return near
 
 
-def _seen(model: Any, image: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The features of a photo that show a point, and the numbers of these points."""
+def _find_seen(model: Any, image: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find the features of a photo that show a point, and the numbers of these points."""
     points = {k: feature.point3D_id for k, feature in enumerate(model.images[image].points2D) if feature.has_point3D()}
     return np.array(list(points), np.int64), np.array(list(points.values()), np.int64)
 
 
-def _pose(
+def _estimate_pose(
     model: Any,
     features: Sequence[Features],
     seen: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]],
@@ -86,7 +86,7 @@ def _pose(
     near: Sequence[int],
     seed: int,
 ) -> Any:
-    """The pose of a photo from its matches with points that others see; None if they determine none."""
+    """Estimate the pose of a photo from its matches with points that others see; None if they determine none."""
     matched = [np.zeros((0, 2), np.int64)]
     for other in near:
         feature, point = seen[other]

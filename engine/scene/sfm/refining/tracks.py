@@ -29,21 +29,21 @@ _BLOCK = 4096
 """Points that are searched at a time, which bounds the memory."""
 
 
-def longer_tracks(job: Job, model: Any, pictures: Pictures, reach: int) -> Any:
-    """A model with the same cameras, and with the points that at least three photos show, in all photos that do.
+def lengthen_tracks(job: Job, model: Any, pictures: Pictures, reach: int) -> Any:
+    """Return a model with the same cameras, and with the points that at least three photos show, in all photos that do.
 
     model: of the copies; reach: largest distance in pixels from where the cameras predict a point.
     """
     views = Views.of(job, model)
-    xyz, reference, center = _references(views)
+    xyz, reference, center = _choose_references(views)
     blocks = [slice(start, start + _BLOCK) for start in range(0, len(xyz), _BLOCK)]
-    found = [_found(views, pictures, xyz[block], reference[block], center[block], reach) for block in blocks]
+    found = [_find_points(views, pictures, xyz[block], reference[block], center[block], reach) for block in blocks]
     point, view = (np.concatenate([np.zeros(0, np.int64)] + [each[column] for each in found]) for column in (0, 1))
     point += np.repeat([block.start for block in blocks], [len(each[0]) for each in found]).astype(np.int64)
     pixel = np.concatenate([np.zeros((0, 2))] + [each[2] for each in found])
     seen = np.bincount(point, minlength=len(xyz)) + 1 >= _LEAST_VIEWS
     own, kept = np.flatnonzero(seen), seen[point]
-    return views.with_points(
+    return views.make_model(
         Observations(
             xyz,
             point=np.concatenate([own, point[kept]]),
@@ -53,7 +53,7 @@ def longer_tracks(job: Job, model: Any, pictures: Pictures, reach: int) -> Any:
     )
 
 
-def _found(
+def _find_points(
     views: Views,
     pictures: Pictures,
     xyz: NDArray[np.float64],
@@ -61,9 +61,9 @@ def _found(
     center: NDArray[np.float64],
     reach: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Where points are found: (M,) the point, (M,) the view and (M, 2) the pixel."""
-    point, other = _near(views, xyz, reference)
-    start = views.projected(other, xyz[point])
+    """Find the points: (M,) the point, (M,) the view and (M, 2) the pixel."""
+    point, other = _find_near(views, xyz, reference)
+    start = views.project(other, xyz[point])
     inside = views.inside(other, start)
     point, other, start = point[inside], other[inside], start[inside]
     found, correlation = np.empty_like(start), np.empty(len(start))
@@ -76,9 +76,9 @@ def _found(
     return point[good], other[good], found[good]
 
 
-def _references(views: Views) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Of each point: its place (N, 3), the view that sees it from the middle of all that do (N,), and its pixel there
-    (N, 2)."""
+def _choose_references(views: Views) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return for each point its place (N, 3), the view that sees it from the middle of all that do (N,), and its pixel
+    there (N, 2)."""
     seen = views.observations()
     rays = views.centers[seen.view] - seen.xyz[seen.point]
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
@@ -90,10 +90,10 @@ def _references(views: Views) -> tuple[NDArray[np.float64], NDArray[np.int64], N
     return seen.xyz, seen.view[first], seen.pixel[first]
 
 
-def _near(
+def _find_near(
     views: Views, xyz: NDArray[np.float64], reference: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of a point and a photo in which it is searched, ordered by point."""
+    """Return pairs of a point and a photo in which it is searched, ordered by point."""
     rays = views.centers[None] - xyz[:, None]
     rays /= np.maximum(np.linalg.norm(rays, axis=2, keepdims=True), 1e-12)
     rows = np.arange(len(xyz))

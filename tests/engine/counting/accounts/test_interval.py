@@ -23,7 +23,7 @@ from fruitlangs.engine.counting.accounts.interval import (
     Evidence,
     Ratio,
     estimate,
-    stored_ratios,
+    load_ratios,
 )
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount
@@ -36,7 +36,7 @@ CERTAIN = Evidence(100.0, 0.0, np.zeros(len(COVARIATES)))
 
 def width(evidence: Evidence) -> float:
     """Of the interval of all fruit."""
-    low, high = stored_ratios(photos=False)[1].interval(evidence)
+    low, high = load_ratios(photos=False)[1].interval(evidence)
     return high - low
 
 
@@ -107,7 +107,7 @@ def test_the_interval_of_all_fruit_is_never_narrower_than_that_of_the_visible_on
 
 
 def test_the_interval_of_a_few_fruit_is_at_least_half_a_fruit_wide():
-    low, high = stored_ratios(photos=False)[0].interval(replace(CERTAIN, expected=3.0))
+    low, high = load_ratios(photos=False)[0].interval(replace(CERTAIN, expected=3.0))
     assert low <= 3.0 <= high
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from fruit_examples import count_of, fruit
 
-from fruitlangs.engine.counting.accounts.other_kinds import AnyKind, with_other_kinds
+from fruitlangs.engine.counting.accounts.other_kinds import AnyKind, add_other_kinds
 from fruitlangs.engine.counting.fruit import FruitCount, Tree
 from fruitlangs.engine.report.words import count_text, nothing_found
 
@@ -32,7 +32,7 @@ def counted(number: int, **changes: Any) -> FruitCount:
 
 
 def test_a_0_where_other_fruit_hang_admits_them_and_says_what_they_look_like() -> None:
-    found = with_other_kinds(counted(0), any_kind(), "plum")
+    found = add_other_kinds(counted(0), any_kind(), "plum")
     assert (found.count, found.other_fruit) == (0, 38)
     assert found.interval == (0, 54)
     assert found.total_interval == (0, 66)
@@ -45,21 +45,21 @@ def test_a_0_where_other_fruit_hang_admits_them_and_says_what_they_look_like() -
 
 
 def test_a_count_that_others_outnumber_says_so() -> None:
-    found = with_other_kinds(counted(3, interval=(3, 5), total=4.0, total_interval=(3, 7)), any_kind(), "plum")
+    found = add_other_kinds(counted(3, interval=(3, 5), total=4.0, total_interval=(3, 7)), any_kind(), "plum")
     assert (found.count, found.other_fruit) == (3, 35)
     assert (found.interval, found.total, found.total_interval) == ((3, 54), 4.0, (3, 66))
     assert found.notices[-1].startswith("only 3 fruit were counted for plum, but 35 fruit of other kinds were found")
 
 
 def test_half_of_all_fruit_is_too_few_and_more_than_half_is_a_count() -> None:
-    assert with_other_kinds(counted(19), any_kind(), "plum").other_fruit == 19
+    assert add_other_kinds(counted(19), any_kind(), "plum").other_fruit == 19
     ordinary = counted(20, interval=(20, 22))
-    assert with_other_kinds(ordinary, any_kind(), "plum") is ordinary
+    assert add_other_kinds(ordinary, any_kind(), "plum") is ordinary
 
 
 def test_a_wider_interval_of_the_count_stays() -> None:
     wide = counted(1, interval=(0, 90), total=2.0, total_interval=(0, 99))
-    found = with_other_kinds(wide, any_kind(), "plum")
+    found = add_other_kinds(wide, any_kind(), "plum")
     assert (found.interval, found.total_interval) == ((0, 90), (0, 99))
 
 
@@ -72,11 +72,11 @@ def test_fruit_are_the_same_within_half_a_diameter() -> None:
 def test_a_0_of_any_kind_passes_on_what_photos_show() -> None:
     shown = "no fruit was counted, but photos show 7 places that match fruit"
     none = AnyKind(count_of(interval=(0, 7), total=0.0, total_interval=(0, 7), notices=["blurred", shown]), [], "fruit")
-    found = with_other_kinds(counted(0, notices=["blurred"]), none, "plum")
+    found = add_other_kinds(counted(0, notices=["blurred"]), none, "plum")
     assert (found.interval, found.total_interval, found.other_fruit) == ((0, 7), (0, 7), 0)
     assert list(found.notices) == ["blurred", shown]
     certain = counted(4, interval=(4, 5))
-    assert with_other_kinds(certain, none, "plum") is certain
+    assert add_other_kinds(certain, none, "plum") is certain
 
 
 def test_a_tree_of_the_row_that_others_outnumber_says_so_although_the_row_has_more() -> None:
@@ -85,7 +85,7 @@ def test_a_tree_of_the_row_that_others_outnumber_says_so_although_the_row_has_mo
     row = count_of(*own, interval=(20, 22), total=21.0, total_interval=(20, 24), trees=[tree(1, 20), tree(2, 0)])
     trees = [tree(1, 20, interval=(20, 22)), tree(2, 10, interval=(10, 13), total_interval=(10, 15))]
     everything = AnyKind(count_of(*own, *others, trees=trees, **INTERVALS), ["lemon"] * 30, "fruit")
-    found = with_other_kinds(row, everything, "plum")
+    found = add_other_kinds(row, everything, "plum")
     assert [each.other_fruit for each in found.trees] == [0, 10]
     assert [each.interval for each in found.trees] == [None, (0, 13)]
     assert found.trees[1].total_interval == (0, 15)

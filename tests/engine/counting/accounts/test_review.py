@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fruitlangs.engine.counting.accounts.plausible import check_position, check_size
-from fruitlangs.engine.counting.accounts.review import Decision, Spot, ball, corrected_interval, merged, replay, split
+from fruitlangs.engine.counting.accounts.review import Decision, Spot, ball, correct_interval, merge, replay, split
 from fruitlangs.engine.errors import CountingError
 
 TIME = "2026-05-01T10:00:00+00:00"
@@ -55,7 +55,7 @@ def test_the_last_word_counts():
 
 def test_a_merge_is_made_again_where_the_machine_still_sees_several():
     two = [ball(1, "apple", np.zeros(3), 0.1), ball(2, "apple", np.array([0.07, 0, 0]), 0.1)]
-    whole = merged(two, 3)
+    whole = merge(two, 3)
     found = replay([decision("merge", two, [whole])], [*two, *row(1, first=7, shift=5.0)])
     assert [spot.id for spot in found.spots] == [7, 3]
     assert (found.standings, found.sources) == (["", "added"], [2, -1])
@@ -64,7 +64,7 @@ def test_a_merge_is_made_again_where_the_machine_still_sees_several():
 def test_a_merge_that_the_machine_has_made_by_itself_confirms_its_fruit():
     two = [ball(1, "apple", np.zeros(3), 0.1), ball(2, "apple", np.array([0.07, 0, 0]), 0.1)]
     now = [ball(8, "apple", np.array([0.035, 0, 0]), 0.12)]
-    found = replay([decision("merge", two, [merged(two, 3)])], now)
+    found = replay([decision("merge", two, [merge(two, 3)])], now)
     assert [spot.id for spot in found.spots] == [8]
     assert found.standings == ["confirmed"]
 
@@ -119,7 +119,7 @@ def test_decisions_that_follow_from_each_other_hold_together():
 @given(st.permutations(range(5)))
 def test_the_order_in_which_the_machine_lists_its_fruit_changes_nothing(order):
     fruits = [*row(4), ball(5, "apple", np.array([3.07, 0, 0]), 0.1)]
-    log = [decision("reject", [fruits[1]]), decision("merge", fruits[3:5], [merged(fruits[3:5], 9)])]
+    log = [decision("reject", [fruits[1]]), decision("merge", fruits[3:5], [merge(fruits[3:5], 9)])]
     straight, shuffled = replay(log, fruits), replay(log, [fruits[index] for index in order])
     told = [
         sorted((spot.id, standing) for spot, standing in zip(each.spots, each.standings, strict=True))
@@ -139,7 +139,7 @@ def test_an_interval_holds_the_count_and_never_widens(given_probabilities, data)
     reviewed = np.array(data.draw(st.lists(st.booleans(), min_size=count, max_size=count)))
     rejected = data.draw(st.integers(0, int(reviewed.sum())))
     after = count - rejected + data.draw(st.integers(-min(2, count - rejected), 5))
-    low, high = corrected_interval(count, machine, p, reviewed, rejected, after)
+    low, high = correct_interval(count, machine, p, reviewed, rejected, after)
     assert 0 <= low <= after <= high
     assert high - low <= machine[1] - machine[0] + 1
     if not reviewed.any() and rejected == 0 and after == count:
@@ -151,23 +151,23 @@ def test_an_interval_holds_the_count_and_never_widens(given_probabilities, data)
 def test_reviewing_uncertain_fruit_narrows_more_than_certain_ones():
     p = np.array([0.99] * 50 + [0.55] * 10)
     sure, uncertain = np.arange(60) < 10, np.arange(60) >= 50
-    by_sure = corrected_interval(60, (50, 70), p, sure, 0, 60)
-    by_doubtful = corrected_interval(60, (50, 70), p, uncertain, 0, 60)
+    by_sure = correct_interval(60, (50, 70), p, sure, 0, 60)
+    by_doubtful = correct_interval(60, (50, 70), p, uncertain, 0, 60)
     assert by_doubtful[0] > by_sure[0] >= 50
 
 
 def test_fruit_that_the_user_adds_are_no_longer_among_the_missed():
-    assert corrected_interval(10, (9, 14), np.full(10, 0.9), np.zeros(10, bool), 0, 12)[1] == 14
-    assert corrected_interval(10, (9, 14), np.full(10, 0.9), np.zeros(10, bool), 0, 17)[1] == 17
+    assert correct_interval(10, (9, 14), np.full(10, 0.9), np.zeros(10, bool), 0, 12)[1] == 14
+    assert correct_interval(10, (9, 14), np.full(10, 0.9), np.zeros(10, bool), 0, 17)[1] == 17
 
 
 def test_an_empty_count_has_an_interval_too():
-    assert corrected_interval(0, (0, 2), np.zeros(0), np.zeros(0, bool), 0, 1) == (1, 2)
+    assert correct_interval(0, (0, 2), np.zeros(0), np.zeros(0, bool), 0, 1) == (1, 2)
 
 
 def test_one_fruit_merged_with_itself_is_itself():
     spot = Spot(1, "pear", np.array([1.0, 2, 3]), np.diag([0.06, 0.05, 0.04]))
-    twice = merged([spot, spot], 1)
+    twice = merge([spot, spot], 1)
     np.testing.assert_allclose(twice.center, spot.center)
     np.testing.assert_allclose(np.linalg.norm(twice.axes, axis=1), [0.06, 0.05, 0.04])
     assert np.linalg.det(twice.axes) > 0.0
@@ -175,7 +175,7 @@ def test_one_fruit_merged_with_itself_is_itself():
 
 def test_two_halves_next_to_each_other_merge_to_something_long_between_them():
     two = [ball(1, "apple", np.array([x, 0.0, 0.0]), 0.1) for x in (-0.05, 0.05)]
-    whole = merged(two, 3)
+    whole = merge(two, 3)
     np.testing.assert_allclose(whole.center, 0.0, atol=1e-12)
     assert abs(whole.axes[0] @ [1, 0, 0]) == pytest.approx(np.linalg.norm(whole.axes[0]))
     assert np.linalg.norm(whole.axes[0]) > 0.1
@@ -207,19 +207,19 @@ def test_a_split_into_no_parts_or_too_many_is_an_error(parts):
 
 def test_a_merge_of_fruit_far_apart_is_refused_with_distance_and_limit():
     near = [ball(4, "apple", np.array([x, 0.0, 0.0]), 0.1) for x in (0.0, 0.2)]
-    assert merged(near, 3).diameter > 0.1
+    assert merge(near, 3).diameter > 0.1
     far = [*near, ball(9, "apple", np.array([0.21, 0.0, 0.0]), 0.1)]
     with pytest.raises(CountingError, match=r"Fruit 4 and 9 are 2\.1 fruit lengths apart.*up to 2 lengths"):
-        merged(far, 3)
+        merge(far, 3)
 
 
 def test_halves_of_a_usual_fruit_and_of_a_long_one_are_merged():
     crumbs = [ball(1, "apple", np.array([x, 0.0, 0.0]), 0.02) for x in (0.0, 0.08)]
     with pytest.raises(CountingError):
-        merged(crumbs, 3)
-    assert merged(crumbs, 3, usual=0.08).diameter > 0.02
+        merge(crumbs, 3)
+    assert merge(crumbs, 3, usual=0.08).diameter > 0.02
     long = [Spot(1, "eggplant", np.array([x, 0.0, 0.0]), np.diag([0.15, 0.03, 0.03])) for x in (0.0, 0.55)]
-    assert merged(long, 3).diameter > 0.06
+    assert merge(long, 3).diameter > 0.06
 
 
 def test_an_old_merge_of_fruit_far_apart_is_not_made_again_and_says_why():

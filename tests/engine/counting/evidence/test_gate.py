@@ -17,7 +17,7 @@ from fruitlangs.engine.counting.evidence.gate import (
     Gate,
     curvatures,
     features_of,
-    stored_gate,
+    load_gate,
 )
 from fruitlangs.engine.counting.evidence.size import FruitSize
 from fruitlangs.engine.counting.evidence.surface_points import SurfacePoints
@@ -66,7 +66,7 @@ def candidates(probability: float = 1.0, **changes: float) -> tuple[Candidates, 
 def weighed(threshold: float = 0.5, probability: float = 1.0, **changes: float) -> tuple[np.ndarray, Features]:
     found, surface = candidates(probability, **changes)
     features = features_of(found, surface, FruitSize(1.0, 0.1), threshold)
-    return stored_gate().probabilities(features), features
+    return load_gate().probabilities(features), features
 
 
 def test_a_whole_fruit_is_almost_certain():
@@ -88,7 +88,7 @@ def test_a_whole_fruit_is_almost_certain():
 def test_what_counts_against_a_fruit_lowers_its_probability_and_is_named(changes: dict[str, float], told: str):
     probabilities, features = weighed(**changes)
     assert probabilities[1] < probabilities[0]
-    assert stored_gate().reason(features, 1).startswith(told)
+    assert load_gate().reason(features, 1).startswith(told)
 
 
 def test_the_classifier_knows_how_much_evidence_supports_a_fruit():
@@ -128,7 +128,7 @@ def test_one_point_gives_no_curvature():
 def test_a_faint_candidate_is_refused_whatever_its_form():
     probabilities, features = weighed(probability=0.2)
     assert probabilities[1] == 0.0
-    assert stored_gate().reason(features, 1) == "its most probable points come no nearer than 40% to the threshold"
+    assert load_gate().reason(features, 1) == "its most probable points come no nearer than 40% to the threshold"
 
 
 def test_a_lower_threshold_takes_fainter_points_as_seriously():
@@ -152,7 +152,7 @@ def test_what_is_stored_is_the_gate_that_was_fitted(tmp_path: Path):
 
 
 def test_a_feature_farther_out_than_any_weighs_no_more_than_the_farthest():
-    gate, values = stored_gate(), np.repeat(stored_gate().center[None], 3, axis=0)
+    gate, values = load_gate(), np.repeat(load_gate().center[None], 3, axis=0)
     values[:, 3] = [gate.low[3], gate.low[3] - 0.01, gate.low[3] - 10.0]
     scores = gate.score(values)
     assert scores[1:] == pytest.approx(scores[0])

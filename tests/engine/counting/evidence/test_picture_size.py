@@ -41,9 +41,7 @@ def test_the_width_of_discs_is_their_diameter_at_their_depth() -> None:
 
 def test_the_width_of_discs_is_the_same_in_pixels_that_are_not_square() -> None:
     square = picture(SIX)
-    flat = Picture(
-        CAMERA.resized(CAMERA.width, 3 * CAMERA.height), square.depth.repeat(3, 0), square.fruit.repeat(3, 0)
-    )
+    flat = Picture(CAMERA.resize(CAMERA.width, 3 * CAMERA.height), square.depth.repeat(3, 0), square.fruit.repeat(3, 0))
     size, other = (size_from_pictures([each], 0.5, everywhere) for each in (square, flat))
     assert size is not None
     assert other is not None
@@ -76,7 +74,7 @@ def test_four_regions_are_too_few_for_a_size() -> None:
 
 
 def test_the_width_in_pixels_is_diameter_times_focal_length_over_depth() -> None:
-    full, half = CAMERA.scaled(2.0), picture([])
+    full, half = CAMERA.scale(2.0), picture([])
     widths = pixel_widths(np.zeros((1, 3)), np.array([0.4]), [full], [half])
     np.testing.assert_allclose(widths, [0.4 * 600.0 / DEPTH])
 

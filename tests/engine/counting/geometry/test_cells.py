@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from fruitlangs.engine.counting.evidence.vote_kernels import middles
-from fruitlangs.engine.counting.geometry.cells import MOST_CELLS, Cells, apart, gather, linked, room
+from fruitlangs.engine.counting.evidence.vote_kernels import average_points
+from fruitlangs.engine.counting.geometry.cells import MOST_CELLS, Cells, buffer_size, choose_apart, gather, link_points
 from fruitlangs.engine.counting.geometry.random_streams import even_turns
 
 
@@ -43,7 +43,7 @@ def test_a_point_astronomically_far_away_does_not_hide_the_others():
 def test_points_that_are_kept_apart_cover_all_others():
     points = cloud(400)
     cells = Cells.of(points, 0.8)
-    kept = apart(cells.table, np.full(400, 1.6), np.arange(400), 0.5)
+    kept = choose_apart(cells.table, np.full(400, 1.6), np.arange(400), 0.5)
     between = np.linalg.norm(cells.positions[kept][:, None] - cells.positions[kept], axis=2)
     assert between[~np.eye(len(kept), dtype=bool)].min() >= 0.8
     assert np.linalg.norm(cells.positions[:, None] - cells.positions[kept], axis=2).min(axis=1).max() < 0.8
@@ -52,13 +52,13 @@ def test_points_that_are_kept_apart_cover_all_others():
 def test_spheres_of_other_radii_in_one_place_are_both_kept():
     cells = Cells.of(np.zeros((4, 3)), 1.0)
     radii = np.array([1.0, 1.3, 2.0, 2.2])
-    assert apart(cells.table, radii, np.arange(4), 0.5).tolist() == [0, 2]
+    assert choose_apart(cells.table, radii, np.arange(4), 0.5).tolist() == [0, 2]
 
 
 def test_the_middle_of_what_is_near_is_its_mean():
     points = cloud(300)
     cells, found = Cells.of(points, 1.0), np.empty((20, 3))
-    middles(cells.table, cells.positions[:20], 1.2, found)
+    average_points(cells.table, cells.positions[:20], 1.2, found)
     for center, middle in zip(cells.positions[:20], found, strict=True):
         near = points[np.linalg.norm(points - center, axis=1) <= 1.2]
         assert middle == pytest.approx(near.mean(axis=0))
@@ -70,9 +70,9 @@ def test_points_are_linked_as_brute_force_links_them(count: int, size: float, re
     cells = Cells.of(cloud(count, seed), size)
     near = np.linalg.norm(cells.positions[:, None] - cells.positions, axis=2) <= reach
     brute = connected_components(near, directed=False)[1]
-    clusters = linked(cells.table, reach, 0.0)
+    clusters = link_points(cells.table, reach, 0.0)
     assert np.array_equal(clusters[:, None] == clusters, brute[:, None] == brute)
-    spared = linked(cells.table, reach, reach / 5.0)  # links no more, and all that are four fifths as near
+    spared = link_points(cells.table, reach, reach / 5.0)  # links no more, and all that are four fifths as near
     assert (brute[spared] == brute).all()
     close = np.linalg.norm(cells.positions[:, None] - cells.positions, axis=2) <= 0.6 * reach
     assert (spared[close.nonzero()[0]] == spared[close.nonzero()[1]]).all()
@@ -81,7 +81,7 @@ def test_points_are_linked_as_brute_force_links_them(count: int, size: float, re
 @pytest.mark.parametrize("size", [0.2, 0.9])
 def test_which_neighbours_are_left_when_they_are_thinned_does_not_depend_on_the_cells(size: float):
     points = cloud(3000, 4)
-    turns, near = even_turns(3000), np.empty(room(50), np.int64)
+    turns, near = even_turns(3000), np.empty(buffer_size(50), np.int64)
 
     def thinned(side: float) -> list[int]:
         cells = Cells.of(points, side, turns)

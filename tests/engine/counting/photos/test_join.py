@@ -19,7 +19,7 @@ from fruitlangs.engine.counting.evidence.cluster import Search
 from fruitlangs.engine.counting.evidence.visibility import Picture, draw
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.counting.photos import join
-from fruitlangs.engine.counting.photos.join import joined, measure_dissent
+from fruitlangs.engine.counting.photos.join import join_places, measure_dissent
 from fruitlangs.engine.counting.photos.search import FoundInPhotos
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
@@ -88,11 +88,11 @@ def joints(without: sim.Simulation, maps: Maps) -> tuple[Search, tuple[FoundInPh
 
     def recorded(found: Search, seen: FoundInPhotos, *given: Any) -> Search:
         photos.append(seen)
-        searches.append(joined(found, seen, *given))
+        searches.append(join_places(found, seen, *given))
         return searches[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(join, "joined", recorded)
+        patch.setattr(join, "join_places", recorded)
         counts = counted(without, maps)
     return searches[-1], (photos[-1], counts)
 

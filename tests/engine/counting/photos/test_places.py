@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fruitlangs.engine.counting.photos.places import NO_PLACES, Places, apart, clear_of
+from fruitlangs.engine.counting.photos.places import NO_PLACES, Places, find_clear, keep_strongest
 
 
 def places(seed: int, count: int) -> Places:
@@ -26,28 +26,28 @@ def test_the_places_that_stay_apart_are_those_of_a_brute_force(share: float) -> 
     for index in sorted(range(300), key=lambda index: -strengths[index]):
         if not close[index, kept].any():
             kept.append(index)
-    assert apart(found, strengths, share).tolist() == kept
+    assert keep_strongest(found, strengths, share).tolist() == kept
     assert 10 < len(kept) < 290
 
 
 @pytest.mark.parametrize("share", [0.3, 0.65, 1.2])
 def test_the_places_that_are_clear_of_others_are_those_of_a_brute_force(share: float) -> None:
     found, others = places(0, 300), places(2, 60)
-    clear = clear_of(found, others, share)
+    clear = find_clear(found, others, share)
     assert np.array_equal(clear, ~nearer(found, others, share).any(axis=1))
     assert 0 < clear.sum() < 300
 
 
 def test_places_at_exactly_the_distance_stay_both() -> None:
     pair = Places(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, 0.0]]), np.array([0.5, 1.0]))
-    assert apart(pair, np.array([1.0, 2.0]), 0.5).tolist() == [1, 0]
-    assert apart(pair, np.array([1.0, 2.0]), 0.51).tolist() == [1]
+    assert keep_strongest(pair, np.array([1.0, 2.0]), 0.5).tolist() == [1, 0]
+    assert keep_strongest(pair, np.array([1.0, 2.0]), 0.51).tolist() == [1]
 
 
 def test_without_places_nothing_is_kept_and_without_others_everything_is_clear() -> None:
-    assert len(apart(NO_PLACES, np.zeros(0), 1.0)) == 0
-    assert clear_of(NO_PLACES, places(0, 3), 1.0).tolist() == []
-    assert clear_of(places(0, 3), NO_PLACES, 1.0).tolist() == [True] * 3
+    assert len(keep_strongest(NO_PLACES, np.zeros(0), 1.0)) == 0
+    assert find_clear(NO_PLACES, places(0, 3), 1.0).tolist() == []
+    assert find_clear(places(0, 3), NO_PLACES, 1.0).tolist() == [True] * 3
     assert NO_PLACES.largest == 0.0
 
 

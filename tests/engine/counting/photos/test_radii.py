@@ -9,7 +9,7 @@ import pytest
 from balls_in_photos import RING, photo_of, views_of
 
 from fruitlangs.engine.counting.photos.places import Places
-from fruitlangs.engine.counting.photos.search import FARTHEST_SIZE, held_to_usual, sized
+from fruitlangs.engine.counting.photos.search import FARTHEST_SIZE, shrink_to_usual, size_places
 from fruitlangs.engine.counting.photos.views import PhotoViews
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 
@@ -52,7 +52,7 @@ def test_a_centre_that_is_off_by_a_quarter_gives_the_same_radius() -> None:
 @pytest.mark.parametrize("times", [0.5, 2.0])
 def test_blur_is_subtracted_in_pixels_of_the_map_if_the_view_is_drawn_at_another_size(times: float) -> None:
     maps = [photo_of(camera, BALL)[1] for camera in RING]
-    drawn = [camera.resized(round(times * camera.width), round(times * camera.height)) for camera in RING]
+    drawn = [camera.resize(round(times * camera.width), round(times * camera.height)) for camera in RING]
     views = PhotoViews.of([photo_of(camera, BALL)[0] for camera in drawn], maps)
     assert measured(views) == pytest.approx(measured(views_of(BALL)), abs=0.02)
 
@@ -104,8 +104,8 @@ def test_a_neighbour_that_touches_changes_the_radius_by_less_than_four_per_cent(
 def test_fruit_with_few_pixels_stay_near_the_usual_radius() -> None:
     views, usual = masked(-0.6), 1.4 * RADIUS
     empty = replace(views, probabilities=np.zeros_like(views.probabilities))
-    assert sized(empty, BALL, 2.0 * usual).radii == pytest.approx([usual])
-    whole, part = (sized(each, BALL, 2.0 * usual).radii[0] for each in (views_of(BALL), few_pixels()))
+    assert size_places(empty, BALL, 2.0 * usual).radii == pytest.approx([usual])
+    whole, part = (size_places(each, BALL, 2.0 * usual).radii[0] for each in (views_of(BALL), few_pixels()))
     assert whole == pytest.approx(RADIUS, rel=0.05)
     assert 1.1 * RADIUS < part < 0.98 * usual
 
@@ -121,13 +121,13 @@ def few_pixels() -> PhotoViews:
 
 
 def test_a_radius_is_never_farther_from_the_usual_one_than_a_limit() -> None:
-    found = sized(views_of(BALL), BALL, 2.0 * 5.0 * RADIUS).radii[0]
+    found = size_places(views_of(BALL), BALL, 2.0 * 5.0 * RADIUS).radii[0]
     assert found >= 5.0 * RADIUS * np.exp(-FARTHEST_SIZE)
 
 
 def test_two_fruit_of_different_sizes_keep_their_own_radii() -> None:
     both = Places(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), np.array([RADIUS, 0.7 * RADIUS]))
-    found = sized(views_of(both), Places.alike(both.centers, 1.7 * RADIUS), 1.7 * RADIUS)
+    found = size_places(views_of(both), Places.alike(both.centers, 1.7 * RADIUS), 1.7 * RADIUS)
     assert found.radii == pytest.approx(both.radii, rel=0.05)
 
 
@@ -135,21 +135,21 @@ def test_small_fruit_that_touch_are_measured_again_around_their_own_size() -> No
     """Around the usual size, pixels of both tell the radius of each."""
     small = 0.05
     pair = Places(np.array([[0.0, 0.0, -small], [0.0, 0.0, small]]), np.full(2, small))
-    found = sized(views_of(pair), Places.alike(pair.centers, 0.2), 0.2)
+    found = size_places(views_of(pair), Places.alike(pair.centers, 0.2), 0.2)
     assert found.radii == pytest.approx(pair.radii, rel=0.04)
 
 
 def test_radii_of_alike_fruit_are_moved_towards_the_usual_one_and_those_of_varied_fruit_hardly() -> None:
     radii, sds = np.array([0.5, 1.0, 2.0]), np.full(3, 0.1)
-    alike = held_to_usual(radii, sds, np.ones(20), 1.0)
+    alike = shrink_to_usual(radii, sds, np.ones(20), 1.0)
     assert alike == pytest.approx(radii ** (1.44 / 2.44))
-    varied = held_to_usual(radii, sds, np.exp(np.linspace(-0.6, 0.6, 21)), 1.0)
+    varied = shrink_to_usual(radii, sds, np.exp(np.linspace(-0.6, 0.6, 21)), 1.0)
     assert varied == pytest.approx(radii, rel=0.08)
-    assert held_to_usual(radii, sds, np.full(2, 9.0), 1.0) == pytest.approx(alike)
+    assert shrink_to_usual(radii, sds, np.full(2, 9.0), 1.0) == pytest.approx(alike)
 
 
 def test_the_less_certain_a_radius_is_the_nearer_it_is_to_the_usual_one() -> None:
-    held = held_to_usual(np.full(3, 2.0), np.array([0.0, 0.1, 1.0]), np.ones(20), 1.0)
+    held = shrink_to_usual(np.full(3, 2.0), np.array([0.0, 0.1, 1.0]), np.ones(20), 1.0)
     assert held[0] == 2.0
     assert 2.0 > held[1] > held[2] > 1.0
     assert held[2] < 1.02

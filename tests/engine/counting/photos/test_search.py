@@ -18,10 +18,10 @@ from fruitlangs.engine.counting.photos.search import (
     PEAKS_OF_FRUIT,
     SMALLER,
     FoundInPhotos,
+    find_likely_places,
     group_fruit,
-    held_to_usual,
-    likely_places,
     search_photos,
+    shrink_to_usual,
 )
 from fruitlangs.engine.counting.photos.verifier import Verdicts
 
@@ -35,7 +35,7 @@ def test_a_place_with_a_low_score_comes_before_the_many_around_a_clear_fruit() -
         places=lambda *_: np.concatenate([rest, faint, clear]),
         score=lambda places, *_: np.array([scores.get(tuple(place), 0.0) for place in places]),
     )
-    found = likely_places(views, np.zeros((0, 3)), 1.0, np.eye(3, 4))
+    found = find_likely_places(views, np.zeros((0, 3)), 1.0, np.eye(3, 4))
     assert len(found) == len(clear) + 1
     assert np.flatnonzero((found == faint).all(axis=1)) == [FIRST]
     assert np.array_equal(found[:FIRST], clear[:FIRST])
@@ -54,7 +54,7 @@ def test_no_fruit_is_found_nearer_than_two_thirds_of_a_diameter_to_a_likelier_on
     verifier = SimpleNamespace(
         views=views,
         surroundings=SimpleNamespace(fruit=np.zeros((0, 3))),
-        resized=lambda *_: verifier,
+        with_size=lambda *_: verifier,
         verify=lambda found, *_: steady(np.array([odds[tuple(place)] for place in found.centers])),
     )
     found = search_photos(verifier, 1.0, np.eye(3, 4))
@@ -83,7 +83,7 @@ class Line:
         self.views, self.surroundings = self, SimpleNamespace(fruit=np.zeros((0, 3)))
         self.step = 0.0
 
-    def resized(self, diameter: float, *_: float) -> Line:
+    def with_size(self, diameter: float, *_: float) -> Line:
         self.diameter = diameter
         return self
 
@@ -160,7 +160,7 @@ def test_a_place_has_the_radius_of_where_it_has_moved_to() -> None:
     found = search_photos(line, 1.0, np.eye(3, 4))  # type: ignore[arg-type]
     assert found.places.centers[found.known :, 0] == pytest.approx([52.2])
     assert found.places.radii[found.known :] == pytest.approx(
-        held_to_usual(np.array([0.45]), np.array([SD]), np.full(6, 0.5), 0.5)
+        shrink_to_usual(np.array([0.45]), np.array([SD]), np.full(6, 0.5), 0.5)
     )
 
 
@@ -189,7 +189,7 @@ def places_of(*trees: tuple[SimpleNamespace, np.ndarray], eyes: np.ndarray) -> n
         choose=lambda *_: (None, np.tile(framed[:, None], 5)),
         eyes=eyes,
     )
-    return likely_places(views, fruit, 1.0, np.eye(3, 4))
+    return find_likely_places(views, fruit, 1.0, np.eye(3, 4))
 
 
 @pytest.mark.parametrize("photos", [60.0, 10.0])
@@ -267,7 +267,7 @@ def test_small_fruit_that_touch_stay_two() -> None:
     found = search_balls(Places.join([balls, pair]), 0.18, every=1)
     assert 2.0 * small < KEPT_APART * found.diameter
     assert radii_at(pair, found) == pytest.approx(
-        held_to_usual(pair.radii, np.full(2, SD), balls.radii, 0.09), rel=0.15
+        shrink_to_usual(pair.radii, np.full(2, SD), balls.radii, 0.09), rel=0.15
     )
     assert found.known == BALLS + 2
 

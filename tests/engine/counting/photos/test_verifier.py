@@ -35,11 +35,11 @@ def test_a_sphere_grows_to_the_radius_of_its_fruit(error: float) -> None:
 def test_a_ball_that_is_much_larger_than_the_fruit_is_none_and_one_that_is_smaller_may_be_one() -> None:
     verifier = verifier_of(BALLS, 0.16)
     usual = verifier.verify(BALLS, NO_PLACES).log_odds
-    of_small, of_large = (verifier.resized(size, 0.1).verify(BALLS, NO_PLACES).log_odds for size in (0.06, 0.4))
+    of_small, of_large = (verifier.with_size(size, 0.1).verify(BALLS, NO_PLACES).log_odds for size in (0.06, 0.4))
     assert (usual > 0.0).all()
     assert (of_small < usual - 3.0).all()
     assert (of_large > 0.0).all()
-    varied = verifier.resized(0.06, 0.6).verify(BALLS, NO_PLACES).log_odds
+    varied = verifier.with_size(0.06, 0.6).verify(BALLS, NO_PLACES).log_odds
     assert (varied > of_small).all()
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
 from fruitlangs.engine.counting.photos.search import FoundInPhotos, search_photos
-from fruitlangs.engine.counting.photos.verifier import Looked, Network, look, stored_network
+from fruitlangs.engine.counting.photos.verifier import Looked, Network, load_network, look
 from fruitlangs.engine.evaluation.truth import Truth
 from fruitlangs.fitting.counting import verifying
 from fruitlangs.fitting.counting.verifying import (
@@ -73,8 +73,8 @@ def test_known_fruit_have_about_their_own_radii(tree: Tree, looks: list[tuple[np
 def test_mistakes_are_learnt_with_the_radii_that_the_search_found_and_with_others(
     tree: Tree, looks: list[tuple[np.ndarray, ...]]
 ) -> None:
-    samples = mined(tree, stored_network(), np.random.default_rng(0))
-    found = search_photos(tree.verifier(stored_network()), tree.diameter, tree.frame)
+    samples = mined(tree, load_network(), np.random.default_rng(0))
+    found = search_photos(tree.verifier(load_network()), tree.diameter, tree.frame)
     (exact, radii, known, known_radii), (moved, radii_of_moved, _, _) = looks
     assert np.array_equal(exact, found.places.centers)
     assert np.array_equal(radii, found.places.radii)
@@ -96,7 +96,7 @@ def test_shifts_that_are_learnt_are_those_from_which_the_verifier_moves_to_the_f
     aside = Places(BALLS.centers[:1] + [0.01, -0.02, 0.02], BALLS.radii[:1])
     samples = _samples(tree, aside, NO_PLACES, np.full((1, 1), -1), np.zeros((1, 11), bool))
     chosen, _ = tree.views.choose(aside.centers, aside.radii, samples.exists.shape[1])
-    moves = tree.verifier(stored_network())._moves(
+    moves = tree.verifier(load_network())._moves(
         aside.centers, aside.radii, chosen, samples.shifts, torch.full(samples.exists.shape, -4.0)
     )
     assert samples.near.any()

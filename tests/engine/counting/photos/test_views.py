@@ -11,11 +11,11 @@ import torch
 
 from fruitlangs.engine.counting.evidence.visibility import Picture
 from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
-from fruitlangs.engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, known_near
+from fruitlangs.engine.counting.photos.verifier import KNOWN_REACH, Network, Verifier, find_known_near
 from fruitlangs.engine.counting.photos.view_kernels import DEPTH, DOWN, INSIDE, OTHERS, OWN, PROBABILITY, RIGHT
-from fruitlangs.engine.counting.photos.views import PhotoViews, cube_centers, occupied
+from fruitlangs.engine.counting.photos.views import PhotoViews, cube_centers, find_occupied_cubes
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
-from fruitlangs.engine.scene.camera import Camera, looking
+from fruitlangs.engine.scene.camera import Camera, look_along
 
 BALL, RADIUS, FOCAL = np.zeros(3), 0.1, 200.0
 WIDTH, HEIGHT = 80, 60
@@ -25,7 +25,7 @@ NOWHERE = np.zeros((0, 3))
 def camera_at(turn: float) -> Camera:
     eye = 2.0 * np.array([np.cos(turn), np.sin(turn), 0.0])
     K = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
-    return Camera(width=WIDTH, height=HEIGHT, K=K, world_to_camera=looking(eye, -eye, np.array([0.0, 0.0, 1.0])))
+    return Camera(width=WIDTH, height=HEIGHT, K=K, world_to_camera=look_along(eye, -eye, np.array([0.0, 0.0, 1.0])))
 
 
 def picture_of(camera: Camera) -> tuple[Picture, PhotoMap]:
@@ -55,7 +55,7 @@ FLAT = 2.5
 @pytest.fixture(scope="module")
 def flat() -> PhotoViews:
     """The same views in pixels that are not square: fy is FLAT times fx."""
-    cameras = [camera_at(turn).resized(WIDTH, round(FLAT * HEIGHT)) for turn in np.linspace(0.0, 2.0, 6)]
+    cameras = [camera_at(turn).resize(WIDTH, round(FLAT * HEIGHT)) for turn in np.linspace(0.0, 2.0, 6)]
     pictures, maps = zip(*map(picture_of, cameras), strict=True)
     return PhotoViews.of(pictures, maps)
 
@@ -95,8 +95,8 @@ def test_places_move_with_the_scene() -> None:
     places = np.random.default_rng(0).normal(size=(500, 3))
     moved = places + [3.0, -2.0, 1.0]
     frame = np.concatenate([np.eye(3), [[-3.0], [2.0], [-1.0]]], axis=1)
-    expected = cube_centers(occupied(places, 0.3, np.eye(3, 4)), 0.3, np.eye(3, 4)) + [3.0, -2.0, 1.0]
-    assert np.allclose(cube_centers(occupied(moved, 0.3, frame), 0.3, frame), expected)
+    expected = cube_centers(find_occupied_cubes(places, 0.3, np.eye(3, 4)), 0.3, np.eye(3, 4)) + [3.0, -2.0, 1.0]
+    assert np.allclose(cube_centers(find_occupied_cubes(moved, 0.3, frame), 0.3, frame), expected)
 
 
 def test_views_that_frame_the_ball_are_chosen(views: PhotoViews) -> None:
@@ -182,7 +182,7 @@ def test_crops_are_the_same_in_pixels_that_are_not_square(views: PhotoViews, fla
 
 def test_a_fine_axis_is_sampled_as_finely_as_it_is(views: PhotoViews) -> None:
     """Each cell of a crop covers 2.5 pixels across and 6.25 along."""
-    picture, shown = picture_of(camera_at(0.0).resized(WIDTH, round(FLAT * HEIGHT)))
+    picture, shown = picture_of(camera_at(0.0).resize(WIDTH, round(FLAT * HEIGHT)))
     shown.probability[:] = 0.0
     shown.probability[::4] = 1.0
     crop = crops_of(PhotoViews.of([picture, picture], [shown, shown]), NOWHERE, np.full((1, 1), -1))[0]
@@ -200,7 +200,7 @@ def test_views_show_the_same_of_a_ball_in_pixels_that_are_not_square(views: Phot
 
 @pytest.mark.parametrize(("below", "chosen"), [(0.5, True), (1.2, False)])
 def test_a_ball_below_the_edge_is_chosen_by_its_radius_along_this_axis(below: float, chosen: bool) -> None:
-    picture, shown = picture_of(camera_at(0.0).resized(WIDTH, round(FLAT * HEIGHT)))
+    picture, shown = picture_of(camera_at(0.0).resize(WIDTH, round(FLAT * HEIGHT)))
     cut = picture.camera.height // 2 - round(below * FLAT * FOCAL * RADIUS / 2.0)  # rows that are left
     camera = replace(picture.camera, height=cut)
     part = Picture(camera, picture.depth[:cut], picture.fruit[:cut])
@@ -233,14 +233,14 @@ def test_a_shift_in_radii_moves_a_small_sphere_less_than_a_large_one(views: Phot
 
 def test_known_near_leaves_out_far_fruit_and_the_own_one() -> None:
     others = Places(np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]]), np.array([0.2, 0.4, 0.3]))
-    near = known_near(np.array([[0.1, 0, 0], [1.0, 0, 0]]), others, np.array([-1, 1]))
+    near = find_known_near(np.array([[0.1, 0, 0], [1.0, 0, 0]]), others, np.array([-1, 1]))
     assert near[0, :3].tolist() == [0, 1, -1]
     assert near[1, :2].tolist() == [0, -1]
-    assert (known_near(np.zeros((2, 3)), NO_PLACES) == -1).all()
+    assert (find_known_near(np.zeros((2, 3)), NO_PLACES) == -1).all()
 
 
 def test_fruit_are_near_within_a_multiple_of_the_largest_diameter() -> None:
     others = Places(np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]]), np.array([0.1, 0.5]))
     within, beyond = ([[factor * KNOWN_REACH, 0.0, 0.0]] for factor in (0.99, 1.01))
-    assert known_near(np.array(within), others)[0, 0] == 0
-    assert known_near(np.array(beyond), others)[0, 0] == -1
+    assert find_known_near(np.array(within), others)[0, 0] == 0
+    assert find_known_near(np.array(beyond), others)[0, 0] == -1

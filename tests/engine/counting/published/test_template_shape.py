@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from fruitlangs.engine.config import CountConfig
-from fruitlangs.engine.counting.published.template_shape import ball, cut_out, read_template
+from fruitlangs.engine.counting.published.template_shape import ball, cut_template, read_template
 from fruitlangs.engine.errors import ConfigError, FormatError
 
 BALL = np.pi / 6.0
@@ -65,7 +65,7 @@ def test_a_seed_is_one_template(tmp_path: Path) -> None:
 
 def test_a_fruit_cut_out_of_a_scene_keeps_its_size() -> None:
     points = 0.6 * trimesh.creation.icosphere(subdivisions=3).vertices + 7.0
-    template = cut_out(points)
+    template = cut_template(points)
     assert np.linalg.norm(template.points, axis=1).mean() == pytest.approx(0.6, rel=0.01)
     assert template.volume == pytest.approx(4.0 / 3.0 * np.pi * 0.6**3, rel=0.06)
 

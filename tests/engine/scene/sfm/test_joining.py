@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
-from fruitlangs.engine.scene.sfm.joining import LEAST_SHARED, joined
-from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of, without
+from fruitlangs.engine.scene.sfm.joining import LEAST_SHARED, join_models
+from fruitlangs.engine.scene.sfm.views import PlacedPhoto, deregister_photos, model_of
 
 
 def whole() -> Any:
@@ -31,12 +31,16 @@ def split(shared: int) -> tuple[Any, Any, Any]:
     """A model, its first photos with `shared` more, and its last photos in another frame."""
     model = whole()
     order = sorted(model.reg_image_ids())
-    return model, without(model, set(order[6 + shared :])), elsewhere(without(model, set(order[:6])))
+    return (
+        model,
+        deregister_photos(model, set(order[6 + shared :])),
+        elsewhere(deregister_photos(model, set(order[:6]))),
+    )
 
 
 def test_photos_of_two_models_that_share_some_get_the_places_of_the_whole() -> None:
     model, one, other = split(LEAST_SHARED)
-    (both,) = joined([other, one])
+    (both,) = join_models([other, one])
     assert both.num_reg_images() == 12
     assert {image.name for image in both.images.values()} == {image.name for image in model.images.values()}
     larger = one  # its frame is kept
@@ -49,7 +53,7 @@ def test_photos_of_two_models_that_share_some_get_the_places_of_the_whole() -> N
 @pytest.mark.parametrize("shared", [0, LEAST_SHARED - 1])
 def test_models_that_share_too_few_photos_stay_apart(shared: int) -> None:
     _, one, other = split(shared)
-    assert [each.num_reg_images() for each in joined([one, other])] == sorted([6 + shared, 6], reverse=True)
+    assert [each.num_reg_images() for each in join_models([one, other])] == sorted([6 + shared, 6], reverse=True)
 
 
 def test_models_whose_shared_photos_do_not_agree_stay_apart() -> None:
@@ -58,7 +62,7 @@ def test_models_whose_shared_photos_do_not_agree_stay_apart() -> None:
         pose = other.frame(frame).rig_from_world
         shift = np.random.default_rng(number).normal(0.0, 5.0, 3)
         other.frame(frame).rig_from_world = colmap_library().Rigid3d(pose.rotation, pose.translation + shift)
-    assert len(joined([one, other])) == 2
+    assert len(join_models([one, other])) == 2
 
 
 def test_a_model_that_shares_photos_only_with_a_smaller_one_is_joined_through_it() -> None:
@@ -70,4 +74,4 @@ def test_a_model_that_shares_photos_only_with_a_smaller_one_is_joined_through_it
         return model_of(PlacedPhoto(i, f"{i:06d}.png", camera, pose, np.zeros((0, 2))) for i, pose in poses.items())
 
     first, last, between = of([*range(1, 13)], 1.0), of([*range(16, 26)], 2.0), of([9, 10, 11, 12, 16, 17, 18, 19], 3.0)
-    assert [each.num_reg_images() for each in joined([first, last, between])] == [22]
+    assert [each.num_reg_images() for each in join_models([first, last, between])] == [22]

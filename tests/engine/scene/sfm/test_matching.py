@@ -8,7 +8,7 @@ import pytest
 from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.matching import MOST_ANGLE, MOST_RATIO, match, match_along_lines
-from fruitlangs.engine.scene.sfm.pairs import closing_pairs, first_pairs, retried_pairs
+from fruitlangs.engine.scene.sfm.pairs import choose_closing_pairs, choose_first_pairs, choose_retry_pairs
 from fruitlangs.engine.scene.sfm.retrieval import similarities
 
 ACROSS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -49,16 +49,16 @@ def by_definition(one: np.ndarray, other: np.ndarray) -> set[tuple[int, int]]:
 
 
 def test_a_photo_that_was_not_placed_is_matched_with_all_others_of_a_small_capture() -> None:
-    assert retried_pairs(frozenset({2}), None, 4) == [(0, 2), (1, 2), (2, 3)]
+    assert choose_retry_pairs(frozenset({2}), None, 4) == [(0, 2), (1, 2), (2, 3)]
 
 
 def test_in_a_long_walk_it_is_matched_with_the_most_similar_placed_photos_only() -> None:
     count, missing = 330, frozenset(range(165, 330))
     similarity = -np.abs(np.subtract.outer(np.arange(count), np.arange(count))).astype(np.float32)
-    pairs = retried_pairs(missing, similarity, count)
+    pairs = choose_retry_pairs(missing, similarity, count)
     assert len(pairs) == 165 * 40
     assert {i for i, j in pairs if j == 200} == set(range(125, 165))
-    assert len(retried_pairs(frozenset(range(count)), similarity, count)) < 40 * count
+    assert len(choose_retry_pairs(frozenset(range(count)), similarity, count)) < 40 * count
 
 
 def test_matches_are_those_of_the_definition() -> None:
@@ -111,18 +111,18 @@ def test_the_most_similar_photo_shows_the_same_place() -> None:
 
 
 def test_a_short_capture_is_matched_in_all_pairs() -> None:
-    assert first_pairs(None, 5, PhotosConfig()) == [(i, j) for i in range(5) for j in range(i + 1, 5)]
+    assert choose_first_pairs(None, 5, PhotosConfig()) == [(i, j) for i in range(5) for j in range(i + 1, 5)]
 
 
 def test_a_long_capture_is_matched_with_neighbours_and_similar_photos_only() -> None:
     similarity = np.zeros((200, 200), np.float32)
     similarity[3, 150] = similarity[150, 3] = 1.0
-    pairs = first_pairs(similarity, 200, PhotosConfig(exhaustive_up_to=10, overlap=3))
+    pairs = choose_first_pairs(similarity, 200, PhotosConfig(exhaustive_up_to=10, overlap=3))
     assert {(i, i + step) for i in range(197) for step in (1, 2, 3)} <= set(pairs)
     assert (3, 150) in pairs
     assert len(pairs) == len(set(pairs)) < 200 * (3 + 8) + 1
 
 
 def test_neighbours_of_photos_that_meet_again_are_matched_too() -> None:
-    found = closing_pairs([(0, 1), (5, 90)], [(5, 90), (4, 89)], 100, PhotosConfig(overlap=10))
+    found = choose_closing_pairs([(0, 1), (5, 90)], [(5, 90), (4, 89)], 100, PhotosConfig(overlap=10))
     assert set(found) == {(i, j) for i in (4, 5, 6) for j in (89, 90, 91)} - {(5, 90), (4, 89)}

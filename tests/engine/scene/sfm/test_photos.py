@@ -52,7 +52,7 @@ def write_photos(folder: Path, count: int = VIEWS) -> Path:
 
 def posed(photos: Path, cache: Path) -> Source:
     """Photos alone with their cameras, estimated or from the cache."""
-    return Source(path=photos).posed(cache, PhotosConfig())
+    return Source(path=photos).find_poses(cache, PhotosConfig())
 
 
 @pytest.fixture(scope="session")
@@ -107,11 +107,11 @@ def test_photos_and_settings_name_the_model_and_the_place_does_not(walk: Path, t
     assert found.reused
     assert found.hash() == posed(walk / "images", walk / "cache").hash()
     with pytest.raises(SceneError, match="no longer in"):
-        Source(path=walk / "images").posed_before(walk / "cache", tmp_path, PhotosConfig(seed=1))
+        Source(path=walk / "images").reuse_poses(walk / "cache", tmp_path, PhotosConfig(seed=1))
 
 
 def test_another_result_gets_the_cameras_of_an_earlier_one(walk: Path, tmp_path: Path) -> None:
-    kept = Source(path=walk / "images").posed_before(walk / "cache", tmp_path, PhotosConfig())
+    kept = Source(path=walk / "images").reuse_poses(walk / "cache", tmp_path, PhotosConfig())
     assert kept.path.is_relative_to(tmp_path)
     first = posed(walk / "images", walk / "cache")
     assert dump_cameras(kept.read(SceneConfig())) == dump_cameras(first.read(SceneConfig()))
@@ -378,7 +378,7 @@ def test_the_search_is_repeated_only_if_more_than_a_few_photos_were_not_placed(
     monkeypatch.setattr(placing, "match_pairs", lambda *_: None)
     copy = Copy(name="a", width=8, height=6, copy="0.png", copy_width=4, copy_height=3, focal=0.0)
     job = Job(folder="/x", photos=[copy] * photos, config=PhotosConfig(), threads=1)
-    (best,) = placing.place_photos(job, [], lambda fraction, message: None)
+    (best,) = placing.register_photos(job, [], lambda fraction, message: None)
     assert len(made) == attempts
     assert best.num_reg_images() == max(placed[:attempts])
 

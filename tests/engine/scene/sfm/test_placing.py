@@ -12,7 +12,7 @@ from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.alignment import align
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Job
-from fruitlangs.engine.scene.sfm.placing import place_again
+from fruitlangs.engine.scene.sfm.placing import register_again
 
 
 def scene(folder: Path) -> tuple[Job, Any]:
@@ -36,7 +36,7 @@ def test_a_photo_at_a_wrong_place_returns(fixed: bool, tmp_path: Path) -> None:
     pose = wrong.images[4].cam_from_world()
     frame = wrong.frame(wrong.images[4].frame_id)
     frame.rig_from_world = colmap_library().Rigid3d(pose.rotation, pose.translation + [2.0, 0.0, 1.0])
-    again = place_again(job, wrong, {4}, fixed=fixed)
+    again = register_again(job, wrong, {4}, fixed=fixed)
     assert again.num_reg_images() == 10
     assert distances(again, model).max() < 1e-3
     if fixed:
@@ -47,7 +47,7 @@ def test_a_photo_at_a_wrong_place_returns(fixed: bool, tmp_path: Path) -> None:
 def test_a_photo_that_matches_nothing_stays_out(tmp_path: Path) -> None:
     job, model = scene(tmp_path)
     without_pairs(job, 4)
-    again = place_again(job, model, {4}, fixed=True)
+    again = register_again(job, model, {4}, fixed=True)
     assert again is None or not again.images[4].has_pose
 
 
@@ -55,7 +55,7 @@ def test_a_photo_that_matches_nothing_stays_out(tmp_path: Path) -> None:
 def test_a_photo_without_pairs_keeps_its_place_while_others_are_placed_again(fixed: bool, tmp_path: Path) -> None:
     job, model = scene(tmp_path)
     without_pairs(job, 7)
-    again = place_again(job, model, {4}, fixed=fixed)
+    again = register_again(job, model, {4}, fixed=fixed)
     assert again.num_reg_images() == 10
     assert distances(again, model).max() < 1e-3
 

@@ -15,7 +15,7 @@ from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.progress import silent
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
-from fruitlangs.engine.scene.sfm.stereo import with_surfaces
+from fruitlangs.engine.scene.sfm.stereo import add_surfaces
 
 from .refining.test_tracks import wall
 
@@ -100,7 +100,7 @@ def test_the_part_of_a_surface_without_points_gets_points_on_the_surface(
 ) -> None:
     job, model = scene(tmp_path, steep, scale=scale)
     known = places(model)
-    points = places(with_surfaces(job, model, silent))
+    points = places(add_surfaces(job, model, silent))
     assert np.allclose(points[: len(known)], known)
     new = points[len(known) :]
     assert (off(new, steep) < 0.01).mean() > 0.85
@@ -111,14 +111,14 @@ def test_the_part_of_a_surface_without_points_gets_points_on_the_surface(
 
 def test_turned_cameras_and_distortion_change_nothing(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.5, turned=True)
-    new = places(with_surfaces(job, model, silent))[model.num_points3D() :]
+    new = places(add_surfaces(job, model, silent))[model.num_points3D() :]
     assert len(new) > 100
     assert (off(new, 0.5) < 0.01).mean() > 0.85
 
 
 def test_new_points_are_seen_where_the_photos_show_them(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.0)
-    filled = with_surfaces(job, model, silent)
+    filled = add_surfaces(job, model, silent)
     errors = []
     for _, point in sorted(filled.points3D.items())[model.num_points3D() :]:
         assert point.track.length() >= 2
@@ -130,7 +130,7 @@ def test_new_points_are_seen_where_the_photos_show_them(tmp_path: Path) -> None:
 
 def test_new_points_are_apart_from_known_ones_and_from_each_other(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.0)
-    points = places(with_surfaces(job, model, silent))
+    points = places(add_surfaces(job, model, silent))
     apart = np.linalg.norm(points[:, None] - points, axis=2) + 1e9 * np.eye(len(points))
     assert apart[model.num_points3D() :].min() > 5 * DISTANCE / FOCAL
 
@@ -140,7 +140,7 @@ def test_what_photos_do_not_agree_on_gets_hardly_any_points(
     tmp_path: Path, seeds: Sequence[int | None], chance: float
 ) -> None:
     job, model = scene(tmp_path, 0.0, seeds)
-    new = with_surfaces(job, model, silent).num_points3D() - model.num_points3D()
+    new = add_surfaces(job, model, silent).num_points3D() - model.num_points3D()
     assert new <= chance * CAMERAS * WIDTH * HEIGHT / 8**2
 
 
@@ -150,7 +150,7 @@ def test_the_number_of_threads_does_not_change_the_points(tmp_path: Path) -> Non
     found = []
     for threads in (1, min(2, before)):
         numba.set_num_threads(threads)
-        found.append(places(with_surfaces(job, model, silent)))
+        found.append(places(add_surfaces(job, model, silent)))
     numba.set_num_threads(before)
     assert np.array_equal(*found)
 
@@ -159,18 +159,18 @@ def test_three_photos_are_enough(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.0)
     for number in (1, 5, 6):
         model.deregister_frame(model.images[number].frame_id)
-    assert with_surfaces(job, model, silent).num_points3D() > model.num_points3D() + 30
+    assert add_surfaces(job, model, silent).num_points3D() > model.num_points3D() + 30
 
 
 def test_a_lens_whose_distortion_has_no_inverse_at_the_border_gives_points_elsewhere(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.0)
     model.cameras[1].params = [0.6 * WIDTH, WIDTH / 2, HEIGHT / 2, -0.3]
     assert np.isnan(model.cameras[1].cam_from_img(np.array([[1.0, 1.0]]))).any()
-    assert np.isfinite(places(with_surfaces(job, model, silent))).all()
+    assert np.isfinite(places(add_surfaces(job, model, silent))).all()
 
 
 def test_a_model_without_points_stays_as_it_is(tmp_path: Path) -> None:
     job, model = scene(tmp_path, 0.0)
     for number in list(model.points3D):
         model.delete_point3D(number)
-    assert with_surfaces(job, model, silent).num_points3D() == 0
+    assert add_surfaces(job, model, silent).num_points3D() == 0

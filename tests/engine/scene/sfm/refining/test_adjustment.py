@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
-from fruitlangs.engine.scene.sfm.refining.adjustment import most_seen
+from fruitlangs.engine.scene.sfm.refining.adjustment import keep_most_seen
 from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of
 
 
@@ -21,6 +21,6 @@ def test_points_that_adjust_cameras_reach_the_edges_of_the_photos() -> None:
         for photo in photos[: 4 if index < len(middle) else 3]:
             track.add_element(photo.number, index)
         model.add_point3D(np.zeros(3), track)
-    kept = most_seen(model, 128)
+    kept = keep_most_seen(model, 128)
     assert kept.num_points3D() == len(edge) + 2 * 4  # two in each of the four parts of the middle
     assert sum(point.track.length() == 3 for point in kept.points3D.values()) == len(edge)

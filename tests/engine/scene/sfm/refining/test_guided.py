@@ -17,7 +17,7 @@ from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.job import Job
 from fruitlangs.engine.scene.sfm.refining import guided
-from fruitlangs.engine.scene.sfm.refining.guided import make_database, matched_all, near_pairs
+from fruitlangs.engine.scene.sfm.refining.guided import find_near_pairs, make_database, match_all_guided
 
 
 def placed(degrees: float) -> types.SimpleNamespace:
@@ -29,7 +29,7 @@ def placed(degrees: float) -> types.SimpleNamespace:
 
 
 def test_photos_are_matched_again_with_similar_views_only() -> None:
-    pairs = near_pairs({position: placed(20.0 * position) for position in range(18)})
+    pairs = find_near_pairs({position: placed(20.0 * position) for position in range(18)})
     assert {(i, i + 1) for i in range(17)} <= set(pairs)
     assert all(min(j - i, 18 - j + i) <= 2 for i, j in pairs)
 
@@ -40,8 +40,8 @@ def test_the_more_photos_the_fewer_features_of_each_become_points(
 ) -> None:
     sizes = np.arange(5000, dtype=np.float32)
     features = [Features(np.zeros((5000, 2), np.float32), sizes, np.zeros((5000, 128), np.uint8))] * photos
-    monkeypatch.setattr(guided, "matched", lambda _, __, chosen, *___: chosen)
-    chosen = matched_all(cast(Job, None), features, None, silent)
+    monkeypatch.setattr(guided, "match_guided", lambda _, __, chosen, *___: chosen)
+    chosen = match_all_guided(cast(Job, None), features, None, silent)
     assert len(chosen) == photos
     assert all(np.array_equal(each, np.arange(5000 - count, 5000)) for each in chosen)
 

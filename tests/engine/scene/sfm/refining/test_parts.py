@@ -10,7 +10,7 @@ import pytest
 from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
-from fruitlangs.engine.scene.sfm.refining.parts import consistent, largest_part
+from fruitlangs.engine.scene.sfm.refining.parts import keep_consistent, keep_largest_part
 from fruitlangs.engine.scene.sfm.views import PlacedPhoto, model_of
 
 from .test_refinement import with_points
@@ -73,7 +73,7 @@ def photos(
 )
 def test_photos_that_show_few_of_the_predicted_points_are_taken_out(shared: list[int], kept: list[int]) -> None:
     model = chain(shared)
-    assert sorted(largest_part(job_of(model), model).reg_image_ids()) == kept
+    assert sorted(keep_largest_part(job_of(model), model).reg_image_ids()) == kept
     assert model.num_reg_images() == len(shared) + 1
 
 
@@ -83,38 +83,38 @@ def test_photos_that_overlap_little_need_enough_points_to_hold_together(between:
     turned = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.0, -np.radians(40.0), 0.0])), np.zeros(3))
     poses = [pycolmap.Rigid3d()] * 4 + [turned] * 4
     model = photos(poses, [200] * 3 + [between] + [200] * 3, angles=[0.0] * 3 + [20.0] + [40.0] * 3)
-    assert largest_part(job_of(model), model).num_reg_images() == kept
+    assert keep_largest_part(job_of(model), model).num_reg_images() == kept
 
 
 @pytest.mark.parametrize("shared", [[0, 0, 0], [100, 0, 100]])
 def test_no_photo_is_taken_out_if_fewer_than_three_would_remain(shared: list[int]) -> None:
     model = chain(shared)
-    assert largest_part(job_of(model), model).num_reg_images() == 4
+    assert keep_largest_part(job_of(model), model).num_reg_images() == 4
 
 
 def test_photos_that_hardly_any_point_holds_are_left_out_but_not_all() -> None:
     model = with_points(np.zeros((0, 3)), [])
-    assert largest_part(job_of(model), model).num_reg_images() == 4  # too few would remain
+    assert keep_largest_part(job_of(model), model).num_reg_images() == 4  # too few would remain
     model = with_points(np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3)), [4] * 50)
     for number in sorted(model.points3D)[7:]:
         loose = [each for each in model.points3D[number].track.elements if each.image_id == 2]
         model.delete_observation(2, loose[0].point2D_idx)
     assert model.images[2].num_points3D == 7
-    assert sorted(largest_part(job_of(model), model).reg_image_ids()) == [1, 3, 4]
+    assert sorted(keep_largest_part(job_of(model), model).reg_image_ids()) == [1, 3, 4]
 
 
 def test_a_ring_whose_ends_do_not_meet_is_cut_at_its_weakest_link() -> None:
     shared = [100] * 36
     shared[35], shared[7] = 30, 60  # its ends are photos 36 and 1; photos 1 to 8 hang on photo 9
     model = ring(shared)
-    assert sorted(consistent(job_of(model), model).reg_image_ids()) == list(range(9, 37))
+    assert sorted(keep_consistent(job_of(model), model).reg_image_ids()) == list(range(9, 37))
     assert model.num_reg_images() == 36
 
 
 @pytest.mark.parametrize("changed", [{}, {35: 70}, {20: 30, 21: 30}])
 def test_a_ring_that_is_closed_stays_whole_and_so_does_a_blurred_photo(changed: dict[int, int]) -> None:
     model = ring([changed.get(photo, 100) for photo in range(36)])
-    assert consistent(job_of(model), model).num_reg_images() == 36
+    assert keep_consistent(job_of(model), model).num_reg_images() == 36
 
 
 @pytest.mark.parametrize(("between", "kept"), [(100, 56), (30, 45)])
@@ -124,9 +124,9 @@ def test_two_photos_that_share_little_contradict_each_other_unless_others_join_t
     beyond[10], shared[22] = 10, 90
     shared[11] = beyond[11] = between
     model = ring(shared, beyond)
-    assert consistent(job_of(model), model).num_reg_images() == kept
+    assert keep_consistent(job_of(model), model).num_reg_images() == kept
 
 
 def test_a_ring_stays_whole_if_less_than_half_of_it_would_remain() -> None:
     model = ring([100 if photo % 4 else 30 for photo in range(36)])
-    assert consistent(job_of(model), model).num_reg_images() == 36
+    assert keep_consistent(job_of(model), model).num_reg_images() == 36

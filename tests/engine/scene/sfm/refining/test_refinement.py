@@ -12,7 +12,7 @@ from fruitlangs.engine.progress import silent
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Job
 from fruitlangs.engine.scene.sfm.refining import refinement
-from fruitlangs.engine.scene.sfm.refining.refinement import on_surfaces, same_places, starts
+from fruitlangs.engine.scene.sfm.refining.refinement import choose_starts, has_same_places, keep_on_surfaces
 
 
 def with_points(places: np.ndarray, lengths: list[int]) -> Any:
@@ -37,7 +37,7 @@ def test_points_of_two_photos_are_kept_near_points_of_three_only() -> None:
     near, far = surface[:5] + [0.5, 0.5, 0.5], surface[:5] + [0.0, 0.0, 30.0]
     model = with_points(np.concatenate([surface, near, far]), [3] * 100 + [2] * 10)
     assert model.num_points3D() == 110
-    kept = on_surfaces(model)
+    kept = keep_on_surfaces(model)
     assert kept.num_points3D() == 105
     assert max(point.xyz[2] for point in kept.points3D.values()) < 1.0
 
@@ -55,12 +55,12 @@ def test_photos_are_at_the_same_places_if_none_is_missing_or_has_moved_far() -> 
         frame.rig_from_world = colmap_library().Rigid3d(pose.rotation, translation)
         return after
 
-    assert same_places(before, moved(0.04), {2})
-    assert not same_places(before, moved(0.06), {2})
-    assert same_places(before, moved(0.06), {1})
+    assert has_same_places(before, moved(0.04), {2})
+    assert not has_same_places(before, moved(0.06), {2})
+    assert has_same_places(before, moved(0.06), {1})
     without = moved(0.0)
     without.deregister_frame(without.images[3].frame_id)
-    assert not same_places(before, without, {2})
+    assert not has_same_places(before, without, {2})
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -68,8 +68,8 @@ def test_placing_photos_again_never_loses_those_that_points_placed(kept: bool, m
     model = with_points(np.zeros((1, 3)), [4])
     again = colmap_library().Reconstruction(model)
     again.deregister_frame(again.images[3 if kept else 2].frame_id)
-    monkeypatch.setattr(refinement, "place_again", lambda *_, **__: again)
-    found = list(starts(cast(Job, None), model, settled={2, 9}, unsure={3, 5}))
+    monkeypatch.setattr(refinement, "register_again", lambda *_, **__: again)
+    found = list(choose_starts(cast(Job, None), model, settled={2, 9}, unsure={3, 5}))
     assert [each.num_reg_images() for each in found] == ([3, 3] if kept else [4])
 
 
@@ -77,17 +77,17 @@ def test_photos_that_placing_again_does_not_move_are_not_placed_again_in_later_r
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     model, calls, settled = with_points(np.zeros((1, 3)), [4]), [], set[int]()
-    monkeypatch.setattr(refinement, "_unsure", lambda *_: {3, 5})
-    monkeypatch.setattr(refinement, "place_again", lambda *_, fixed: calls.append(fixed))
-    rounds = cast(Any, types.SimpleNamespace(job=None, tracked=lambda start, _: start))
+    monkeypatch.setattr(refinement, "_find_unsure", lambda *_: {3, 5})
+    monkeypatch.setattr(refinement, "register_again", lambda *_, fixed: calls.append(fixed))
+    rounds = cast(Any, types.SimpleNamespace(job=None, track=lambda start, _: start))
     for _ in range(3):
-        assert refinement._Rounds.improved(rounds, model, settled, silent) is model
+        assert refinement._Rounds.improve(rounds, model, settled, silent) is model
     assert calls == [True, False]
     assert settled == {3, 5}
 
 
 class Photos:
-    """What `refine` and `completed` ask of a model."""
+    """What `refine` and `complete` ask of a model."""
 
     def __init__(self, *photos: int) -> None:
         self.photos = set(photos)
@@ -121,15 +121,15 @@ def test_models_are_linked_in_any_order_and_each_is_straightened_once(
     straightened: list[Photos] = []
     rounds = types.SimpleNamespace(
         job=None,
-        straightened=lambda model, _: straightened.append(model) or model,
-        _grown=lambda model, *_: model,
-        _both=both,
+        straighten=lambda model, _: straightened.append(model) or model,
+        _grow=lambda model, *_: model,
+        _combine=both,
     )
-    monkeypatch.setattr(refinement, "_unsure", lambda *_: set())
-    monkeypatch.setattr(refinement, "consistent", lambda _, model: model)
+    monkeypatch.setattr(refinement, "_find_unsure", lambda *_: set())
+    monkeypatch.setattr(refinement, "keep_consistent", lambda _, model: model)
     models = [Photos(*each) for each in others]
-    rounds._with_others = lambda *arguments: refinement._Rounds._with_others(cast(Any, rounds), *arguments)
-    model = refinement._Rounds.completed(cast(Any, rounds), Photos(*range(1, 6)), models, silent)
+    rounds._add_others = lambda *arguments: refinement._Rounds._add_others(cast(Any, rounds), *arguments)
+    model = refinement._Rounds.complete(cast(Any, rounds), Photos(*range(1, 6)), models, silent)
     assert model.num_reg_images() == placed
     assert straightened == [each for each in models if len(each.photos) > 3]
 
@@ -145,13 +145,13 @@ def test_a_model_that_contradicts_itself_after_a_round_is_cut_and_completed_agai
         return bent if len(starts) == 1 else right
 
     rounds = types.SimpleNamespace(
-        straightened=lambda model, _: model,
+        straighten=lambda model, _: model,
         completed=completed,
         improved=lambda model, *_: sharp if model is bent else model,
         last=lambda model, _: model,
     )
     monkeypatch.setattr(refinement, "_Rounds", lambda *_: rounds)
     monkeypatch.setattr(refinement, "_agreement", lambda _: 1)
-    monkeypatch.setattr(refinement, "consistent", lambda _, model: Photos(*range(6)) if model is sharp else model)
+    monkeypatch.setattr(refinement, "keep_consistent", lambda _, model: Photos(*range(6)) if model is sharp else model)
     assert refinement.refine(cast(Job, None), [], [bent], silent) is right
     assert starts == [set(range(10)), set(range(6))]

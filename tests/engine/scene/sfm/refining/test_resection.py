@@ -12,8 +12,8 @@ from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.features import Features
 from fruitlangs.engine.scene.sfm.job import Copy, Job
-from fruitlangs.engine.scene.sfm.pairs import planned_pairs
-from fruitlangs.engine.scene.sfm.refining.resection import resected
+from fruitlangs.engine.scene.sfm.pairs import plan_pairs
+from fruitlangs.engine.scene.sfm.refining.resection import resect
 
 PHOTOS, POINTS, MISSING = 8, 400, 4
 
@@ -55,7 +55,7 @@ def scene(folder: Path, right: int) -> tuple[Job, list[Features], Any, Any]:
 def test_a_missing_photo_is_placed_by_a_tenth_of_its_matches(tmp_path: Path) -> None:
     job, features, model, true = scene(tmp_path, right=POINTS // 10)
     before = {image: model.images[image].projection_center() for image in model.reg_image_ids()}
-    placed = resected(job, features, planned_pairs(job, features), model)
+    placed = resect(job, features, plan_pairs(job, features), model)
     assert placed.num_reg_images() == PHOTOS
     for image, center in before.items():
         assert np.allclose(placed.images[image].projection_center(), center)
@@ -66,7 +66,7 @@ def test_a_missing_photo_is_placed_by_a_tenth_of_its_matches(tmp_path: Path) -> 
 @pytest.mark.parametrize("right", [0, 5])
 def test_chance_places_no_photo(tmp_path: Path, right: int) -> None:
     job, features, model, _ = scene(tmp_path, right)
-    assert resected(job, features, planned_pairs(job, features), model) is None
+    assert resect(job, features, plan_pairs(job, features), model) is None
 
 
 def test_many_wrong_matches_in_a_small_part_of_the_picture_place_no_photo(tmp_path: Path) -> None:
@@ -74,4 +74,4 @@ def test_many_wrong_matches_in_a_small_part_of_the_picture_place_no_photo(tmp_pa
     middle = features[MISSING].positions.mean(0)
     crowded = (middle + 0.1 * (features[MISSING].positions - middle)).astype(np.float32)
     features[MISSING] = Features(crowded, features[MISSING].sizes, features[MISSING].descriptors)
-    assert resected(job, features, planned_pairs(job, features), model) is None
+    assert resect(job, features, plan_pairs(job, features), model) is None

@@ -13,7 +13,7 @@ from fruitlangs.engine.config import PhotosConfig
 from fruitlangs.engine.scene.pycolmap_import import colmap_library
 from fruitlangs.engine.scene.sfm.job import Copy, Job
 from fruitlangs.engine.scene.sfm.kernels.patches import find_patches
-from fruitlangs.engine.scene.sfm.refining.tracks import longer_tracks
+from fruitlangs.engine.scene.sfm.refining.tracks import lengthen_tracks
 from fruitlangs.engine.scene.sfm.views import read_pictures
 
 WIDTH, HEIGHT, FOCAL = 200, 160, 400.0
@@ -130,7 +130,7 @@ def row_of_cameras(folder: Path, count: int, off: float) -> tuple[Job, Any, np.n
 
 def test_points_of_two_photos_are_followed_to_all_others_and_stay_at_their_places(tmp_path: Path) -> None:
     job, model, pixels = row_of_cameras(tmp_path, 7, off=0.01)  # a pixel
-    longer = longer_tracks(job, model, read_pictures(job), reach=4)
+    longer = lengthen_tracks(job, model, read_pictures(job), reach=4)
     assert longer.num_points3D() == model.num_points3D()
     assert longer.compute_mean_track_length() > 6.0
     for k, (_, point) in enumerate(sorted(longer.points3D.items())):
@@ -143,7 +143,7 @@ def test_points_that_no_third_photo_shows_are_dropped(tmp_path: Path) -> None:
     job, model, _ = row_of_cameras(tmp_path, 4, off=0.0)
     pictures = read_pictures(job)
     pictures[[0, 3]] = 90
-    assert longer_tracks(job, model, pictures, reach=4).num_points3D() == 0
+    assert lengthen_tracks(job, model, pictures, reach=4).num_points3D() == 0
 
 
 def test_photos_of_several_sizes_are_compared(tmp_path: Path) -> None:
@@ -155,5 +155,5 @@ def test_photos_of_several_sizes_are_compared(tmp_path: Path) -> None:
     pictures = read_pictures(job)
     assert pictures.shape == (4, HEIGHT, WIDTH)
     assert (pictures[3, HEIGHT - 30 :] == 0).all()
-    longer = longer_tracks(job, model, pictures, reach=4)
+    longer = lengthen_tracks(job, model, pictures, reach=4)
     assert longer.images[4].num_points3D == (pixels[3] + 7 < [WIDTH - 60, HEIGHT - 30]).all(1).sum()
