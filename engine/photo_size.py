@@ -18,7 +18,7 @@ from .memory import available_bytes, stage_bytes
 from .progress import Progress, silent
 from .scene.camera import Camera, Photo, Scene
 from .scene.photos.photo import FilePhoto
-from .splatting.training.schedule import grown
+from .splatting.training.schedule import grow_settings
 
 FloatArray = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
@@ -162,7 +162,7 @@ def side_to_read(
 def needed_bytes(side: float, photos: Sequence[Photo], cameras: Sequence[Camera], config: Config) -> int:
     """Peak memory of a run with photos that are read with at most `side` pixels on their longer side."""
     larger = [camera.scale(factor) for camera, factor in zip(cameras, growth(photos, side), strict=True)]
-    gaussians = grown(config.train, larger, len(larger)).max_gaussians
+    gaussians = grow_settings(config.train, larger, len(larger)).max_gaussians
     return max(stage_bytes(gaussians, config, larger, trained=True).values())
 
 

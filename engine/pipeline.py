@@ -32,7 +32,7 @@ from .report.results import known_fruit
 from .result_folder import ResultFolder
 from .scale import scaled
 from .scene.source import Source
-from .splatting.rendering.device import DrawingCard, drawing_on
+from .splatting.rendering.device import DrawingCard, use_card
 from .splatting.training.card_step import adapter_for
 from .splatting.training.train import Watch
 from .storage.files import file_hash
@@ -121,7 +121,7 @@ def count_scene(
     folder = ResultFolder(out)
     run = Run(folder.cache, embedder, config, given, watch, *adapter_for(config.train, joint=embedder.trains))
     opened = _opened(source, imported, out, progress)
-    with folder.locked(), drawing_on(run.adapter) as card:
+    with folder.locked(), use_card(run.adapter) as card:
         made = _before_prompts(opened, imported, run, part(progress, 0.0, 0.9))
         known = _known(made, source, out)
         with run.log.timed("count"):
@@ -195,7 +195,7 @@ def reconstruct_scene(
     embedder = Embedder.open(config.embed)
     run = Run(folder.cache, embedder, config, given, watch, *adapter_for(config.train, joint=embedder.trains))
     opened = _opened(source, imported, out, progress)
-    with folder.locked(), drawing_on(run.adapter) as card:
+    with folder.locked(), use_card(run.adapter) as card:
         made = _before_prompts(opened, imported, run, progress)
     run.log.notices += _drawing_problem(card)
     progress(1.0, "Done")

@@ -35,7 +35,7 @@ from .scene.scale import scale_by_length
 from .scene.sfm.find_cameras import list_photos
 from .scene.source import Source
 from .splatting.gaussians import Gaussians
-from .splatting.imported.imported_gaussians import PLACED, import_gaussians, rendered_again
+from .splatting.imported.imported_gaussians import PLACED, import_gaussians, render_again
 from .splatting.ply import read_ply
 from .storage.files import write_text
 from .storage.keys import stage_key
@@ -198,7 +198,7 @@ def _made(
     # Read back even when just made: the first prompt must use the same bytes as later ones.
     gaussians, stored = read_ply(folder / GAUSSIANS), read_cameras(folder / CAMERAS)
     kept = scene is not None and sees_fruit(run.embedder.encoder)  # renders show nothing that Gaussians leave out
-    scene = dataclasses.replace(scene, cameras=stored.cameras) if scene else rendered_again(gaussians, stored)
+    scene = dataclasses.replace(scene, cameras=stored.cameras) if scene else render_again(gaussians, stored)
     if "training" not in origin:
         require_memory(len(gaussians), run.config, scene.cameras, trained=False)
     embedded = folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress, kept)
@@ -302,7 +302,7 @@ def _with_photos(
         SceneError: they are missing, cannot be read, or have changed.
     """
     if _was_placed(origin):
-        return rendered_again(gaussians, scene)
+        return render_again(gaussians, scene)
     path = Path(origin["source"])
     if not path.exists():
         raise SceneError(f"The photos at {path} are missing")

@@ -27,10 +27,10 @@ from .scene.alignment import Similarity
 from .scene.camera import Camera, Scene
 from .scene.formats.cameras_json import dump_cameras, read_cameras
 from .scene.walk import SECTION_PHOTOS, Walk, cut_walk
-from .splatting.gaussians import Gaussians, concatenated, moved_gaussians
+from .splatting.gaussians import Gaussians, concatenate, transform_gaussians
 from .splatting.gpu.adapters import Adapter
 from .splatting.ply import read_ply, write_ply
-from .splatting.training.schedule import grown
+from .splatting.training.schedule import grow_settings
 from .splatting.training.train import CPU, Watch, train
 from .storage.files import write_text
 from .storage.keys import stage_key
@@ -118,7 +118,7 @@ def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
         elif walk is not None:
             results = _train_walk(folder, scene, walk, run, progress)
         else:
-            longer = _with(run, grown(config.train, scene.cameras, len(scene.cameras)))
+            longer = _with(run, grow_settings(config.train, scene.cameras, len(scene.cameras)))
             require_memory(longer.config.train.max_gaussians, longer.config, scene.cameras, trained=True)
             results = _train_into(folder, scene, longer, progress)
         _report(results, run)
@@ -168,7 +168,7 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
         names = [scenes[number].images[view].name for view in owned]
         held_out = [each for each in trained_alone["held_out"] if each["view"] in names]
         results.append({**trained_alone, "first": names[0], "held_out": held_out})
-    joined = concatenated(gaussians)
+    joined = concatenate(gaussians)
     require_memory(len(joined), config, scene.cameras, trained=False)
     write_ply(folder / GAUSSIANS, joined)
     write_text(folder / CAMERAS, dump_cameras(dataclasses.replace(scene, cameras=cameras)))
@@ -182,7 +182,7 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
 def _as_long_as(section: Scene, run: Run) -> Run:
     """The run with as many steps and Gaussians more as a section has photos more than usual, because others overlap,
     and as large photos need."""
-    train = grown(run.config.train, section.cameras)
+    train = grow_settings(run.config.train, section.cameras)
     more = max(len(section.cameras) / SECTION_PHOTOS, 1.0)
     longer = dataclasses.replace(
         train, steps=round(more * train.steps), max_gaussians=round(more * train.max_gaussians)
@@ -210,7 +210,7 @@ def _anchored(
     spread = float(np.linalg.norm(source - source.mean(axis=0)))
     scale = float(np.linalg.norm(target - target.mean(axis=0))) / spread if spread else 1.0
     moved = Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
-    return moved_gaussians(gaussians, moved), [_moved(camera, moved) for camera in posed]
+    return transform_gaussians(gaussians, moved), [_moved(camera, moved) for camera in posed]
 
 
 def _moved(camera: Camera, moved: Similarity) -> Camera:

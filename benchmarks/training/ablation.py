@@ -21,7 +21,7 @@ from ...engine.splatting.rendering.rasterize import measure_load
 from ...engine.splatting.training.losses import PhotometricLoss
 from ...engine.splatting.training.parameters import Parameters, Rates
 from ...engine.splatting.training.schedule import Schedule
-from ...engine.splatting.training.train import held_out_views, train
+from ...engine.splatting.training.train import choose_held_out, train
 from . import plain_rasterizer
 
 DENSE_ADAM = "Adam over all Gaussians"
@@ -83,7 +83,7 @@ def ablate(
             training = train(scene, replace(config, **change), progress=_named(share, name))
             seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu_begun
         rules = Schedule(replace(config, **change), scene).rules(config.steps)
-        aside = [training.cameras[view] for view in sorted(held_out_views(scene, config.holdout_every))]
+        aside = [training.cameras[view] for view in sorted(choose_held_out(scene, config.holdout_every))]
         loads = [measure_load(training.gaussians, camera, rules).pixels for camera in aside]
         rows.append(
             Ablation(

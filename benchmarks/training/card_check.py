@@ -26,7 +26,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import PARAMETERS, Gaussians
 from ...engine.splatting.gpu.adapters import LIMITS, Adapter
 from ...engine.splatting.gpu.card import Card
-from ...engine.splatting.gpu.drawing import Canvas, Learnt, packed, view_of
+from ...engine.splatting.gpu.drawing import Canvas, Learnt, pack_photo, view_of
 from ...engine.splatting.rendering.agreement import compare_card_with_reference, compare_with_reference
 from ...engine.splatting.rendering.render import DrawRules, arrays_of
 from ...engine.splatting.training.train import train
@@ -180,7 +180,7 @@ def _time(adapter: Adapter, count: int, width: int, height: int) -> StepTime:
     view["l1_weight"], view["ssim_weight"] = 0.8 / (3 * width * height), 0.2 / (3 * width * height)
     canvas.compute(values, view)  # makes room for the pairs
     canvas.put(learnt)
-    buffer = card.upload("photo", packed(photo, None))
+    buffer = card.upload("photo", pack_photo(photo, None))
     canvas.learn(view, buffer, columns=columns)
     card.download("plan", np.uint32, 1)
     begun = time.perf_counter()

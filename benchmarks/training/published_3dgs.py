@@ -28,7 +28,7 @@ from ...engine.splatting.training.initialise import neighbour_distances
 from ...engine.splatting.training.losses import psnr, ssim
 from ...engine.splatting.training.photos import PhotoShelf
 from ...engine.splatting.training.schedule import view_at
-from ...engine.splatting.training.train import held_out_views, train
+from ...engine.splatting.training.train import choose_held_out, train
 from . import plain_rasterizer
 
 STEPS = 7_000
@@ -87,7 +87,7 @@ def train_published(
 ) -> Trained:
     """Train on all but every eighth photo; at most `most` Gaussians, from a third as many points of the cloud."""
     begun = time.perf_counter()
-    aside = held_out_views(scene, TrainConfig().holdout_every)
+    aside = choose_held_out(scene, TrainConfig().holdout_every)
     views = [view for view in range(len(scene.cameras)) if view not in aside]
     model = _Model(scene, most, seed)
     with closing(PhotoShelf(scene)) as shelf:

@@ -13,7 +13,7 @@ from ..language.encoders.seen import scales_of
 from ..memory import camera_search_bytes, largest_copy, stage_bytes
 from ..scene.camera import Camera
 from ..scene.walk import SECTION_PHOTOS
-from ..splatting.training.schedule import grown
+from ..splatting.training.schedule import grow_settings
 
 # Measured on two shared cores, where equal runs differ by up to a factor of two: 300 photos of 1600×1200 trained for
 # 1200 steps in 141 s, got features in 811 s and were counted in 8 s; 60 photos of 480×360 trained in 51 s.
@@ -59,7 +59,7 @@ def expected_costs(
     cores = cores or usable_cores()
     cameras = [_camera(*size, config) for size in sizes]
     photos = 0 if _in_sections(len(cameras), config) else len(cameras)  # a section has the usual number of photos
-    config = replace(config, train=grown(config.train, cameras, photos))
+    config = replace(config, train=grow_settings(config.train, cameras, photos))
     seconds = {
         "training": _training_seconds(cameras, config),
         "computing features": FEATURE_SECONDS * sum(_seen_megapixels(camera, fruit) for camera in cameras),

@@ -83,14 +83,14 @@ class Gaussians:
         return replace(self, **{name: getattr(self, name)[index] for name in PARAMETERS})
 
 
-def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
-    """The Gaussians of all parts, which are of one degree, in their order."""
+def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
+    """Concatenate the Gaussians of all parts, which are of one degree, in their order."""
     whole: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in parts]) for name in PARAMETERS}
     return replace(parts[0], **whole)
 
 
-def moved_gaussians(gaussians: Gaussians, moved: Similarity) -> Gaussians:
-    """The Gaussians in the frame that a similarity leads to, without turning the directions of their colours."""
+def transform_gaussians(gaussians: Gaussians, moved: Similarity) -> Gaussians:
+    """Move the Gaussians to the frame that a similarity leads to, without turning the directions of their colours."""
     means = torch.from_numpy(moved.apply(gaussians.means.double().numpy())).float()
     x, y, z, w = Rotation.from_matrix(moved.rotation).as_quat()
     turn = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]], dtype=torch.float32)
@@ -102,7 +102,7 @@ def moved_gaussians(gaussians: Gaussians, moved: Similarity) -> Gaussians:
     )
 
 
-def round_gaussians(
+def make_round_gaussians(
     means: NDArray[np.float64],
     sizes: NDArray[np.float64],
     colors: NDArray[np.float64],
@@ -110,7 +110,8 @@ def round_gaussians(
     opacity: float,
     sh_degree: int = 0,
 ) -> Gaussians:
-    """N isotropic Gaussians. means: (N, 3) and sizes: (N,) standard deviations in scene units; colors: (N, 3) sRGB."""
+    """Make N isotropic Gaussians. means: (N, 3) and sizes: (N,) standard deviations in scene units; colors: (N, 3)
+    sRGB."""
     n = len(means)
     return Gaussians(
         means=torch.from_numpy(means).float(),

@@ -16,7 +16,7 @@ from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
 from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.scene.formats.cameras_json import add_scene_facts, camera_names, read_cameras
 from fruitlangs.engine.scene.scale import scale_by_length
-from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
+from fruitlangs.engine.splatting.gaussians import Gaussians, make_round_gaussians
 from fruitlangs.engine.splatting.subject.extent import longest_side
 from fruitlangs.engine.storage.files import write_text
 
@@ -137,7 +137,7 @@ def bar(length: float, at: float = 0.0, times: float = 1.0, spacing: float = 0.0
     grid = np.stack(np.meshgrid(along, across, across, indexing="ij"), -1).reshape(-1, 3)
     slant = np.linalg.qr(np.array([[1.0, 2.0, 0.5], [0.3, 1.0, 2.0], [2.0, 0.1, 1.0]]))[0]
     places = (grid @ slant.T + [at, 0.0, 0.0]) * times
-    return round_gaussians(places, np.full(len(grid), 0.005 * times), np.full((len(grid), 3), 0.5), opacity=0.99)
+    return make_round_gaussians(places, np.full(len(grid), 0.005 * times), np.full((len(grid), 3), 0.5), opacity=0.99)
 
 
 def together(*parts: Gaussians) -> Gaussians:

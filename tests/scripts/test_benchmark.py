@@ -50,7 +50,7 @@ from fruitlangs.engine.splatting.gaussians import PARAMETERS
 from fruitlangs.engine.splatting.ply import write_ply
 from fruitlangs.engine.splatting.rendering.rasterize import render
 from fruitlangs.engine.splatting.rendering.workspace import Workspace
-from fruitlangs.engine.splatting.training.initialise import first_gaussians
+from fruitlangs.engine.splatting.training.initialise import initialise_gaussians
 from fruitlangs.engine.splatting.training.losses import PhotometricLoss
 from fruitlangs.engine.splatting.training.photos import PhotoShelf
 
@@ -148,7 +148,7 @@ def test_3dgs_as_published_learns_a_tiny_scene_and_ours_takes_as_many_gaussians(
 
 def test_both_encoders_are_timed_stage_by_stage(tmp_path: Path) -> None:
     shelf = PhotoShelf(read_scene(SAMPLE, SMALL))
-    write_ply(tmp_path / "gaussians.ply", first_gaussians(shelf, range(4), 0, 1000, 0))
+    write_ply(tmp_path / "gaussians.ply", initialise_gaussians(shelf, range(4), 0, 1000, 0))
     shelf.close()
     clip = write_clip(tmp_path / "clip")
     configs = [EmbedConfig(), EmbedConfig(encoder="clip", clip=str(clip), code_epochs=1)]

@@ -13,7 +13,7 @@ from scipy.special import expit, logit
 
 from ...scene.camera import Camera
 from ...splatting.gaussians import Gaussians
-from ...splatting.subject.ground import REACH, Plane, ground_plane
+from ...splatting.subject.ground import REACH, Plane, fit_ground_plane
 from ...splatting.subject.viewpoints import Subject
 from ..evidence.camera_parts import split_by_cameras
 from ..evidence.cluster import LIKELY, Search
@@ -136,7 +136,7 @@ def heights_above_ground(gaussians: Gaussians, subject: Subject, centers: FloatA
     unknown = np.full(len(centers), np.nan)
     if len(gaussians) == 0:
         return unknown
-    plane = ground_plane(gaussians, subject, up=up)
+    plane = fit_ground_plane(gaussians, subject, up=up)
     if plane is None:
         return unknown
     relief = _relief(gaussians, plane, centers, subject.radius)

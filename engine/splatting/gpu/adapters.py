@@ -82,15 +82,15 @@ def find_adapters() -> list[Adapter]:
     except ImportError as error:
         raise GpuError(f"The package wgpu, which reaches graphics cards, is missing. {INSTALL}") from error
     try:
-        handles = _listed(wgpu)
+        handles = _list_adapters(wgpu)
     except Exception as error:
         raise GpuError(f"Graphics cards cannot be listed ({error}). Install the driver of the card") from error
     return sorted(map(_adapter, handles), key=lambda each: each.software)
 
 
 @cache
-def _listed(wgpu: Any) -> list[Any]:
-    """The drivers' adapters, without OpenGL, which has no compute shaders everywhere."""
+def _list_adapters(wgpu: Any) -> list[Any]:
+    """List the drivers' adapters, without OpenGL, which has no compute shaders everywhere."""
     from wgpu.backends.wgpu_native.extras import set_instance_extras
 
     # This layer of Mesa only sorts the cards; without a desktop it prints errors to the terminal.

@@ -42,12 +42,12 @@ def read_message(stream: IO[bytes]) -> tuple[list[Any], bytearray]:
     Raises:
         EOFError: the other side has ended.
     """
-    text_size, data_size = FRAME.unpack(_taken(stream, FRAME.size))
-    words: list[Any] = json.loads(_taken(stream, text_size))
-    return words, _taken(stream, data_size)
+    text_size, data_size = FRAME.unpack(_read_exactly(stream, FRAME.size))
+    words: list[Any] = json.loads(_read_exactly(stream, text_size))
+    return words, _read_exactly(stream, data_size)
 
 
-def _taken(stream: IO[bytes], size: int) -> bytearray:
+def _read_exactly(stream: IO[bytes], size: int) -> bytearray:
     found = bytearray(size)
     if stream.readinto(found) < size:  # type: ignore[attr-defined]
         raise EOFError

@@ -125,8 +125,9 @@ def size_of(view: NDArray[Any]) -> Size:
     return Size(int(view["width"][0]), int(view["height"][0]))
 
 
-def packed(pixels: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> NDArray[np.uint32]:
-    """(H, W) a photo (H, W, 3) as the kernels read it: 8 bits a colour, and 255 where it may be used, mask (H, W)."""
+def pack_photo(pixels: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> NDArray[np.uint32]:
+    """Pack a photo (H, W, 3) as the kernels read it, (H, W): 8 bits a colour, and 255 where it may be used, mask (H,
+    W)."""
     rows = pixels.astype(np.uint32)
     usable = np.ones(rows.shape[:2], bool) if mask is None else mask
     whole = rows[..., 0] | rows[..., 1] << 8 | rows[..., 2] << 16 | np.where(usable, 255 << 24, 0)
@@ -261,7 +262,7 @@ class Canvas:
 
     def draw(self, work: Recording, count: int, size: Size) -> None:
         """From "values" and "view" to "planes", (CHANNELS, H, W)."""
-        held = self._named()
+        held = self._copy_buffers()
         work.stage("project")
         work.run(self.program("near_plane"), "near_plane", held, 1)
         work.run_for(self.program("project"), "project", held, count)
@@ -282,7 +283,7 @@ class Canvas:
     def compare(self, work: Recording, view: NDArray[Any], photo: Any) -> None:
         """The loss of "planes" against a photo (H, W), to "losses", and its gradient, to "gradients" (5, H, W); that of
         the view's exposure to "color_sums"."""
-        size, program, held = size_of(view), self.program("loss"), {**self._named(), "photo": photo}
+        size, program, held = size_of(view), self.program("loss"), {**self._copy_buffers(), "photo": photo}
         exposed, exposure = bool(view["exposure"].any()), self.program("exposure")
         held["image"] = held["exposed" if exposed else "planes"]
         work.stage("loss")
@@ -300,7 +301,7 @@ class Canvas:
         """From "planes" and "gradients" (5, H, W) to what happens with the gradients of the Gaussians. into: "keep"
         writes them to "d_values" and "d_screen", "adam" takes a step. That of the pose goes to "pose_sums"."""
         size, count = size_of(view), int(view["count"][0])
-        held = self.listed(size)
+        held = self.list_buffers(size)
         work.stage("backward")
         if view["load_share"][0] > 0.0:
             work.run(self.program("load"), "measure_loads", held, size.columns, size.rows)
@@ -319,9 +320,9 @@ class Canvas:
         """
         self.card.upload("values", columns_of(parameters))
 
-    def listed(self, size: Size) -> dict[str, Any]:
-        """All buffers by name, "pair_of" as the last view of this size sorted it."""
-        held = self._named()
+    def list_buffers(self, size: Size) -> dict[str, Any]:
+        """List all buffers by name, "pair_of" as the last view of this size sorted it."""
+        held = self._copy_buffers()
         return {**held, "pair_of": held[self._sorted_name(size.tiles.bit_length(), "pair_of")]}
 
     def put(self, learnt: Learnt) -> None:
@@ -366,7 +367,7 @@ class Canvas:
         self.compare(work, view, photo)
         self.backward(work, view, "adam")
         if hold:
-            work.run_for(self.program("hold"), "hold", self._named(), count)
+            work.run_for(self.program("hold"), "hold", self._copy_buffers(), count)
         work.submit()
         return work
 
@@ -418,7 +419,7 @@ class Canvas:
         photo: NDArray[np.uint32] | None = None,
         pixel_gradients: NDArray[np.float32] | None = None,
     ) -> Computed:
-        """Draw one view and, for a photo (see `packed`) or for gradients (5, H, W) of red, green, blue, depth and
+        """Draw one view and, for a photo (see `pack_photo`) or for gradients (5, H, W) of red, green, blue, depth and
         alpha, compute the gradients of the parameters. view: from `view_of`.
 
         Raises:
@@ -453,7 +454,7 @@ class Canvas:
         sums = card.download("losses", np.float32, 2) if photo is not None else np.zeros(2, np.float32)
         return Computed(planes, gradients, sums)
 
-    def _named(self) -> dict[str, Any]:
+    def _copy_buffers(self) -> dict[str, Any]:
         return dict(self.card.buffers)
 
     @staticmethod

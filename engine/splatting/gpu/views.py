@@ -44,7 +44,7 @@ class CardViews:
             GpuError: the card failed, or draws something else than the CPU.
         """
         view = view_of(camera, rules, len(gaussians))
-        planes = self._drawn(gaussians, camera, rules, view)
+        planes = self._draw_planes(gaussians, camera, rules, view)
         size, card = size_of(view), self.canvas.card
         blended = np.zeros((features.shape[1], size.height, size.width), np.float32)
         fit = card.adapter.largest_buffer // (4 * TOGETHER * max(size.width * size.height, len(gaussians), 1))
@@ -75,7 +75,7 @@ class CardViews:
             GpuError: as `draw`.
         """
         view = view_of(camera, rules, len(gaussians))
-        self._drawn(gaussians, camera, rules, view)
+        self._draw_planes(gaussians, camera, rules, view)
         canvas, count, channels, size = self.canvas, len(gaussians), target.shape[2], size_of(view)
         card = canvas.card
         card.buffer("pair_sums", CHUNK * canvas.capacity)
@@ -88,7 +88,7 @@ class CardViews:
             values[..., : own.shape[2]] = own
             values[..., own.shape[2] :] = 1.0  # the first of these sums the weights
             card.upload("target_values", values)
-            held = canvas.listed(size)
+            held = canvas.list_buffers(size)
             work = card.record()
             work.run(canvas.program("accumulate"), "accumulate", held, size.columns, size.rows)
             work.run_for(canvas.program("accumulate"), "gather", held, count * CHUNK)
@@ -103,11 +103,11 @@ class CardViews:
         for name in ("features", "blended"):
             card.buffer(name, 1)
         work = card.record()
-        work.run(self.canvas.program("blended"), entry, self.canvas.listed(size), size.columns, size.rows, layers)
+        work.run(self.canvas.program("blended"), entry, self.canvas.list_buffers(size), size.columns, size.rows, layers)
         work.submit()
 
-    def _drawn(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, view: NDArray[Any]) -> FloatArray:
-        """The planes of a view."""
+    def _draw_planes(self, gaussians: Gaussians, camera: Camera, rules: DrawRules, view: NDArray[Any]) -> FloatArray:
+        """Draw the planes of a view."""
         canvas = self.canvas
         tensors = [getattr(gaussians, name) for name in PARAMETERS]
         if [(id(each), each._version) for each in tensors] != [(id(each), version) for each, version in self._shown]:

@@ -77,8 +77,8 @@ def import_gaussians(
     return ImportedGaussians(folder, key, record, kept["notices"], reused)
 
 
-def rendered_again(gaussians: Gaussians, stored: Scene) -> Scene:
-    """The cached scene of placed cameras, with renders as photos."""
+def render_again(gaussians: Gaussians, stored: Scene) -> Scene:
+    """Return the cached scene of placed cameras, with renders as photos."""
     return replace(stored, images=render_photos(gaussians, stored.cameras))
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...errors import FormatError
-from ..gaussians import Gaussians, round_gaussians
+from ..gaussians import Gaussians, make_round_gaussians
 from ..ply import Vertices
 
 FloatArray = NDArray[np.float64]
@@ -81,8 +81,8 @@ def _color_names(vertices: Vertices) -> tuple[str, ...] | None:
     return next((names for names in _COLORS if vertices.names >= set(names)), None)
 
 
-def thinned(points: ColoredPoints, most: int) -> ColoredPoints:
-    """About `most` evenly spread points: the means of those that share a cell of the finest grid that allows it.
+def thin_points(points: ColoredPoints, most: int) -> ColoredPoints:
+    """Return about `most` evenly spread points: the means of those that share a cell of the finest grid that allows it.
 
     Points that (nearly) coincide are always merged.
     """
@@ -130,4 +130,4 @@ def gaussians_from(points: ColoredPoints, path: Path) -> Gaussians:
             " offset from the coordinates first"
         )
     sizes = SIZE * np.minimum(distances, LARGEST * typical)
-    return round_gaussians(points.positions, sizes, points.colors, opacity=OPACITY)
+    return make_round_gaussians(points.positions, sizes, points.colors, opacity=OPACITY)

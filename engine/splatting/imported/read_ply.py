@@ -10,7 +10,7 @@ from typing import Literal
 from ...errors import FormatError
 from ..gaussians import Gaussians
 from ..ply import gaussians_of, has_gaussians, read_vertices
-from .points import gaussians_from, has_colored_points, points_of, thinned
+from .points import gaussians_from, has_colored_points, points_of, thin_points
 
 MOST_POINTS = 300_000
 """Larger clouds are thinned to about this many points."""
@@ -40,7 +40,7 @@ def read_imported_ply(path: Path, *, most_points: int = MOST_POINTS) -> Imported
             raise FormatError(f"{path} holds no Gaussians. Export it again")
         return ImportedPly(gaussians_of(vertices, path), "gaussians")
     finite = points_of(vertices, path)
-    points = thinned(finite, most_points)
+    points = thin_points(finite, most_points)
     notices = []
     if len(finite) < len(vertices):
         notices.append(f"{len(vertices) - len(finite):,} points of {path.name} are not finite and were left out")

@@ -51,7 +51,7 @@ WIDEST = np.float32(1e12)
 
 
 @njit(fastmath=False)
-def _usable(
+def _is_usable(
     i: int,
     means: NDArray[np.float32],
     log_scales: NDArray[np.float32],
@@ -149,7 +149,7 @@ def _project_one(
     record: NDArray[np.float32],
 ) -> bool:
     """Write a Gaussian's ellipse (all but its colour); False if it is not visible."""
-    if not _usable(i, means, log_scales, quats, opacity_logits):
+    if not _is_usable(i, means, log_scales, quats, opacity_logits):
         return False
     # Relative to the camera's centre: far from the origin, R p + t would be a small difference of large numbers.
     px, py, pz = means[i, 0] - camera[18], means[i, 1] - camera[19], means[i, 2] - camera[20]

@@ -14,8 +14,8 @@ _BUCKETS = 1 << _BITS
 
 
 @njit
-def depth_order(records: NDArray[np.float32], counts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Indices of the drawn Gaussians by depth; equal depths in the order of the indices (radix sort).
+def sort_by_depth(records: NDArray[np.float32], counts: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Sort the indices of the drawn Gaussians by depth; equal depths in the order of the indices (radix sort).
 
     A positive float32 sorts as the integer of the same bits: three rounds of eleven bits.
     """
@@ -99,8 +99,9 @@ def list_pairs(
             begin, end = next_block(counter, n)
 
 
-def heaviest_first(tile_starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Tiles by the length of their lists, longest first, so that the last ones take little time (paper, eq. 4)."""
+def order_by_load(tile_starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Order tiles by the length of their lists, longest first, so that the last ones take little time (paper, eq.
+    4)."""
     return np.argsort(tile_starts[:-1] - tile_starts[1:], kind="stable")
 
 

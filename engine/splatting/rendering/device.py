@@ -28,7 +28,7 @@ _chosen: ContextVar[DrawingCard | None] = ContextVar("drawing card", default=Non
 
 
 @contextmanager
-def drawing_on(adapter: Adapter | None) -> Iterator[DrawingCard | None]:
+def use_card(adapter: Adapter | None) -> Iterator[DrawingCard | None]:
     """Draw views on this card as long as the block runs, None for the CPU. If it fails, the CPU draws the rest."""
     card = None if adapter is None else DrawingCard(adapter)
     token = _chosen.set(card)
@@ -38,8 +38,8 @@ def drawing_on(adapter: Adapter | None) -> Iterator[DrawingCard | None]:
         _chosen.reset(token)
 
 
-def on_card(work: Callable[[CardViews], T]) -> T | None:
-    """What `work` draws on the chosen card; None if the CPU must draw it."""
+def try_on_card(work: Callable[[CardViews], T]) -> T | None:
+    """Return what `work` draws on the chosen card; None if the CPU must draw it."""
     card = _chosen.get()
     if card is None or card.problem:
         return None

@@ -13,7 +13,7 @@ from ...scene.camera import Camera
 from ..gaussians import Gaussians
 from ..gpu.views import CardViews
 from ..kernels.labels import count_labels, gather_labels, sum_labels
-from .device import on_card
+from .device import try_on_card
 from .rasterize import check_camera
 from .render import DrawRules, arrays_of, project_view, tile_view
 from .workspace import Workspace
@@ -53,7 +53,7 @@ def label_weights(
         )
     workspace = workspace or Workspace()
     rules = DrawRules(sh_degree=0, antialiased=gaussians.antialiased)
-    summed = on_card(lambda views: _on_card(views, gaussians, camera, rules, labels))
+    summed = try_on_card(lambda views: _sum_on_card(views, gaussians, camera, rules, labels))
     if summed is not None:
         return summed
     tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
@@ -81,10 +81,10 @@ def label_weights(
     return LabelWeights(starts, found, sums)
 
 
-def _on_card(
+def _sum_on_card(
     views: CardViews, gaussians: Gaussians, camera: Camera, rules: DrawRules, labels: NDArray[np.int32]
 ) -> LabelWeights:
-    """The same by a graphics card: a channel for each label."""
+    """Do the same on a graphics card: a channel for each label."""
     rows, columns, weights = [], [], []
     for first in range(0, int(labels.max(initial=-1)) + 1, LABELS_AT_ONCE):
         wanted = np.arange(first, min(first + LABELS_AT_ONCE, int(labels.max()) + 1), dtype=np.int32)

@@ -19,17 +19,17 @@ from ..kernels.accumulate import accumulate_pairs
 from ..kernels.blend_backward import sum_pairs
 from ..kernels.surface import measure_surface
 from ..kernels.tile import CHANNELS, TRANSMITTANCE
-from .device import on_card
+from .device import try_on_card
 from .render import (
     FAINTEST,
     DrawRules,
     Tiles,
     arrays_of,
     blend_view,
-    flat,
     load_view,
     project_view,
     tile_view,
+    to_array,
     view_backward,
 )
 from .workspace import Workspace
@@ -87,8 +87,10 @@ class _Render(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         parameters = arrays_of(Gaussians(means, log_scales, quats, opacity_logits, sh))
         workspace = Workspace()
-        tiles = tile_view(project_view(parameters, camera, rules, workspace, flat(offsets)), camera, rules, workspace)
-        planes = blend_view(tiles, flat(features), camera, workspace)
+        tiles = tile_view(
+            project_view(parameters, camera, rules, workspace, to_array(offsets)), camera, rules, workspace
+        )
+        planes = blend_view(tiles, to_array(features), camera, workspace)
         ctx.save_for_backward(means, log_scales, quats, opacity_logits, sh, features, background)
         ctx.tiles, ctx.planes, ctx.rules, ctx.camera, ctx.mean_gradients = tiles, planes, rules, camera, mean_gradients
         ctx.set_materialize_grads(False)
@@ -110,7 +112,7 @@ class _Render(torch.autograd.Function):
             gradients[place] = 0.0 if gradient is None else gradient.numpy()
         parameter_gradients = view_backward(
             arrays_of(Gaussians(*parameters)), ctx.camera, ctx.rules, tiles, planes, gradients, Workspace(),
-            features=flat(features), background=flat(background),
+            features=to_array(features), background=to_array(background),
             with_depth=depth is not None, with_mean_gradients=ctx.mean_gradients is not None,
         )  # fmt: skip
         undrawn = tiles.counts == 0
@@ -170,7 +172,7 @@ def render(
     leaves = [getattr(gaussians, name) for name in PARAMETERS]
     learns = torch.is_grad_enabled() and any(each.requires_grad for each in (*leaves, extra, behind))
     if not learns and screen_offsets is None and screen_pulls is None:
-        drawn = on_card(lambda views: views.draw(gaussians, camera, rules, flat(extra)))
+        drawn = try_on_card(lambda views: views.draw(gaussians, camera, rules, to_array(extra)))
         if drawn is not None:
             return _rendering(*drawn, behind, features is not None)
     color, alpha, depth, blended, radii = _Render.apply(*leaves, extra, behind, offsets, rules, camera, screen_pulls)
@@ -219,11 +221,13 @@ def draw_surface(gaussians: Gaussians, camera: Camera, features: Tensor) -> Surf
     """
     check_camera(camera)
     rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased), Workspace()
-    drawn = on_card(lambda views: (views.draw(gaussians, camera, rules, flat(features))[1], views.surface(camera)))
+    drawn = try_on_card(
+        lambda views: (views.draw(gaussians, camera, rules, to_array(features))[1], views.surface(camera))
+    )
     if drawn is not None:
         return SurfaceView(drawn[1], np.ascontiguousarray(drawn[0].transpose(1, 2, 0)))
     tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
-    planes = blend_view(tiles, flat(features), camera, workspace)
+    planes = blend_view(tiles, to_array(features), camera, workspace)
     depth = np.empty((camera.height, camera.width), np.float32)
     measure_surface(
         threads(), tiles.columns, tiles.order, tiles.records.reshape(-1), tiles.tile_starts, tiles.gaussian_of, depth
@@ -250,14 +254,14 @@ def accumulate(gaussians: Gaussians, camera: Camera, target: Tensor) -> Accumula
         )
     n, channels = len(gaussians), target.shape[2]
     rules, workspace = DrawRules(sh_degree=0, antialiased=gaussians.antialiased), Workspace()
-    lifted = on_card(lambda views: views.accumulate(gaussians, camera, rules, flat(target)))
+    lifted = try_on_card(lambda views: views.accumulate(gaussians, camera, rules, to_array(target)))
     if lifted is not None:
         return Accumulated(*map(torch.from_numpy, lifted))
     tiles = tile_view(project_view(arrays_of(gaussians), camera, rules, workspace), camera, rules, workspace)
     sums = np.empty((n, channels), np.float32)
     weights = np.empty(n, np.float32)
     for begin in range(0, max(channels, 1), LIFTED_AT_ONCE):
-        part = flat(target[:, :, begin : begin + LIFTED_AT_ONCE])
+        part = to_array(target[:, :, begin : begin + LIFTED_AT_ONCE])
         columns = part.shape[2]
         padded = -(-columns // LANES) * LANES
         pairs = np.empty((tiles.pairs, padded + 1), np.float32)

@@ -23,7 +23,7 @@ from ..kernels.project import project
 from ..kernels.project_backward import MOMENT, project_backward
 from ..kernels.records import HALF_HEIGHT, HALF_WIDTH, RECORD, TILE_HEIGHT, TILE_WIDTH
 from ..kernels.tile import CHANNELS
-from ..kernels.tile_lists import depth_order, fill_tiles, heaviest_first, list_pairs, pair_starts
+from ..kernels.tile_lists import fill_tiles, list_pairs, order_by_load, pair_starts, sort_by_depth
 from .workspace import Workspace
 
 FAINTEST = 1.0 / 255.0
@@ -40,14 +40,14 @@ Arrays = Mapping[str, NDArray[np.float32]]
 """Parameters, or their gradients, by the field names of `Gaussians`: contiguous float32."""
 
 
-def flat(tensor: Tensor) -> NDArray[Any]:
-    """A tensor as a contiguous array of float32 for kernels."""
+def to_array(tensor: Tensor) -> NDArray[Any]:
+    """Return a tensor as a contiguous array of float32 for kernels."""
     return tensor.detach().to(torch.float32).contiguous().numpy()
 
 
 def arrays_of(gaussians: Gaussians) -> dict[str, NDArray[np.float32]]:
     """The parameters as arrays for kernels."""
-    return {name: flat(getattr(gaussians, name)) for name in PARAMETERS}
+    return {name: to_array(getattr(gaussians, name)) for name in PARAMETERS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,8 +158,8 @@ def tile_view(projection: Projection, camera: Camera, rules: DrawRules, workspac
     tile_starts = np.empty(columns * rows + 1, np.int64)
     gaussian_of = workspace.take("gaussian_of", (pairs,), np.int32)
     pair_of = workspace.take("pair_of", (pairs,), np.int32)
-    fill_tiles(depth_order(records, counts), starts, counts, tile_of, tile_starts, gaussian_of, pair_of)
-    order = heaviest_first(tile_starts)
+    fill_tiles(sort_by_depth(records, counts), starts, counts, tile_of, tile_starts, gaussian_of, pair_of)
+    order = order_by_load(tile_starts)
     return Tiles(records, starts, counts, columns, tile_starts, gaussian_of, pair_of, order)
 
 

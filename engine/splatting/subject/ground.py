@@ -39,15 +39,15 @@ class Plane:
 
 
 def up_from_ground(gaussians: Gaussians, subject: Subject, *, seed: int = 0) -> FloatArray | None:
-    """(3,) unit vector up from the ground near the subject (see `ground_plane`); None if there is none."""
-    plane = ground_plane(gaussians, subject, seed=seed)
+    """(3,) unit vector up from the ground near the subject (see `fit_ground_plane`); None if there is none."""
+    plane = fit_ground_plane(gaussians, subject, seed=seed)
     return None if plane is None else plane.normal
 
 
-def ground_plane(
+def fit_ground_plane(
     gaussians: Gaussians, subject: Subject, *, up: FloatArray | None = None, seed: int = 0
 ) -> Plane | None:
-    """The plane that contains most surface near the subject and has almost none below it; it need not be level.
+    """Find the plane that contains most surface near the subject and has almost none below it; it need not be level.
 
     The surface of a Gaussian is its opacity times its size squared, because few large ones represent a lawn. Planes
     through three random Gaussians each are tried, only those that face a known `up` (3,), and the best is refined. None

@@ -29,7 +29,7 @@ from ..gpu.drawing import (
     TAKEN,
     Canvas,
     Learnt,
-    packed,
+    pack_photo,
     size_of,
     view_of,
 )
@@ -203,7 +203,7 @@ class CardStep:
         """The settings of a step for the kernels."""
         schedule, config = self.schedule, self.schedule.config
         rates = schedule.rates(step)
-        n = 3 * max(_usable(picture), 1)
+        n = 3 * max(_mask_usable(picture), 1)
         camera = picture.camera if state.poses is None else state.poses.camera(picture.view, picture.camera)
         view = view_of(camera, schedule.rules(step), count)
         view["with_pose"] = state.poses is not None
@@ -223,7 +223,7 @@ class CardStep:
         """The buffer of a photo: 8 bits a colour, and whether a pixel may be used."""
         name = f"photo {picture.view} {picture.camera.width}"
         if name not in self._photos:
-            packed_photo = packed(picture.pixels, picture.mask)
+            packed_photo = pack_photo(picture.pixels, picture.mask)
             while self._photos and sum(self._photos.values()) + packed_photo.nbytes > PHOTO_BYTES:
                 oldest = next(iter(self._photos))
                 self.card.drop(oldest)
@@ -244,7 +244,7 @@ class CardStep:
                 self._run(state, slot)
             plan = self.card.download("plan", np.uint32, PLAN)
         sums = self.card.download("losses", np.float32, 2 * len(self._pending)).reshape(-1, 2)
-        numbers = np.array([3 * max(_usable(picture), 1) for _, picture in self._pending])
+        numbers = np.array([3 * max(_mask_usable(picture), 1) for _, picture in self._pending])
         losses = (1.0 - SSIM_WEIGHT) * sums[:, 0] / numbers + SSIM_WEIGHT * (1.0 - sums[:, 1] / numbers)
         self._loss = float(losses[-1]) if np.isfinite(losses).all() else float("nan")
         self._learn(state)
@@ -282,7 +282,7 @@ class CardStep:
         view = self._view(state, state.step, picture, len(state.parameters))
         for name in ("opacity_weight", "scale_weight", "flatness_weight"):
             view[name] = 0.0
-        photo = packed(picture.pixels, picture.mask)
+        photo = pack_photo(picture.pixels, picture.mask)
         theirs = self.canvas.compute(state.parameters.arrays(), view, photo=photo)
         self.canvas.require_same_image(theirs.planes, planes)
         # Round Gaussians, as the first ones are, have rotations without a gradient: only rounding.
@@ -298,6 +298,6 @@ class CardStep:
                 )
 
 
-def _usable(picture: Picture) -> int:
-    """Pixels of a photo that may be used."""
+def _mask_usable(picture: Picture) -> int:
+    """Mark the pixels of a photo that may be used."""
     return picture.pixels.shape[0] * picture.pixels.shape[1] if picture.mask is None else int(picture.mask.sum())

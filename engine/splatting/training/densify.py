@@ -69,30 +69,30 @@ def densify(
 
     middle: (3,) of the cameras; seed: of the positions of split halves.
     """
-    keep = ~useless(parameters.gaussians(), rules, middle)
+    keep = ~find_useless(parameters.gaussians(), rules, middle)
     if not keep.any():
         return
     gradient = mean_gradients.means[keep]
     parameters.select(keep)
-    chosen = _strongest(gradient, rules.gradient, rules.max_gaussians - len(parameters))
+    chosen = _select_strongest(gradient, rules.gradient, rules.max_gaussians - len(parameters))
     gaussians = parameters.gaussians()
     split = torch.zeros(len(parameters), dtype=torch.bool)
     split[chosen] = gaussians.log_scales[chosen].amax(1) > math.log(rules.small)
     cloned = gaussians.select(chosen[~split[chosen]])
-    halves = _halves(gaussians.select(split), np.random.default_rng(seed))
+    halves = _split(gaussians.select(split), np.random.default_rng(seed))
     parameters.append(cloned, chosen[~split[chosen]])
     parameters.append(halves, split.nonzero()[:, 0].repeat(2))
     parameters.select(torch.cat([~split, torch.ones(len(parameters) - len(split), dtype=torch.bool)]))
 
 
-def _strongest(gradient: Tensor, threshold: float, room: int) -> Tensor:
-    """Indices of the largest gradients above the threshold, at most `room` (each adds one Gaussian)."""
+def _select_strongest(gradient: Tensor, threshold: float, room: int) -> Tensor:
+    """Select the indices of the largest gradients above the threshold, at most `room` (each adds one Gaussian)."""
     order = gradient.argsort(descending=True, stable=True)
     return order[: max(min(int((gradient > threshold).sum()), room), 0)].sort().values
 
 
-def _halves(gaussians: Gaussians, random: np.random.Generator) -> Gaussians:
-    """Two smaller Gaussians for each, at positions sampled from it."""
+def _split(gaussians: Gaussians, random: np.random.Generator) -> Gaussians:
+    """Split each into two smaller Gaussians, at positions sampled from it."""
     n = len(gaussians)
     drawn = torch.from_numpy(random.standard_normal((2, n, 3))).float()
     offsets = (gaussians.rotations @ (gaussians.scales * drawn)[..., None])[..., 0]
@@ -105,8 +105,8 @@ def _halves(gaussians: Gaussians, random: np.random.Generator) -> Gaussians:
     )
 
 
-def useless(gaussians: Gaussians, rules: DensifyRules, middle: Tensor) -> Tensor:
-    """(N,) mask of Gaussians that are too faint to matter, too large for their position, or not finite."""
+def find_useless(gaussians: Gaussians, rules: DensifyRules, middle: Tensor) -> Tensor:
+    """Mark the Gaussians (N,) that are too faint to matter, too large for their position, or not finite."""
     distances = (gaussians.means - middle).norm(dim=1)
     sizes = gaussians.log_scales.amax(1)
     faint = gaussians.opacities < rules.opacity

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..kernels.exposure import change_colors, colors_backward
 from ..rendering.workspace import Workspace
-from .view_adam import ViewMoments, falling
+from .view_adam import ViewMoments, decay_rate
 
 RATE, LAST_RATE = 5e-3, 5e-4
 """Adam's learning rate at the first and at the last step; 3DGS's own exposure model ends at the same order."""
@@ -54,11 +54,13 @@ class Exposures(ViewMoments):
     def update(self, view: int, sums: NDArray[np.float64], done: float) -> None:
         """Update the map of a view. sums: (3, 4) gradient of the loss; done: as in `learn`."""
         g = sums + PULL * (self.matrices[view] - IDENTITY)
-        self.matrices[view] -= self.step(view, g, falling(RATE, LAST_RATE, done)).astype(np.float32)
+        self.matrices[view] -= self.step(view, g, decay_rate(RATE, LAST_RATE, done)).astype(np.float32)
 
 
-def fitted(image: NDArray[np.float32], photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-    """The image (H, W, 3) after the affine colour change that brings it nearest to a photo (least squares).
+def fit_exposure(
+    image: NDArray[np.float32], photo: NDArray[np.uint8], mask: NDArray[np.bool_] | None
+) -> NDArray[np.float32]:
+    """Apply to the image (H, W, 3) the affine colour change that brings it nearest to a photo (least squares).
 
     A held-out photo has no learnt map; its colours are matched before it is compared.
     """

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ...errors import TrainingError
 from ...scene.camera import Scene, axes_equations
-from ..gaussians import Gaussians, round_gaussians
+from ..gaussians import Gaussians, make_round_gaussians
 from .photos import PhotoShelf
 
 FEWEST_POINTS = 2000
@@ -22,8 +22,9 @@ START_OPACITY = 0.1
 Points = NDArray[np.float64]
 
 
-def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, limit: int, seed: int) -> Gaussians:
-    """At most `limit` isotropic Gaussians to start training from, coloured by the cloud or by the photos of `views`.
+def initialise_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, limit: int, seed: int) -> Gaussians:
+    """Make at most `limit` isotropic Gaussians to start training from, coloured by the cloud or by the photos of
+    `views`.
 
     Sparse points get the mean distance of their three nearest neighbours as size (3DGS). A scene with fewer than 2,000
     of them gets random points in the sphere that the cameras look at. Anything farther away than all points (sky,
@@ -38,18 +39,18 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
     points, colors = np.asarray(scene.points, np.float64), scene.colors / 255.0
     finite = np.isfinite(points).all(1)
     points, colors = points[finite], colors[finite]
-    if len(points) > 0 and not _seen_by_any(shelf, views, points):
+    if len(points) > 0 and not _is_seen_by_any(shelf, views, points):
         raise TrainingError(
             f"None of the {len(points):,} sparse points lies before any camera. The model's poses and points do not"
             " belong together"
         )
-    dome = _dome(scene, points, min(DOME_POINTS, limit // 4))
+    dome = _make_dome(scene, points, min(DOME_POINTS, limit // 4))
     dome_colors, seen = _colors_in_photos(shelf, views, dome)
     dome, dome_colors = dome[seen], dome_colors[seen]
     room = max(limit - len(dome), 1)
     if len(points) < min(FEWEST_POINTS, room):
-        center, radius = _looked_at(scene)
-        extra = center + radius * _in_ball(random, min(FEWEST_POINTS, room) - len(points))
+        center, radius = _find_focus(scene)
+        extra = center + radius * _sample_ball(random, min(FEWEST_POINTS, room) - len(points))
         extra_colors, seen = _colors_in_photos(shelf, views, extra)
         points, colors = np.concatenate([points, extra[seen]]), np.concatenate([colors, extra_colors[seen]])
     if len(points) + len(dome) == 0:
@@ -58,7 +59,7 @@ def first_gaussians(shelf: PhotoShelf, views: Sequence[int], sh_degree: int, lim
         kept = np.sort(random.choice(len(points), room, replace=False))
         points, colors = points[kept], colors[kept]
     sizes = np.concatenate([neighbour_distances(points), neighbour_distances(dome)])
-    return round_gaussians(
+    return make_round_gaussians(
         np.concatenate([points, dome]),
         sizes,
         np.concatenate([colors, dome_colors]),
@@ -75,8 +76,8 @@ def neighbour_distances(points: Points) -> NDArray[np.float64]:
     return np.maximum(np.sqrt((distances**2).mean(1)), 1e-7)
 
 
-def _looked_at(scene: Scene) -> tuple[Points, float]:
-    """Centre and radius of the sphere that the cameras look at: the point nearest to all viewing axes.
+def _find_focus(scene: Scene) -> tuple[Points, float]:
+    """Find centre and radius of the sphere that the cameras look at: the point nearest to all viewing axes.
 
     For parallel axes that point is undefined; a weight of 1 % on the middle of the cameras, one camera spread ahead,
     settles it.
@@ -91,14 +92,15 @@ def _looked_at(scene: Scene) -> tuple[Points, float]:
     return center, 0.7 * float(np.linalg.norm(centers - center, axis=1).mean())
 
 
-def _in_ball(random: np.random.Generator, n: int) -> Points:
+def _sample_ball(random: np.random.Generator, n: int) -> Points:
     directions = random.normal(size=(n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return directions * random.random((n, 1)) ** (1 / 3)
 
 
-def _dome(scene: Scene, points: Points, n: int) -> Points:
-    """n evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's lattice)."""
+def _make_dome(scene: Scene, points: Points, n: int) -> Points:
+    """Make n evenly spread points on a sphere well beyond the cameras and nearly all sparse points (Fibonacci's
+    lattice)."""
     center, reach = scene.middle, scene.extent
     if len(points) > 0:
         reach = max(reach, float(np.quantile(np.linalg.norm(points - center, axis=1), 0.98)))
@@ -109,7 +111,7 @@ def _dome(scene: Scene, points: Points, n: int) -> Points:
     return center + 4.0 * reach * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
-def _seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> bool:
+def _is_seen_by_any(shelf: PhotoShelf, views: Sequence[int], points: Points) -> bool:
     return any(shelf.scene.cameras[view].find_in_frame(points)[0].any() for view in views)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ...scene.camera import Camera
-from .view_adam import ViewMoments, falling
+from .view_adam import ViewMoments, decay_rate
 
 RATE, LAST_RATE = 5e-3, 5e-5
 """Adam's rate at the first and at the last step: radians, and scene extents."""
@@ -44,13 +44,13 @@ class Poses(ViewMoments):
         """
         g = twist_gradient(self.world_to_camera[view], sums)
         g[3:] *= extent
-        twist = -self.step(view, g, falling(RATE, LAST_RATE, done))
+        twist = -self.step(view, g, decay_rate(RATE, LAST_RATE, done))
         twist[3:] *= extent
-        self.world_to_camera[view] = moved(self.world_to_camera[view], twist)
+        self.world_to_camera[view] = apply_twist(self.world_to_camera[view], twist)
 
 
 def twist_gradient(world_to_camera: FloatArray, sums: FloatArray) -> FloatArray:
-    """(6,) gradient of the twist (rotation vector, translation) that `moved` applies, at zero.
+    """(6,) gradient of the twist (rotation vector, translation) that `apply_twist` applies, at zero.
 
     sums: (15,) over Gaussians, as `project_backward` adds them up: gradient of their positions in the camera's frame
     (3), of the rotation matrix through positions from the camera's centre and through covariances (9, row by row), and
@@ -63,8 +63,8 @@ def twist_gradient(world_to_camera: FloatArray, sums: FloatArray) -> FloatArray:
     return np.concatenate([rotation, translation])
 
 
-def moved(world_to_camera: FloatArray, twist: FloatArray) -> FloatArray:
-    """A pose after a rotation by twist[:3] (a rotation vector) and then a shift by twist[3:] in the camera's frame."""
+def apply_twist(world_to_camera: FloatArray, twist: FloatArray) -> FloatArray:
+    """Rotate a pose by twist[:3] (a rotation vector) and then shift it by twist[3:] in the camera's frame."""
     change = np.eye(4)
     change[:3, :3] = Rotation.from_rotvec(twist[:3]).as_matrix()
     change[:3, 3] = twist[3:]

@@ -61,7 +61,7 @@ def _share(parameters: Parameters, sources: NDArray[np.int64], places: NDArray[n
     copies = np.minimum(np.bincount(sources, minlength=n) + 1, MOST_COPIES)
     changed = np.unique(sources)
     opacities = parameters.gaussians().opacities.numpy().astype(np.float64)[changed]
-    new, shrink = _shared(opacities, copies[changed])
+    new, shrink = _share_opacity(opacities, copies[changed])
     at = torch.from_numpy(changed)
     parameters.values["opacity_logits"][at] = torch.from_numpy(np.log(new / (1.0 - new))).float()
     parameters.values["log_scales"][at] += torch.from_numpy(np.log(shrink)).float()[:, None]
@@ -75,10 +75,11 @@ def _share(parameters: Parameters, sources: NDArray[np.int64], places: NDArray[n
     parameters.updates[to] = 0
 
 
-def _shared(
+def _share_opacity(
     opacities: NDArray[np.float64], copies: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Opacity of each of n copies, 1 - (1 - o)^(1/n), and the factor of their standard deviations (eq. 9)."""
+    """Return the opacity of each of n copies, 1 - (1 - o)^(1/n), and the factor of their standard deviations (eq.
+    9)."""
     new = np.clip(1.0 - (1.0 - np.minimum(opacities, 1.0 - 1e-6)) ** (1.0 / copies), DEAD, 1.0 - 1e-6)
     total = np.zeros_like(new)
     for i in range(1, int(copies.max()) + 1):
@@ -87,7 +88,7 @@ def _shared(
     return new, np.clip(opacities / np.maximum(total, 1e-12), 1e-3, 1.0)
 
 
-def explore(parameters: Parameters, extent: float, done: float, seed: list[int]) -> None:
+def inject_noise(parameters: Parameters, extent: float, done: float, seed: list[int]) -> None:
     """Add noise to the positions, along the covariance of each Gaussian, more for fainter ones (eq. 8).
 
     extent: of the scene; done: share of the training that is over.

@@ -110,7 +110,7 @@ class Schedule:
         every = self.config.check_every
         return every > 0 and step % every == 0 and step < self.config.steps
 
-    def settled(self, step: int) -> bool:
+    def is_settled(self, step: int) -> bool:
         """Whether quality can decide about stopping: before, it jumps when photos get their full size and Gaussians are
         added."""
         return self.shrink(step) == 1 and step > self.last_densified
@@ -132,10 +132,10 @@ def view_at(step: int, views: Sequence[int], seed: int) -> int:
     return views[np.random.default_rng([seed, lap]).permutation(len(views))[place]]
 
 
-def grown(config: TrainConfig, cameras: Sequence[Camera], photos: int = 0) -> TrainConfig:
-    """The settings with as many steps and Gaussians as the photos of the cameras need, if `grow` says so: both grow
-    with the square root of the number of `photos`, Gaussians also with that of the pixels of a photo. Numbers that are
-    not those of a preset stay."""
+def grow_settings(config: TrainConfig, cameras: Sequence[Camera], photos: int = 0) -> TrainConfig:
+    """Return the settings with as many steps and Gaussians as the photos of the cameras need, if `grow` says so: both
+    grow with the square root of the number of `photos`, Gaussians also with that of the pixels of a photo. Numbers that
+    are not those of a preset stay."""
     if not config.grow or not cameras:
         return config
     pixels = sum(camera.width * camera.height for camera in cameras) / len(cameras)

@@ -12,7 +12,7 @@ from torch import Tensor
 from ...scene.photos.resample import shrink, shrink_mask
 from ..gaussians import Gaussians
 from ..rendering.rasterize import render
-from .exposure import fitted
+from .exposure import fit_exposure
 from .losses import psnr, ssim
 from .photos import Picture
 
@@ -38,8 +38,8 @@ def score_view(gaussians: Gaussians, picture: Picture, name: str, *, exposure: b
     with torch.no_grad():
         color = render(gaussians, picture.camera).color
     if exposure:
-        color = torch.from_numpy(fitted(color.numpy(), picture.pixels, picture.mask))
-    small = _reduced(color, picture)
+        color = torch.from_numpy(fit_exposure(color.numpy(), picture.pixels, picture.mask))
+    small = _reduce(color, picture)
     return ViewScore(
         name=name,
         psnr=psnr(color, picture.pixels, mask=picture.mask),
@@ -58,8 +58,8 @@ class _Pair:
     mask: NDArray[np.bool_] | None
 
 
-def _reduced(color: Tensor, picture: Picture) -> _Pair:
-    """Render and photo averaged over the area of larger pixels, so that no side is above JUDGED_SIDE; unchanged if no
+def _reduce(color: Tensor, picture: Picture) -> _Pair:
+    """Average render and photo over the area of larger pixels, so that no side is above JUDGED_SIDE; unchanged if no
     such pixel is usable as a whole."""
     photo, mask = picture.pixels, picture.mask
     height, width = photo.shape[:2]

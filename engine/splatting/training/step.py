@@ -20,7 +20,7 @@ from .extra_channels import ExtraChannels
 from .losses import PhotometricLoss, unevenness
 from .parameters import CHANNELS, Parameters
 from .photos import Picture
-from .relocate import explore, relocate
+from .relocate import inject_noise, relocate
 from .schedule import Schedule
 
 SSIM_WEIGHT = 0.2
@@ -74,7 +74,7 @@ class Step:
         rates = replace(schedule.rates(step), channels=self._channel_rate(step))
         state.parameters.update(parameter_gradients, rates, schedule.rules(step).sh_degree, drawn)
         if config.densify == "mcmc":
-            explore(state.parameters, schedule.extent, schedule.done(step), [config.seed, step, 0])
+            inject_noise(state.parameters, schedule.extent, schedule.done(step), [config.seed, step, 0])
         elif schedule.records_gradients(step):
             state.mean_gradients.add(
                 parameter_gradients["mean_gradients"], drawn, picture.camera.width, picture.camera.height
@@ -105,7 +105,7 @@ class Step:
             image = state.exposures.apply(picture.view, image, workspace)
         mask = picture.mask
         if self.schedule.forgives(step):
-            mask = unforgiven(image, picture, self.schedule.config.forgive)
+            mask = select_inliers(image, picture, self.schedule.config.forgive)
         loss = self.loss.backward(image, picture.pixels, mask, gradients[:3], key=(picture.view, camera.width))
         if state.exposures is not None:
             state.exposures.learn(picture.view, planes[:3], gradients[:3], self.schedule.done(step), workspace)
@@ -157,9 +157,9 @@ def densify_and_prune(state: TrainingState, schedule: Schedule) -> None:
         reset_opacity(state.parameters, 0.05)
 
 
-def unforgiven(image: NDArray[np.float32], picture: Picture, share: float) -> NDArray[np.bool_]:
-    """(H, W) pixels to learn from: all usable ones except the `share` that differ most, in patches (RobustNeRF, Sabour
-    et al. 2023): what moves between photos rarely matches twice."""
+def select_inliers(image: NDArray[np.float32], picture: Picture, share: float) -> NDArray[np.bool_]:
+    """Select the pixels (H, W) to learn from: all usable ones except the `share` that differ most, in patches
+    (RobustNeRF, Sabour et al. 2023): what moves between photos rarely matches twice."""
     away = np.abs(image - picture.pixels.transpose(2, 0, 1) * np.float32(1 / 255)).mean(0)
     smooth = uniform_filter(away, PATCH, mode="nearest")
     use = np.ones(smooth.shape, bool) if picture.mask is None else picture.mask

@@ -25,7 +25,7 @@ from .checkpoint import TrainingState, read_checkpoint, training_key, write_chec
 from .densify import GradientStats
 from .exposure import Exposures
 from .extra_channels import ExtraChannels
-from .initialise import first_gaussians
+from .initialise import initialise_gaussians
 from .parameters import Parameters
 from .photos import PhotoShelf, Picture
 from .poses import Poses
@@ -104,13 +104,13 @@ def train(
         OutputError: the checkpoint cannot be written.
         Cancelled: `progress` asked for it; the last checkpoint stays.
     """
-    held_out = held_out_views(scene, config.holdout_every)
+    held_out = choose_held_out(scene, config.holdout_every)
     views = [view for view in range(len(scene.cameras)) if view not in held_out]
     if not views:
         raise TrainingError("The scene has no photo to train on. Give at least one")
     middle = scene.middle
     require_digits(middle, scene.extent)
-    measured = _usable(PhotoShelf(scene, limit=0), sorted(held_out), progress)
+    measured = _find_usable(PhotoShelf(scene, limit=0), sorted(held_out), progress)
     if config.patience > 0 and (config.check_every == 0 or not measured):
         raise TrainingError(
             "--train.patience needs measurements of held-out photos: give --train.check-every, and a"
@@ -118,22 +118,22 @@ def train(
         )
     device = "" if adapter is None else adapter.identity
     key = training_key(scene, config, ("" if extra is None else extra.key) + device)
-    near = _shifted(scene, -middle)  # float32 has too few digits for a small scene far from the origin
+    near = _shift_scene(scene, -middle)  # float32 has too few digits for a small scene far from the origin
     shelf = PhotoShelf(near)
     try:
-        shown = None if watch is None else lambda gaussians: watch(_at(gaussians, middle), scene)
+        shown = None if watch is None else lambda gaussians: watch(_shift_gaussians(gaussians, middle), scene)
         photos = _Photos(shelf, views, measured)
         training = _train(near, config, photos, _Saved(checkpoint, key), extra, adapter, shown, progress)
     finally:
         shelf.close()
     cameras = (
-        _shifted(replace(scene, cameras=training.cameras), middle).cameras if config.refine_poses else scene.cameras
+        _shift_scene(replace(scene, cameras=training.cameras), middle).cameras if config.refine_poses else scene.cameras
     )
-    return replace(training, gaussians=_at(training.gaussians, middle), cameras=tuple(cameras))
+    return replace(training, gaussians=_shift_gaussians(training.gaussians, middle), cameras=tuple(cameras))
 
 
-def _at(gaussians: Gaussians, offset: NDArray[np.float64]) -> Gaussians:
-    """The Gaussians moved by an offset (3,)."""
+def _shift_gaussians(gaussians: Gaussians, offset: NDArray[np.float64]) -> Gaussians:
+    """Move the Gaussians by an offset (3,)."""
     return replace(gaussians, means=(gaussians.means.double() + torch.from_numpy(offset)).float())
 
 
@@ -156,8 +156,8 @@ def require_digits(middle: NDArray[np.float64], extent: float) -> None:
         )
 
 
-def _shifted(scene: Scene, offset: NDArray[np.float64]) -> Scene:
-    """The scene with everything in it moved by an offset (3,)."""
+def _shift_scene(scene: Scene, offset: NDArray[np.float64]) -> Scene:
+    """Move the scene with everything in it by an offset (3,)."""
     cameras = []
     for camera in scene.cameras:
         pose = camera.world_to_camera.copy()
@@ -199,7 +199,7 @@ def _train(
     if not all_compiled():
         progress(0.0, "Compiling for this computer, about 15 s (first run only)")
     schedule = Schedule(config, scene)
-    stepper, device = _stepper(schedule, extra, adapter, progress)
+    stepper, device = _make_stepper(schedule, extra, adapter, progress)
     blank = 0
     while state.step < config.steps:
         picture = _picture(shelf, state.step, views, schedule)
@@ -209,7 +209,7 @@ def _train(
         try:
             loss = stepper.take(state, picture)
             done = state.step
-            if _looks(done, stepper.look_every, schedule, saved, config, watch is not None):
+            if _needs_gaussians(done, stepper.look_every, schedule, saved, config, watch is not None):
                 stepper.collect(state)
         except GpuError as error:
             device = f"{CPU} from step {state.step} on: {error}"
@@ -219,25 +219,25 @@ def _train(
         if not math.isfinite(loss):
             raise _breakdown(done, f"the loss is {loss}")
         if schedule.drops_unneeded(done):
-            state.select(_needed(state, config, [_posed(state, scene, view) for view in views]))
+            state.select(_find_needed(state, config, [_pose_camera(state, scene, view) for view in views]))
         if done % 20 == 0 or done == config.steps:
-            if done % stepper.look_every == 0 and not finite(state.parameters.gaussians()).any():
+            if done % stepper.look_every == 0 and not find_finite(state.parameters.gaussians()).any():
                 raise _breakdown(done, "no Gaussian has finite values any more")
             progress(0.95 * done / config.steps, f"step {done}/{config.steps}, {len(state.parameters):,} Gaussians")
         if watch is not None and done % WATCH_EVERY == 0:
-            so_far = _drawable(state, config)
-            watch(so_far.select(finite(so_far)))
+            so_far = _select_drawable(state, config)
+            watch(so_far.select(find_finite(so_far)))
         if schedule.checks(done) and photos.held_out:
-            scores = _scores(_drawable(state, config), shelf, photos.held_out, config)
+            scores = _scores(_select_drawable(state, config), shelf, photos.held_out, config)
             quality = float(np.mean([score.psnr for score in scores]))
             state.checks.append((done, quality))
             progress(0.95 * done / config.steps, f"step {done}: held-out PSNR {quality:.2f} dB")
-            if stalled([checked for at, checked in state.checks if schedule.settled(at)], config.patience):
+            if is_stalled([checked for at, checked in state.checks if schedule.is_settled(at)], config.patience):
                 break
         if saved.file is not None and done % config.checkpoint_every == 0 and done < config.steps:
             write_checkpoint(saved.file, state, saved.key)
-    trained = _drawable(state, config)
-    whole = finite(trained)
+    trained = _select_drawable(state, config)
+    whole = find_finite(trained)
     gaussians = trained.select(whole)
     progress(0.96, "Measuring the held-out photos")
     held_out = _scores(gaussians, shelf, photos.held_out, config)
@@ -246,16 +246,16 @@ def _train(
         held_out=held_out,
         steps=state.step,
         checks=tuple(state.checks),
-        cameras=tuple(_posed(state, scene, view) for view in range(len(scene.cameras))),
+        cameras=tuple(_pose_camera(state, scene, view) for view in range(len(scene.cameras))),
         channels=torch.from_numpy(state.parameters.channels())[whole],
         device=device,
     )
 
 
-def _stepper(
+def _make_stepper(
     schedule: Schedule, extra: ExtraChannels | None, adapter: Adapter | None, progress: Progress
 ) -> tuple[Stepper, str]:
-    """What takes the steps, and its name for the provenance."""
+    """Make what takes the steps, and its name for the provenance."""
     if adapter is None:
         return Step(schedule, extra), CPU
     try:
@@ -265,7 +265,9 @@ def _stepper(
         return Step(schedule, extra), f"{CPU}: {error}"
 
 
-def _looks(done: int, every: int, schedule: Schedule, saved: _Saved, config: TrainConfig, watched: bool) -> bool:
+def _needs_gaussians(
+    done: int, every: int, schedule: Schedule, saved: _Saved, config: TrainConfig, watched: bool
+) -> bool:
     """Whether something besides the next step needs the Gaussians after this many steps."""
     return (
         done % every == 0
@@ -277,13 +279,13 @@ def _looks(done: int, every: int, schedule: Schedule, saved: _Saved, config: Tra
     )
 
 
-def _posed(state: TrainingState, scene: Scene, view: int) -> Camera:
-    """A view's camera at its current pose."""
+def _pose_camera(state: TrainingState, scene: Scene, view: int) -> Camera:
+    """Return a view's camera at its current pose."""
     return scene.cameras[view] if state.poses is None else state.poses.camera(view, scene.cameras[view])
 
 
-def _usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list[int]:
-    """The views whose photos have a usable pixel; all are read, so that a broken one is reported at once."""
+def _find_usable(shelf: PhotoShelf, views: Sequence[int], progress: Progress) -> list[int]:
+    """Find the views whose photos have a usable pixel; all are read, so that a broken one is reported at once."""
     usable = []
     for view in views:
         progress(0.0, "Reading the held-out photos")
@@ -297,7 +299,7 @@ def _start(
     shelf: PhotoShelf, views: Sequence[int], config: TrainConfig, channels: int, progress: Progress
 ) -> TrainingState:
     progress(0.0, "placing the first Gaussians")
-    gaussians = first_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
+    gaussians = initialise_gaussians(shelf, views, config.sh_degree, config.max_gaussians, config.seed)
     exposures = Exposures.neutral(len(shelf.scene.cameras)) if config.exposure else None
     poses = Poses.of(shelf.scene.cameras) if config.refine_poses else None
     return TrainingState(Parameters.start(gaussians, channels), GradientStats.none(len(gaussians)), exposures, poses)
@@ -311,15 +313,15 @@ def _picture(shelf: PhotoShelf, step: int, views: Sequence[int], schedule: Sched
     return picture
 
 
-def stalled(checks: Sequence[float], patience: int) -> bool:
+def is_stalled(checks: Sequence[float], patience: int) -> bool:
     """Whether the last `patience` measurements (dB) gained nothing over earlier ones."""
     if patience == 0 or len(checks) <= patience:
         return False
     return max(checks[-patience:]) < max(checks[:-patience]) + LEAST_GAIN
 
 
-def finite(gaussians: Gaussians) -> Tensor:
-    """(N,) mask of the Gaussians without NaN or infinity."""
+def find_finite(gaussians: Gaussians) -> Tensor:
+    """Mark the Gaussians (N,) without NaN or infinity."""
     rows = [getattr(gaussians, name).reshape(len(gaussians), -1) for name in PARAMETERS]
     return torch.cat([torch.isfinite(row).all(1, keepdim=True) for row in rows], 1).all(1)
 
@@ -331,8 +333,8 @@ def _breakdown(step: int, reason: str) -> TrainingError:
     )
 
 
-def held_out_views(scene: Scene, every: int) -> frozenset[int]:
-    """Every n-th view, starting with the first (as in 3DGS); none for 0, and never all."""
+def choose_held_out(scene: Scene, every: int) -> frozenset[int]:
+    """Choose every n-th view, starting with the first (as in 3DGS); none for 0, and never all."""
     if every <= 1 or len(scene.cameras) < 2:
         return frozenset()
     return frozenset(range(0, len(scene.cameras), every))
@@ -348,13 +350,13 @@ def _resume(saved: _Saved, progress: Progress) -> TrainingState | None:
         return None
 
 
-def _drawable(state: TrainingState, config: TrainConfig) -> Gaussians:
+def _select_drawable(state: TrainingState, config: TrainConfig) -> Gaussians:
     return replace(state.parameters.gaussians(), antialiased=config.antialiased)
 
 
-def _needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]) -> Tensor:
-    """(N,) mask of the Gaussians to which some camera gives more than `drop_unneeded` pixels of blending weight."""
-    gaussians = _drawable(state, config)
+def _find_needed(state: TrainingState, config: TrainConfig, cameras: Sequence[Camera]) -> Tensor:
+    """Mark the Gaussians (N,) to which some camera gives more than `drop_unneeded` pixels of blending weight."""
+    gaussians = _select_drawable(state, config)
     most = torch.zeros(len(gaussians))
     for camera in cameras:
         weights = accumulate(gaussians, camera, torch.zeros(camera.height, camera.width, 0)).weights

@@ -33,6 +33,6 @@ class ViewMoments:
         return rate * mean / spread
 
 
-def falling(rate: float, last: float, done: float) -> float:
-    """A learning rate that falls exponentially; done: share of the training that is over."""
+def decay_rate(rate: float, last: float, done: float) -> float:
+    """Decay a learning rate exponentially; done: share of the training that is over."""
     return rate * (last / rate) ** done

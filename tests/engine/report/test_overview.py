@@ -12,7 +12,7 @@ from fruitlangs.engine.counting.fruit import Fruit, FruitCount, Tree
 from fruitlangs.engine.report import overview
 from fruitlangs.engine.report.overview import draw_count
 from fruitlangs.engine.scene.camera import Camera, Scene, look_along
-from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
+from fruitlangs.engine.splatting.gaussians import Gaussians, make_round_gaussians
 
 UP = np.array([0.0, 0.0, 1.0])
 FEET = (-1.0, 0.0, 1.0)
@@ -34,7 +34,7 @@ def skin() -> Gaussians:
     rows *= RADIUS / np.linalg.norm(rows, axis=1, keepdims=True)
     trunks = [np.array([[x, 0.2, z] for z in np.linspace(-0.4, 0.4, 200)]) for x in FEET]
     points = np.concatenate([*(each.center + rows for each in FRUITS), *trunks])
-    return round_gaussians(points, np.full(len(points), 0.012), np.full((len(points), 3), 0.4), opacity=0.98)
+    return make_round_gaussians(points, np.full(len(points), 0.012), np.full((len(points), 3), 0.4), opacity=0.98)
 
 
 def walk() -> Scene:

@@ -16,7 +16,7 @@ from fruitlangs.engine.report.framing import framing
 from fruitlangs.engine.report.labels import place_labels, round_length
 from fruitlangs.engine.report.still import draw_still, save_still
 from fruitlangs.engine.scene.camera import Camera, Scene, look_along
-from fruitlangs.engine.splatting.gaussians import Gaussians, round_gaussians
+from fruitlangs.engine.splatting.gaussians import Gaussians, make_round_gaussians
 
 UP = np.array([0.0, 0.0, 1.0])
 RADIUS = 0.04
@@ -52,7 +52,7 @@ def wall(y: float, half: float = 0.5) -> np.ndarray:
 
 def solid(*parts: np.ndarray) -> Gaussians:
     points = np.concatenate(parts)
-    return round_gaussians(points, np.full(len(points), 0.012), np.full((len(points), 3), 0.4), opacity=0.98)
+    return make_round_gaussians(points, np.full(len(points), 0.012), np.full((len(points), 3), 0.4), opacity=0.98)
 
 
 FRUITS = [ball(1, [-0.2, 0.0, 0.0]), ball(2, [0.2, 0.0, 0.1]), ball(3, [0.0, 0.0, -0.2])]

@@ -13,7 +13,7 @@ from fruitlangs.engine.scene.photos.resample import shrink
 from fruitlangs.engine.splatting.gaussians import Gaussians
 from fruitlangs.engine.splatting.rendering.rasterize import render
 from fruitlangs.engine.splatting.training.photos import Picture
-from fruitlangs.engine.splatting.training.scores import JUDGED_SIDE, ViewScore, _reduced, score_view
+from fruitlangs.engine.splatting.training.scores import JUDGED_SIDE, ViewScore, _reduce, score_view
 
 LARGER = 3
 
@@ -91,6 +91,6 @@ def test_a_mask_too_fine_for_the_judged_size_is_used_at_full_size(
 def test_colors_beyond_white_are_white_before_they_are_averaged(camera: Camera) -> None:
     checks = np.indices((2 * camera.height, 2 * camera.width)).sum(axis=0) % 2
     photo = np.repeat(255 * checks[..., None], 3, axis=2).astype(np.uint8)
-    found = _reduced(torch.from_numpy(photo / 100.0).float(), Picture(camera.scale(2), photo, None, 0))
+    found = _reduce(torch.from_numpy(photo / 100.0).float(), Picture(camera.scale(2), photo, None, 0))
     assert found.color.numpy() == pytest.approx(0.5)
     assert found.photo == pytest.approx(128)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fruitlangs.engine.scene.alignment import Similarity
 from fruitlangs.engine.scene.camera import Camera, look_along
-from fruitlangs.engine.splatting.gaussians import Gaussians, moved_gaussians
+from fruitlangs.engine.splatting.gaussians import Gaussians, transform_gaussians
 from fruitlangs.engine.training import _anchored, _moved
 
 LENS = np.array([[100.0, 0.0, 50.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]])
@@ -38,7 +38,7 @@ def straight_walk() -> list[Camera]:
 
 def test_gaussians_and_cameras_that_drifted_together_come_back() -> None:
     given, gaussians = straight_walk(), some_gaussians()
-    drifted = moved_gaussians(gaussians, DRIFT)
+    drifted = transform_gaussians(gaussians, DRIFT)
     back, cameras = _anchored(drifted, [_moved(camera, DRIFT) for camera in given], given)
     np.testing.assert_allclose(back.means, gaussians.means, atol=1e-5)
     np.testing.assert_allclose(back.covariances, gaussians.covariances, atol=1e-6)
@@ -48,7 +48,7 @@ def test_gaussians_and_cameras_that_drifted_together_come_back() -> None:
 
 def test_moved_gaussians_have_moved_covariances() -> None:
     gaussians = some_gaussians()
-    moved = moved_gaussians(gaussians, DRIFT)
+    moved = transform_gaussians(gaussians, DRIFT)
     turn = torch.from_numpy(DRIFT.scale * DRIFT.rotation).float()
     np.testing.assert_allclose(moved.covariances, turn @ gaussians.covariances @ turn.T, rtol=1e-3, atol=1e-7)
 

@@ -25,13 +25,13 @@ from fruitlangs.engine.splatting.rendering.render import (
     view_backward,
 )
 from fruitlangs.engine.splatting.rendering.workspace import Workspace
-from fruitlangs.engine.splatting.training.exposure import Exposures, fitted
+from fruitlangs.engine.splatting.training.exposure import Exposures, fit_exposure
 from fruitlangs.engine.splatting.training.losses import unevenness
 from fruitlangs.engine.splatting.training.parameters import Parameters, Rates
 from fruitlangs.engine.splatting.training.photos import PhotoShelf
-from fruitlangs.engine.splatting.training.poses import Poses, moved, twist_gradient
-from fruitlangs.engine.splatting.training.relocate import explore, relocate
-from fruitlangs.engine.splatting.training.step import regularise, unforgiven
+from fruitlangs.engine.splatting.training.poses import Poses, apply_twist, twist_gradient
+from fruitlangs.engine.splatting.training.relocate import inject_noise, relocate
+from fruitlangs.engine.splatting.training.step import regularise, select_inliers
 
 BLACK = np.zeros(3, np.float32)
 RATES = Rates(means=0.1, log_scales=0.1, quats=0.1, opacity_logits=0.1, sh=0.1, sh_rest=0.1)
@@ -119,7 +119,7 @@ def test_the_gradient_of_a_pose_agrees_with_the_references_differences() -> None
     ours = twist_gradient(camera.world_to_camera, parameter_gradients(gaussians, camera, gradients)["pose"])
 
     def value(twist: NDArray[np.float64]) -> float:
-        turned = replace(camera, world_to_camera=moved(camera.world_to_camera, twist))
+        turned = replace(camera, world_to_camera=apply_twist(camera.world_to_camera, twist))
         return float((render_reference(double(gaussians), turned).color * weights).sum())
 
     step = 1e-6
@@ -130,7 +130,7 @@ def test_the_gradient_of_a_pose_agrees_with_the_references_differences() -> None
 def test_a_pose_moves_back_to_where_the_photo_was_taken() -> None:
     camera = ring_camera(0.3)
     poses = Poses.of([camera])
-    start = moved(camera.world_to_camera, np.array([0.01, -0.005, 0.008, 0.02, 0.01, -0.03]))
+    start = apply_twist(camera.world_to_camera, np.array([0.01, -0.005, 0.008, 0.02, 0.01, -0.03]))
     poses.world_to_camera[0] = start
     gaussians = random_gaussians(300, 0, seed=8, log_scale=-2.5)
     target = drawn(gaussians, camera)[3][:3].copy()
@@ -173,7 +173,7 @@ def test_a_photo_held_out_is_compared_in_its_own_colours() -> None:
     random = np.random.default_rng(2)
     image = random.random((12, 10, 3)).astype(np.float32)
     photo = np.rint(255 * (0.2 + 0.6 * image)).astype(np.uint8)
-    np.testing.assert_allclose(fitted(image, photo, None), photo / 255, atol=0.004)
+    np.testing.assert_allclose(fit_exposure(image, photo, None), photo / 255, atol=0.004)
 
 
 def test_only_drawn_gaussians_move_as_if_the_steps_between_had_not_been() -> None:
@@ -247,7 +247,7 @@ def test_noise_moves_the_faint_and_spares_the_solid() -> None:
     gaussians.opacity_logits[:50] = -6.0
     gaussians.opacity_logits[50:] = 4.0
     parameters = Parameters.start(gaussians)
-    explore(parameters, 4.0, 0.0, [0])
+    inject_noise(parameters, 4.0, 0.0, [0])
     away = (parameters.values["means"] - gaussians.means).norm(dim=1)
     assert float(away[:50].min()) > 0.0
     assert float(away[50:].max()) < 1e-6
@@ -274,7 +274,7 @@ def test_the_pixels_that_differ_most_are_forgiven() -> None:
     picture = PhotoShelf(drawn_scene()).picture(0)
     image = picture.pixels.transpose(2, 0, 1) / np.float32(255)
     image[:, 4:12, 5:15] = 1.0 - image[:, 4:12, 5:15]
-    use = unforgiven(image.astype(np.float32), picture, 0.2)
+    use = select_inliers(image.astype(np.float32), picture, 0.2)
     assert not use[6:10, 8:12].any()
     assert use[20:].mean() > 0.9
     assert use.mean() == pytest.approx(0.8, abs=0.02)

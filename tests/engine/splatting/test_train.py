@@ -24,13 +24,13 @@ from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 from fruitlangs.engine.scene.read import read_scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
 from fruitlangs.engine.splatting.rendering.rasterize import render
-from fruitlangs.engine.splatting.training.exposure import fitted
-from fruitlangs.engine.splatting.training.initialise import first_gaussians
+from fruitlangs.engine.splatting.training.exposure import fit_exposure
+from fruitlangs.engine.splatting.training.initialise import initialise_gaussians
 from fruitlangs.engine.splatting.training.losses import psnr
 from fruitlangs.engine.splatting.training.photos import PhotoShelf
-from fruitlangs.engine.splatting.training.poses import moved
+from fruitlangs.engine.splatting.training.poses import apply_twist
 from fruitlangs.engine.splatting.training.schedule import Schedule, view_at
-from fruitlangs.engine.splatting.training.train import Training, held_out_views, stalled, train
+from fruitlangs.engine.splatting.training.train import Training, choose_held_out, is_stalled, train
 
 QUICK = TrainConfig(
     steps=60,
@@ -230,7 +230,7 @@ def test_a_photo_of_another_size_than_its_camera_is_named(scene: Scene) -> None:
 def test_a_broken_photo_that_is_held_out_is_named_before_the_first_step(scene: Scene) -> None:
     images = list(scene.images)
     images[4] = ArrayPhoto("broken.png", np.zeros((10, 10, 3), np.uint8))
-    assert 4 in held_out_views(scene, QUICK.holdout_every)
+    assert 4 in choose_held_out(scene, QUICK.holdout_every)
     messages: list[str] = []
     with pytest.raises(SceneError, match=r"broken\.png"):
         train(replace(scene, images=images), QUICK, progress=lambda fraction, message: messages.append(message))
@@ -261,7 +261,7 @@ def test_noise_of_faint_gaussians_grows_with_the_scene(scene: Scene) -> None:
 
 def test_a_scene_of_any_scale_starts_alike_from_no_points(scene: Scene) -> None:
     bare = replace(scene, points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
-    first, small = (first_gaussians(PhotoShelf(s), range(8), 0, 900, 0) for s in (bare, scaled(bare, 1e-5)))
+    first, small = (initialise_gaussians(PhotoShelf(s), range(8), 0, 900, 0) for s in (bare, scaled(bare, 1e-5)))
     torch.testing.assert_close(small.means * 1e5, first.means, rtol=1e-4, atol=1e-4)
 
 
@@ -299,10 +299,10 @@ def test_opacities_are_not_reset_after_the_last_gaussian_came(scene: Scene) -> N
 
 def test_no_plateau_before_photos_have_their_full_size_ends_a_training(scene: Scene) -> None:
     schedule = Schedule(TrainConfig(), scene)
-    settled = [step for step in range(1, 1201) if schedule.settled(step)]
+    settled = [step for step in range(1, 1201) if schedule.is_settled(step)]
     assert settled == list(range(720, 1201))
-    assert Schedule(PRESETS["paper"], scene).settled(15_001)
-    assert not Schedule(PRESETS["paper"], scene).settled(15_000)
+    assert Schedule(PRESETS["paper"], scene).is_settled(15_001)
+    assert not Schedule(PRESETS["paper"], scene).is_settled(15_000)
 
 
 def test_few_gaussians_may_be_larger_than_many(scene: Scene) -> None:
@@ -318,9 +318,9 @@ def test_every_round_shows_every_photo_once() -> None:
 
 
 def test_nothing_is_held_out_of_a_single_photo_or_when_not_asked(scene: Scene) -> None:
-    assert held_out_views(scene, 0) == frozenset()
-    assert held_out_views(scene, 3) == {0, 3, 6}
-    assert held_out_views(replace(scene, cameras=scene.cameras[:1]), 8) == frozenset()
+    assert choose_held_out(scene, 0) == frozenset()
+    assert choose_held_out(scene, 3) == {0, 3, 6}
+    assert choose_held_out(replace(scene, cameras=scene.cameras[:1]), 8) == frozenset()
 
 
 def test_a_scene_far_from_the_origin_is_learnt_alike(scene: Scene, uninterrupted: Training) -> None:
@@ -361,7 +361,7 @@ def test_patience_without_measurements_is_refused(settings: dict[str, int], scen
     [([20, 21, 22], 2, False), ([20, 22, 22, 22.01], 2, True), ([20, 22, 22, 22.01], 0, False), ([22, 21], 2, False)],
 )
 def test_stalled_is_no_gain_over_what_was_best(checks: list[float], patience: int, expected: bool) -> None:
-    assert stalled(checks, patience) is expected
+    assert is_stalled(checks, patience) is expected
 
 
 def test_what_no_photo_needs_is_dropped(scene: Scene, uninterrupted: Training) -> None:
@@ -412,7 +412,7 @@ def test_light_that_varies_from_photo_to_photo_is_learnt_as_exposure() -> None:
 
 
 def affine(color: torch.Tensor, photo: NDArray[np.uint8]) -> torch.Tensor:
-    return torch.from_numpy(fitted(color.numpy(), photo, None))
+    return torch.from_numpy(fit_exposure(color.numpy(), photo, None))
 
 
 def test_poses_that_are_off_are_refined() -> None:
@@ -420,7 +420,7 @@ def test_poses_that_are_off_are_refined() -> None:
     scene = read_scene(sample, SceneConfig(downscale=4))
     random = np.random.default_rng(1)
     off = [
-        replace(camera, world_to_camera=moved(camera.world_to_camera, random.normal(0, [0.015] * 3 + [0.02] * 3)))
+        replace(camera, world_to_camera=apply_twist(camera.world_to_camera, random.normal(0, [0.015] * 3 + [0.02] * 3)))
         for camera in scene.cameras
     ]
     config = TrainConfig(steps=600, max_gaussians=12_000, sh_degree=0, holdout_every=0, coarse_until=0.0)
@@ -466,8 +466,8 @@ def test_masked_pixels_colour_no_first_gaussian(scene: Scene) -> None:
     half = np.zeros((48, 64), bool)
     half[:, 32:] = True
     photos = [ArrayPhoto(photo.name, photo.pixels(), half) for photo in scene.images]
-    whole = first_gaussians(PhotoShelf(scene), range(8), 0, 9000, 0)
-    masked = first_gaussians(PhotoShelf(replace(scene, images=photos)), range(8), 0, 9000, 0)
+    whole = initialise_gaussians(PhotoShelf(scene), range(8), 0, 9000, 0)
+    masked = initialise_gaussians(PhotoShelf(replace(scene, images=photos)), range(8), 0, 9000, 0)
     assert len(scene.points) < len(masked) < len(whole)
 
 

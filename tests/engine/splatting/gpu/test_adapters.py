@@ -80,7 +80,7 @@ def test_a_driver_that_fails_is_an_error_in_one_line(monkeypatch: pytest.MonkeyP
     def fail(_: Any) -> list[Any]:
         raise RuntimeError("no Vulkan library")
 
-    monkeypatch.setattr(adapters, "_listed", fail)
+    monkeypatch.setattr(adapters, "_list_adapters", fail)
     with pytest.raises(GpuError, match=r"cannot be listed \(no Vulkan library\)"):
         find_adapters()
     assert choose_adapter("auto") is None

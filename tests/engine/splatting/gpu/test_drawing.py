@@ -12,7 +12,7 @@ from splats import random_gaussians, ring_camera
 
 from fruitlangs.engine.scene.camera import Camera
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
-from fruitlangs.engine.splatting.gpu.drawing import Canvas, Computed, Size, packed, view_of
+from fruitlangs.engine.splatting.gpu.drawing import Canvas, Computed, Size, pack_photo, view_of
 from fruitlangs.engine.splatting.kernels.tile import TRANSMITTANCE
 from fruitlangs.engine.splatting.rendering.agreement import compare_card_with_reference
 from fruitlangs.engine.splatting.rendering.render import (
@@ -70,7 +70,7 @@ def test_opaque_stacks_stop_as_in_the_reference(canvas: Canvas) -> None:
 def lists_of(canvas: Canvas, width: int, height: int) -> list[NDArray[np.uint32]]:
     """Of each tile of the last view the Gaussians that it draws, nearest first."""
     size, card = Size(width, height), canvas.card
-    [sorted_pairs] = [name for name, held in card.buffers.items() if held is canvas.listed(size)["pair_of"]]
+    [sorted_pairs] = [name for name, held in card.buffers.items() if held is canvas.list_buffers(size)["pair_of"]]
     starts = card.download("tile_starts", np.uint32, size.tiles + 1)
     pairs = int(starts[-1])
     own = card.download("owner_of", np.uint32, pairs)[card.download(sorted_pairs, np.uint32, pairs)]
@@ -140,7 +140,7 @@ def test_the_loss_and_its_gradients_are_those_of_the_cpu(canvas: Canvas, masked:
     n = 3 * (50 * 70 if mask is None else int(mask.sum()))
     view = view_of(camera, DrawRules(sh_degree=1), len(gaussians))
     view["l1_weight"], view["ssim_weight"] = 0.8 / n, 0.2 / n
-    ours = canvas.compute(arrays_of(gaussians), view, photo=packed(photo, mask))
+    ours = canvas.compute(arrays_of(gaussians), view, photo=pack_photo(photo, mask))
     assert 0.8 * ours.sums[0] / n + 0.2 * (1 - ours.sums[1] / n) == pytest.approx(loss, rel=1e-5)
     theirs = canvas.compute(arrays_of(gaussians), view, pixel_gradients=gradient)
     for name in PARAMETERS:

@@ -27,7 +27,7 @@ from fruitlangs.engine.splatting.training.card_step import CardStep, adapter_for
 from fruitlangs.engine.splatting.training.checkpoint import TrainingState
 from fruitlangs.engine.splatting.training.densify import GradientStats
 from fruitlangs.engine.splatting.training.exposure import Exposures
-from fruitlangs.engine.splatting.training.initialise import first_gaussians
+from fruitlangs.engine.splatting.training.initialise import initialise_gaussians
 from fruitlangs.engine.splatting.training.parameters import Parameters
 from fruitlangs.engine.splatting.training.photos import PhotoShelf
 from fruitlangs.engine.splatting.training.poses import Poses
@@ -214,7 +214,9 @@ def test_a_card_that_cannot_be_opened_leaves_the_training_to_the_cpu(scene: Scen
 
 def begun(scene: Scene, config: TrainConfig) -> tuple[TrainingState, PhotoShelf, Schedule]:
     shelf = PhotoShelf(scene)
-    gaussians = first_gaussians(shelf, range(len(scene.cameras)), config.sh_degree, config.max_gaussians, config.seed)
+    gaussians = initialise_gaussians(
+        shelf, range(len(scene.cameras)), config.sh_degree, config.max_gaussians, config.seed
+    )
     gaussians.log_scales.add_(torch.randn(gaussians.log_scales.shape, generator=torch.Generator().manual_seed(0)) * 0.3)
     state = TrainingState(
         Parameters.start(gaussians),

@@ -16,7 +16,7 @@ from fruitlangs.engine.splatting.gpu import card as card_module
 from fruitlangs.engine.splatting.gpu.adapters import Adapter
 from fruitlangs.engine.splatting.gpu.card import Card
 from fruitlangs.engine.splatting.gpu.views import CardViews
-from fruitlangs.engine.splatting.rendering.device import drawing_on
+from fruitlangs.engine.splatting.rendering.device import use_card
 from fruitlangs.engine.splatting.rendering.label_weights import label_weights
 from fruitlangs.engine.splatting.rendering.rasterize import accumulate, draw_surface, render
 
@@ -29,7 +29,7 @@ def views(adapter: Adapter) -> CardViews:
 @pytest.fixture
 def drawn(adapter: Adapter, views: CardViews) -> Any:
     """Everything is drawn on the card."""
-    with drawing_on(adapter) as card:
+    with use_card(adapter) as card:
         assert card is not None
         card.views = views
         yield card
@@ -41,7 +41,7 @@ def test_a_view_with_further_channels_is_that_of_the_cpu(channels: int, drawn: A
     gaussians, camera = random_gaussians(300, 2, seed=1), ring_camera()
     features = torch.randn(300, channels, generator=torch.Generator().manual_seed(2))
     ours = render(gaussians, camera, features=features, background=torch.tensor([0.2, 0.4, 0.6]))
-    with drawing_on(None):
+    with use_card(None):
         theirs = render(gaussians, camera, features=features, background=torch.tensor([0.2, 0.4, 0.6]))
     assert len(ours.radii) == 0
     for name in ("color", "alpha", "weighted_depth", "features"):
@@ -53,7 +53,7 @@ def test_sums_by_blending_weight_are_those_of_the_cpu(channels: int, drawn: Any)
     gaussians, camera = random_gaussians(400, 0, seed=3), ring_camera()
     target = torch.randn(camera.height, camera.width, channels, generator=torch.Generator().manual_seed(1))
     ours = accumulate(gaussians, camera, target)
-    with drawing_on(None):
+    with use_card(None):
         theirs = accumulate(gaussians, camera, target)
     torch.testing.assert_close(ours.sums, theirs.sums, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(ours.weights, theirs.weights, rtol=1e-3, atol=1e-3)
@@ -64,7 +64,7 @@ def test_sums_by_label_are_those_of_the_cpu(drawn: Any) -> None:
     labels = np.random.default_rng(0).integers(-1, 90, (camera.height // 5, camera.width // 5)).astype(np.int32)
     labels = labels.repeat(5, 0).repeat(5, 1)
     ours = label_weights(gaussians, camera, labels)
-    with drawing_on(None):
+    with use_card(None):
         theirs = label_weights(gaussians, camera, labels)
     tables = [csr_array((each.weights, each.labels, each.starts), shape=(300, 90)).toarray() for each in (ours, theirs)]
     assert tables[1].any()
@@ -75,7 +75,7 @@ def test_sums_by_label_are_those_of_the_cpu(drawn: Any) -> None:
 def test_surfaces_are_those_of_the_cpu(drawn: Any) -> None:
     gaussians, camera = random_gaussians(200, 0, seed=9), ring_camera()
     ours = draw_surface(gaussians, camera, torch.ones(200, 2))
-    with drawing_on(None):
+    with use_card(None):
         theirs = draw_surface(gaussians, camera, torch.ones(200, 2))
     assert np.mean(np.abs(ours.depth / theirs.depth - 1.0) > 1e-5) < 1e-3  # a pixel whose T is one half to rounding
     np.testing.assert_allclose(ours.features, theirs.features, atol=1e-4)
@@ -104,7 +104,7 @@ def test_a_card_that_draws_something_else_is_not_used(adapter: Adapter, monkeypa
     monkeypatch.setattr(card_module, "_source", lambda name: source(name).replace("const MAX_ALPHA: f32 = 0.99", wrong))
     gaussians, camera = random_gaussians(300, 0, seed=1), ring_camera()
     expected = render(gaussians, camera)
-    with drawing_on(adapter) as card:
+    with use_card(adapter) as card:
         assert torch.equal(render(gaussians, camera).color, expected.color)
     assert card is not None
     assert "draws another image than the CPU" in card.problem
@@ -119,12 +119,12 @@ def test_when_the_card_is_lost_the_cpu_draws_the_rest(
     gaussians, camera = random_gaussians(100, 0, seed=1), ring_camera()
     expected = render(gaussians, camera)
     monkeypatch.setattr(Card, "submit", lose)
-    with drawing_on(adapter) as card:
+    with use_card(adapter) as card:
         assert card is not None
         card.views = views
         assert torch.equal(render(gaussians, camera).color, expected.color)
         assert card.problem == "the device is lost"
-    with drawing_on(adapter) as other:
+    with use_card(adapter) as other:
         assert other is not None
         assert not other.problem
 
